@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Whether any option of a slot works with any option of the others: all combinations locate a touch, or are refused.
+"""Tests that any option of a slot works with any option of the others: combinations locate a touch, or are refused.
 
-A small chamfered box is pressed on a GelSight Mini, clean, by one face; a touch of this face determines the pose up to
-the box's symmetry. Each combination of renderer, grid, encoder, matcher, refiner and fuser locates it: the fuser
-`product` from one touch alone and from two touches, `kinematic` from two, as one touch tells it nothing. Another
-renderer than the one under test draws the touches. The error is the symmetric surface distance (RMS) of the nearest of
-the ten poses that are listed, however probable: above the refiner's limit it counts as a failure (0.3 mm; kiss-icp 0.6;
-none 2, the finest grid's spacing). With two touches each refiner refines by itself (`together="each"`). A combination
-that is refused must be refused before anything is built, with a reason.
+One face of a small chamfered box is pressed on a GelSight Mini, without noise. A touch of this face determines the pose
+up to the box's symmetry. Each combination of renderer, grid, encoder, matcher, refiner and fuser locates it. The fuser
+`product` fuses one touch and two touches; `kinematic` fuses two, because one touch does not inform it. Touches are
+drawn by another renderer than the tested one. The error is the symmetric surface distance (RMS) of the nearest of the
+ten listed poses, whatever its probability. An error above the refiner's limit counts as a failure (0.3 mm; kiss-icp
+0.6; none 2, the finest grid's spacing). With two touches, each refiner refines separately (`together="each"`). A
+refused combination must be refused with a reason before anything is built.
 
-`--out` keeps a row for each combination, and measures only those that it lacks. `--renderers`, `--grids`, ... choose
-some. The encoder `outline` comes with `pip install -e plugins_contrib/tactile-loc-outline`.
+`--out` keeps a row for each combination, and only missing combinations are measured. `--renderers`, `--grids`, ...
+choose a subset. The encoder `outline` comes with `pip install -e plugins_contrib/tactile-loc-outline`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "refiner": ("joint", "icp", "filterreg", "kiss-icp", "render", "none"),
     "fuser": ("product", "kinematic"),
 }
-SMALL: dict[tuple[str, str], dict[str, Any]] = {  # options that keep a combination small
+SMALL: dict[tuple[str, str], dict[str, Any]] = {  # options for a small combination
     ("grid", "whole"): {"directions": 400, "turns": 40},
     ("grid", "face"): {"face": "+z", "spacing_mm": 2.0},
     ("grid", "hopf"): {"spacing_mm": 2.5, "level": 1, "min_contact_percent": 10.0},
@@ -59,7 +59,7 @@ SMALL: dict[tuple[str, str], dict[str, Any]] = {  # options that keep a combinat
 }
 SETTINGS: dict[str, Any] = {
     "sensor": {"name": "gelsight-mini", "image_size_px": [80, 60]}, "shape_px": 32, "temperature": 0.02, "top": 10,
-    "together": "each",  # by the refiner itself
+    "together": "each",  # refined separately by each refiner
     "search": {
         "candidates": 2, "candidates_together": 2, "registered": 2, "registered_together": 2, "registered_widely": 2,
         "iterations": 2,
@@ -69,11 +69,11 @@ SETTINGS: dict[str, Any] = {
 LIMIT_MM = {"joint": 0.3, "icp": 0.3, "filterreg": 0.3, "kiss-icp": 0.6, "render": 0.3, "none": 2.0}
 SIDES_M, CHAMFER_M = (0.010, 0.007, 0.005), 0.0012
 PRESS_M = 0.0008
-PLACES = ((0.0011, -0.0007, 0.35), (-0.0020, 0.0012, -0.5))  # of the box's middle over the gel: x, y, metres; yaw, rad
+PLACES = ((0.0011, -0.0007, 0.35), (-0.0020, 0.0012, -0.5))  # the box's middle over the gel: x, y, metres; yaw, rad
 
 
 def chamfered_box() -> ObjectModel:
-    """Return a box with chamfered edges, which looks the same turned by half a turn about each axis."""
+    """Return a box with chamfered edges and a half-turn symmetry about each axis."""
     half = np.array(SIDES_M) / 2
     corners = [half - CHAMFER_M * (np.arange(3) != axis) for axis in range(3)]
     signs = np.array(list(itertools.product((-1, 1), repeat=3)))
@@ -87,13 +87,13 @@ def chamfered_box() -> ObjectModel:
 
 
 def combinations(options: Mapping[str, Iterable[str]] = OPTIONS) -> Iterator[Combination]:
-    """Yield all combinations; those that share what is built follow one another."""
+    """Yield all combinations, ordered so that neighbours share built stages."""
     for names in itertools.product(*options.values()):
         yield dict(zip(options, names, strict=True))
 
 
 def configure(combination: Combination) -> RunConfig:
-    """Return the configuration of a combination, small."""
+    """Return the small configuration of a combination."""
     chosen = {slot: {"name": name, **SMALL.get((slot, name), {})} for slot, name in combination.items()}
     return RunConfig.from_dict({**SETTINGS, **chosen}, "the combination")
 
@@ -107,19 +107,19 @@ def touches(obj: ObjectModel, localizer: Localizer, renderer: str) -> list[Touch
 
 
 def _touch(scene: Scene, number: int, x_m: float, y_m: float, yaw_rad: float) -> Touch:
-    facing = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)  # the face +z looks at the sensor
+    facing = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)  # the face +z faces the sensor
     T: Poses = scene.bring_to_contact(make_transform(facing, [x_m, y_m, 0.0])[None])[0][0]
     shape = ContactShape(scene.render_contact_depths(T[None])[0], PRESS_M)
     return Touch(shape, scene.geometry, f"touch-{number}", T_base_sensor=invert(T), T_sensor_object=T)
 
 
 def make_localizer(combination: Combination, obj: ObjectModel, store: StageStore) -> Localizer:
-    """Return a combination's localizer. Raises ConfigError where the combination is refused."""
+    """Return a combination's localizer. Raises ConfigError if the combination is refused."""
     return Localizer(configure(combination), obj, store)
 
 
 def try_combination(combination: Combination, obj: ObjectModel, store: StageStore) -> Row:
-    """Locate the touches by a combination: the errors, mm, by how many touches, or why it was refused or failed."""
+    """Locate the touches by a combination. Return the errors, mm, by number of touches, or the reason of a failure."""
     before = len(store.built)
     row: Row = {**combination, "refused": "", "failed": ""}
     try:
@@ -138,14 +138,14 @@ def try_combination(combination: Combination, obj: ObjectModel, store: StageStor
 
 
 def locate(localizer: Localizer, pressed: list[Touch]) -> dict[str, float]:
-    """Return the errors, mm, of one touch alone, where the fuser looks at what it shows, and of all together."""
+    """Return the errors, mm, of one touch, if the fuser uses its shape, and of all touches."""
     alone = [] if localizer.fuser.capabilities.contact_only else pressed[:1]
     groups = {str(len(some)): some for some in (alone, pressed) if some}
     return {count: error_mm(localizer, some) for count, some in groups.items()}
 
 
 def error_mm(localizer: Localizer, pressed: list[Touch]) -> float:
-    """Return how far the nearest listed hypothesis is from the true pose: symmetric surface distance, mm."""
+    """Return the symmetric surface distance, mm, of the nearest listed hypothesis from the true pose."""
     found = localize_together([(localizer, touch) for touch in pressed])
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     true: NDArray[np.float64] = np.broadcast_to(np.asarray(pressed[0].T_sensor_object), poses.shape)
@@ -158,7 +158,7 @@ def key_of(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def print_table(rows: list[Row], options: Mapping[str, Iterable[str]]) -> None:
-    """Print a row for each grid, encoder and matcher; in a refiner's column the worst error over the others, mm."""
+    """Print a row for each grid, encoder and matcher; a refiner's column has the worst error over the others, mm."""
     refiners = list(options["refiner"])
     print("| grid | encoder | matcher | " + " | ".join(refiners) + " | combinations | refused | failed |")
     print("|---" * (len(refiners) + 6) + "|")
@@ -175,12 +175,12 @@ def _worst(rows: list[Row]) -> str:
 
 
 def main() -> None:
-    """Measure what is not measured yet, and print the table."""
+    """Measure the missing combinations, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for slot, names in OPTIONS.items():
         parser.add_argument(f"--{slot}s", nargs="+", default=list(names), choices=names)
-    parser.add_argument("--out", type=Path, help="a file of rows, JSON, one a line")
-    parser.add_argument("--store", type=Path, help="where grids, encoders and banks are kept")
+    parser.add_argument("--out", type=Path, help="file of rows, one JSON object per line")
+    parser.add_argument("--store", type=Path, help="store of grids, encoders and banks")
     arguments = parser.parse_args()
     options = {slot: getattr(arguments, f"{slot}s") for slot in OPTIONS}
     obj = chamfered_box()
@@ -198,7 +198,7 @@ def main() -> None:
 def _measure(
     options: Mapping[str, Iterable[str]], obj: ObjectModel, store: StageStore, out: Path | None
 ) -> Iterator[Row]:
-    """Yield the row of each combination: from the file, or measured now and added to it."""
+    """Yield the row of each combination, read from the file, or measured now and added to it."""
     lines = out.read_text(encoding="utf-8").splitlines() if out is not None and out.exists() else []
     known = {key_of(row): row for row in map(json.loads, lines)}
     for combination in combinations(options):

@@ -1,19 +1,22 @@
 #!/usr/bin/env python3
-"""How well objects are located from pressed touches out of any direction, by the number of touches.
+"""Errors of locating objects from touches from any direction, by the number of touches.
 
-Each example is an object at rest that sensors press from random directions, by 30 to 90 % of their deepest press; every
-contact of at least 0.25 % of the sensor counts, edges and corners too. The touches are drawn by ray casting, which the
-localizer does not use. The whole object is searched. For every number of touches: the share of examples within 0.5 and
-1 mm (root mean square over the surface, symmetry regarded), the median, how often any hypothesis was that near (the
-search found it, the choice did not), in how many a pose more than 1 mm off explains all touches as well as the true one
-does (they do not determine it), the share within 0.5 mm of the others, the median normalised error squared of what was
-located within 1 mm (5.35 if covariances are true), presses that showed no touch, examples that ended in an error, and
-the time.
+Each example is an object at rest that is pressed from random directions, by 30 to 90 % of the sensors' deepest press.
+Every contact of at least 0.25 % of the sensor counts, edges and corners too. The touches are drawn by ray casting,
+which the localizer does not use. The whole object is searched.
 
-`--clean`, `--strong` and `--misplaced` choose what the touches suffer from; by default all three. `--fingers` presses
+For every number of touches the table has the share of examples within 0.5 and 1 mm (root mean square over the surface,
+modulo symmetry), the median error, and the share with any hypothesis that near (found by the search, but not chosen). A
+set of touches is ambiguous if a pose more than 1 mm away explains all touches as well as the true pose. The table has
+their share, and the share within 0.5 mm of the others. For poses within 1 mm it has the median normalised error squared
+(5.35 for true covariances). The last columns are presses without contact, examples that ended in an error, and the
+time.
+
+`--clean`, `--strong` and `--misplaced` choose the errors of the touches; by default all three. `--fingers` presses
 objects between two opposed sensors instead, and reports z. `--outliers` makes one touch of each example wrong, by its
-sensor's pose (5 mm, 10 degrees) or by being of the next object, and none as well: how often the wrong one is named,
-a right one, or nobody while no pose explains all touches. Meshes are given as FILE[:UNITS] or a demo object's name.
+sensor's pose (5 mm, 10 degrees) or by being of the next object, or none. Then it counts how often the wrong touch is
+named, a right one, or none although no pose explains all touches. Meshes are given as FILE[:UNITS] or a demo object's
+name.
 """
 
 from __future__ import annotations
@@ -51,16 +54,17 @@ LEVELS: dict[str, dict[str, Any]] = {
     "strong": {"noise": TouchNoise(**{**NOISE["strong"].__dict__, "press_share": (1.0, 1.0)})},
     "misplaced": {"sensor_std_m": 0.5e-3, "sensor_std_rad": np.radians(0.5)},
 }
-AS_WELL = 0.01  # imprint IoU: poses that differ by less in what they explain explain as much
+AS_WELL = 0.01  # imprint IoU: a smaller difference counts as equally good
 MOVED_MM, MOVED_DEG = 5.0, 10.0
 KINDS = ("none", "moved", "other object")
 VERDICTS = ("agree", "named", "wrongly named", "nobody named", "failed")
 
 
 class Located(NamedTuple):
-    """How far a located object is off: the chosen pose, the nearest of all hypotheses, and the chosen one along the
-    sensor's z, all in mm; the chosen one's normalised error squared, by its covariance; and whether a hypothesis more
-    than 1 mm off explains the touches as well as the true pose. As it stands, an example that ended in an error.
+    """Errors of a located object, mm: of the chosen pose, of the nearest hypothesis, and of the chosen pose along z.
+
+    Further, the chosen pose's normalised error squared, and whether a hypothesis more than 1 mm away explains the
+    touches as well as the true pose. The default values are those of an example that ended in an error.
     """
 
     chosen_mm: float = np.inf
@@ -71,7 +75,7 @@ class Located(NamedTuple):
 
 
 def locate(localizer: Localizer, touches: list[Touch], found: Localization) -> Located:
-    """Compare what touches said with their true poses, which are known."""
+    """Locate an object from touches, and compare it with the known true poses."""
     truth = np.asarray(touches[0].T_sensor_object)
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     metric, chosen = PoseMetric(localizer.object), found.best.refined
@@ -88,7 +92,7 @@ def locate(localizer: Localizer, touches: list[Touch], found: Localization) -> L
 
 
 def draw_examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[tuple[list[Touch], int]]:
-    """The same examples for every level: their randomness is their number's."""
+    """Draw the examples, which are the same for every level: their number is their seed."""
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
         if arguments.fingers:
@@ -139,7 +143,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
 
 
 def move(touch: Touch, rng: np.random.Generator) -> Touch:
-    """The touch, its sensor elsewhere than the robot believes: shifted, and turned about the middle of the gel."""
+    """Return the touch with a wrong sensor pose: shifted, and rotated about the middle of the gel."""
     shift = rng.normal(size=3)
     gel, R = np.array([0.0, 0.0, touch.geometry.standoff_m]), rotation_about(rng.normal(size=3), np.radians(MOVED_DEG))
     off = make_transform(R, gel - R @ gel + 1e-3 * MOVED_MM * shift / np.linalg.norm(shift))
@@ -149,7 +153,7 @@ def move(touch: Touch, rng: np.random.Generator) -> Touch:
 def spoil(
     touches: RobotTouches, strangers: RobotTouches, count: int, rng: np.random.Generator
 ) -> tuple[int, dict[str, list[Touch]]]:
-    """One touch's number, and the touches of one example by KINDS of what is wrong with it."""
+    """Return the number of one touch, and the touches of an example with each of KINDS of errors in it."""
     right, _ = touches.draw_example(count, rng)
     wrong = int(rng.integers(count))
     (stranger,), _ = strangers.draw_example(1, rng)
@@ -159,7 +163,7 @@ def spoil(
 
 
 def judge(agreement: Agreement, wrong: int | None) -> str:
-    """Which of VERDICTS an example comes to whose touch number `wrong` is; none is, where that is None."""
+    """Return which of VERDICTS applies to an example whose touch number `wrong` is wrong; None if no touch is."""
     if not agreement.contradictory:
         return "agree"
     if not agreement.outliers:
@@ -170,7 +174,7 @@ def judge(agreement: Agreement, wrong: int | None) -> str:
 def measure_outliers(
     localizer: Localizer, other: ObjectModel, arguments: argparse.Namespace, level: str
 ) -> list[dict[str, Any]]:
-    """Return a row for each number of touches and kind of what is wrong with one of them."""
+    """Return a row for each number of touches and kind of error in one of them."""
     raycast = registry().create("renderer", "raycast", {})
     ours, theirs = (
         RobotTouches(obj, localizer.scene.geometry, raycast, **LEVELS[level]) for obj in (localizer.object, other)
@@ -203,13 +207,13 @@ def measure_outliers(
 
 
 def main() -> None:
-    """Measure, print a table, and write the rows as JSON if asked."""
+    """Measure, print a table, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
     parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
     parser.add_argument("--examples", type=int, default=40)
-    parser.add_argument("--spacing-mm", type=float, help="search the grid hopf of that spacing, not the grid whole")
+    parser.add_argument("--spacing-mm", type=float, help="search the grid hopf with this spacing")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--together", default="joint", choices=["joint", "each"])
     parser.add_argument("--fingers", action="store_true")
@@ -250,7 +254,7 @@ def main() -> None:
 
 
 def summarise_all(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Lines that sum up all objects, by sensor, level and number of touches."""
+    """Return lines that summarise all objects, by sensor, level and number of touches."""
     for kind in dict.fromkeys((row["sensor"], row["level"], row["touches"]) for row in rows):
         alike = [row for row in rows if (row["sensor"], row["level"], row["touches"]) == kind]
         near, far = (np.mean([row["within"][f"{mm:g} mm"] for row in alike]) for mm in WITHIN_MM)
@@ -264,7 +268,7 @@ def summarise_all(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def write_heading(arguments: argparse.Namespace) -> str:
-    """The table's first line."""
+    """Return the table's first line."""
     if arguments.outliers:
         return f"{'object':14s} {'sensor':14s} {'level':10s} touches  {'wrong':13s}" + ", ".join([*VERDICTS, "<1 mm"])
     head = f"{'object':14s} {'sensor':14s} {'level':10s} touches  <0.5 mm  <1 mm  median  any<0.5 "
@@ -273,7 +277,7 @@ def write_heading(arguments: argparse.Namespace) -> str:
 
 
 def write_line(row: dict[str, Any], arguments: argparse.Namespace) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     start = f"{row['object']:14s} {row['sensor']:14s} {row['level']:10s} {row['touches']:7d} "
     if arguments.outliers:
         counts = [*(str(row[said]) for said in VERDICTS), str(row["within 1 mm"])]

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Whether refined poses are as far off as their covariances say.
+"""Whether the covariances of refined poses match their errors.
 
-Each example is an object at rest that sensors press from random directions, as in `contacts.py`; hypotheses begin near
-the truth, as in `joint.py`, and the one is taken that explains the touches best. For each level and number of touches:
-how many end within 3 mm (the others ended at another pose), and of these the median error (root mean square over the
-surface), the median normalised estimation error squared (5.35 if covariances are true), and how many truths are in the
-ellipsoids that should hold 50 and 95 %. Sensor poses are as exact as the touches say: exactly known, but off by 0.5 mm
-and 0.5 degrees where they are misplaced.
+Each example is an object at rest that is pressed from random directions, as in `contacts.py`. Hypotheses start near the
+truth, as in `joint.py`, and the one that explains the touches best is chosen. For each level and number of touches, the
+table has the share that ends within 3 mm (the others converged to another pose). For these it has the median error
+(root mean square over the surface), the median normalised estimation error squared (5.35 for true covariances), and the
+shares of truths in the 50 and 95 % ellipsoids. Sensor poses are exact, or wrong by 0.5 mm and 0.5 degrees where
+misplaced, and the touches state these errors.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ HYPOTHESES, NEAR_MM = 4, 3.0
 
 
 def measure_errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -> list[tuple[float, float]]:
-    """The error, mm, and the normalised estimation error squared of each example of one object."""
+    """Return the error, mm, and the normalised estimation error squared of each example of one object."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
     geometry = registry().create("sensor", arguments.sensor, {}).geometry

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""How often the truth lies in the sets of poses that are said to hold it, by the number of touches.
+"""How often credible sets of poses contain the true pose, by the number of touches.
 
-For each object, held-out examples of 1, 2, 3 and 7 simulated touches with strong noise, none of which took part in a
-fit. For every number of touches: the share of examples whose truth (the grid pose nearest to it) lies in the 50, 80 and
-95 % credible sets of the fused posterior; the same of the product of probabilities as it is, uncalibrated; and of split
-conformal sets: the share of all examples, the share in the quarter with the greatest entropy, and how many poses a set
-has, median. `--whole` searches the whole object: what is not found counts as the least likely of all, with the
-probability that the posterior gives it, and the share that was found and its mean probability are printed. Meshes are
-given as FILE[:UNITS] or a demo object's name; by default the demo objects.
+For each object there are held-out examples of 1, 2, 3 and 7 simulated touches with strong noise; none of them took part
+in a fit. The truth is the grid pose nearest to the true pose. For every number of touches the table has the share of
+truths in the 50, 80 and 95 % credible sets of the fused posterior, and the same for the uncalibrated product of
+probabilities. For split conformal sets it has the share of all examples, the share in the quarter with the greatest
+entropy, and the median number of poses in a set.
+
+`--whole` searches the whole object. A truth that was not found counts as the least likely pose, with the probability
+that the posterior gives to poses elsewhere. The share of found truths and their mean probability are printed. Meshes
+are given as FILE[:UNITS] or a demo object's name; by default the demo objects.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ LEVELS = (0.5, 0.8, 0.95)
 def draw_examples(
     localizer: Localizer, touches: int, count: int, seed: int
 ) -> list[tuple[PosePosterior, PosePosterior, int]]:
-    """For each example what is fused, the plain product, and the index of the truth."""
+    """Return, for each example, the fused posterior, the plain product, and the index of the truth."""
     found = []
     drawn = localizer.simulate(touches * count, seed + touches, noise="strong")
     for start in range(0, len(drawn), touches):
@@ -50,7 +52,7 @@ def draw_examples(
 
 
 def measure_coverage(posteriors: list[PosePosterior], truths: list[int], rng: np.random.Generator) -> list[float]:
-    """The shares of truths in the credible sets of LEVELS."""
+    """Return the shares of truths in the credible sets of LEVELS."""
     levels = np.array([
         p.credible_level(t, lot) if t >= 0 else 1 - p.elsewhere * (1 - lot)
         for p, t, lot in zip(posteriors, truths, rng.random(len(truths)), strict=True)
@@ -59,7 +61,7 @@ def measure_coverage(posteriors: list[PosePosterior], truths: list[int], rng: np
 
 
 def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -> dict[str, Any]:
-    """One row of the table."""
+    """Return one row of the table."""
     rng = np.random.default_rng(arguments.seed)
     found = draw_examples(localizer, touches, arguments.examples, arguments.seed)
     fused, product, truths = [list(column) for column in zip(*found, strict=True)]
@@ -80,7 +82,7 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
 
 
 def main() -> None:
-    """Measure, print a table, and write the rows as JSON if asked."""
+    """Measure, print a table, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 7])

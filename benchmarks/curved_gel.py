@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""What it costs to take a curved gel for a flat one.
+"""The errors from assuming that a curved gel is flat.
 
-Touches from any direction on the DIGIT whose gel is a cap of a sphere, drawn by ray casting and pressed by 30 to 90 %
-of the sensor's deepest press, are located with the gel as it is and with the gel taken for flat; and, beside them,
-touches on a flat gel. The median error (root mean square over the surface, symmetry regarded), the share within 1 mm,
-and how often any hypothesis was within 1 mm, of one touch and of three.
+Touches come from any direction on the DIGIT with a spherical gel, drawn by ray casting and pressed by 30 to 90 % of the
+sensor's deepest press. They are located with the curved gel, and with a flat gel. Touches on a flat gel are the
+reference. For one touch and for three, the table has the median error (root mean square over the surface, modulo
+symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
-CASES = {  # touched, located with
+CASES = {  # gel that is touched, gel for locating
     "curved gel, located as curved": ("digit-curved", "digit-curved"),
     "curved gel, taken for flat": ("digit-curved", "digit"),
     "flat gel": ("digit", "digit"),
@@ -32,12 +32,12 @@ CASES = {  # touched, located with
 
 
 def convert_touch(touch: Touch, localizer: Localizer) -> Touch:
-    """The touch as the localizer's sensor takes it."""
+    """Return the touch in the geometry of the localizer's sensor."""
     return dataclasses.replace(touch, geometry=localizer.scene.geometry)
 
 
 def find(localizer: Localizer, touches: list[Touch]) -> Located:
-    """Locate the object from touches of it; nothing is found where that is refused."""
+    """Locate the object from touches; a refusal counts as nothing found."""
     try:
         return locate(localizer, touches, localize_together([(localizer, touch) for touch in touches]))
     except TactileLocError:
@@ -45,7 +45,7 @@ def find(localizer: Localizer, touches: list[Touch]) -> Located:
 
 
 def main() -> None:
-    """Measure and print a table."""
+    """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("objects", nargs="*", default=["pin", "damping_pin", "cotter"])
     parser.add_argument("--examples", type=int, default=30)

@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""What learning is worth: the same noisy touches located by matching pixels and by the learned encoder, in one run.
+"""Pixel matching compared with the learned encoder, on the same noisy touches, in one run.
 
-For each mesh: one face, a grid of about `--poses` poses, `--touches` simulated touches at poses off the grid, the
-encoders' default settings. Errors are medians of ADD over 10 000 surface points, symmetry regarded; in brackets as a
-share of a random pose's mean. Meshes are given as FILE[:UNITS]; without any, the demo objects are used. What is done
-is kept in `--out`: an interrupted run goes on where it stopped. Training is timed when it happens.
+For each mesh: one face, a grid of about `--poses` poses, `--touches` simulated touches at poses off the grid, and the
+encoders' default settings. Errors are medians of ADD over 10 000 surface points, modulo symmetry, and in brackets as a
+share of a random pose's mean error. Meshes are given as FILE[:UNITS]; by default the demo objects. Results are kept in
+`--out`, so an interrupted run can be resumed. Training is timed when it happens.
 
-With `--whole` the whole object is searched instead, from touches of random directions, drawn by ray casting, which the
-localizer does not use, without, with mild and with strong noise. Printed is the share of touches of which one of the
-1000 most alike rotated places is within 3 mm of the true pose, and of which one of ten hypotheses is within 1 mm (root
-mean square over the surface, symmetry regarded).
+With `--whole` the whole object is searched instead, from touches of random directions, without, with mild and with
+strong noise. They are drawn by ray casting, which the localizer does not use. The table has the share of touches for
+which one of the 1000 most similar rotated places is within 3 mm of the true pose, and the share for which one of ten
+hypotheses is within 1 mm (root mean square over the surface, modulo symmetry).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def make_config(arguments: argparse.Namespace, encoder: dict[str, str], spacing_
 
 
 def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Run]]:
-    """Locate one object's touches with each encoder; return a row of the table and the runs."""
+    """Locate one object's touches with each encoder. Return a row of the table and the runs."""
     base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
     spacing_mm = choose_spacing(obj, base, arguments.poses)
     store = StageStore(arguments.out / "store")
@@ -90,7 +90,7 @@ def _read_notes(out: Path) -> dict[str, float]:
 
 
 def _write_note(out: Path, name: str, seconds: float) -> None:
-    """Keep how long a training took for the run that resumes this one."""
+    """Write the duration of a training for a run that resumes this one."""
     (out / "training.json").write_text(json.dumps({**_read_notes(out), name: seconds}) + "\n")
 
 
@@ -119,7 +119,7 @@ def write_header() -> str:
 
 
 def summarise(rows: list[dict[str, Any]]) -> str:
-    """Say how the learned encoder compares over all objects."""
+    """Return a comparison of the learned encoder over all objects."""
     ratios = np.array([r["moco"]["median_mm"]["best-1"] / r["pixel"]["median_mm"]["best-1"] for r in rows])
     listed = {r["object"]: r["moco"]["median_mm"]["best-10"] / r["moco"]["median_mm"]["closest"] for r in rows}
     worst = max(listed, key=lambda name: listed[name])
@@ -131,7 +131,7 @@ def summarise(rows: list[dict[str, Any]]) -> str:
 
 
 def time_matching(floats: int) -> dict[str, float]:
-    """Return the median milliseconds in which each matcher scores MATCHED keys of so many floats for one touch."""
+    """Return each matcher's median milliseconds for scoring MATCHED keys of this size for one touch."""
     rng = np.random.default_rng(0)
     bank = rng.standard_normal((MATCHED, floats), dtype=np.float32)
     found = {}
@@ -148,11 +148,11 @@ def time_matching(floats: int) -> dict[str, float]:
 
 
 def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> dict[str, Any]:
-    """Search the whole object with one encoder; return how often the truth was near, and listed, by level of noise."""
+    """Search the whole object with one encoder. Return the shares of near and of listed truths, by level of noise."""
     changed = json.loads(arguments.moco) if name == "moco" else {}
     settings = {
         "sensor": arguments.sensor, "encoder": {**WHOLE_ENCODERS[name], **changed},
-        "grid": {"name": "whole", "directions": arguments.directions}, "temperature": 0.02,  # the order depends on none
+        "grid": {"name": "whole", "directions": arguments.directions}, "temperature": 0.02,  # keeps the order
     }  # fmt: skip
     localizer = Localizer(RunConfig.from_dict(settings), obj, StageStore(arguments.out / "store"))
     search = localizer.search
@@ -200,14 +200,14 @@ def main() -> None:
     """Run the benchmark, print its table, and write results.json and violins.png."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
-    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
+    parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid")
     parser.add_argument("--touches", type=int, default=150)
     parser.add_argument("--noise", default="strong")
     parser.add_argument("--sensor", default="gelslim")
     parser.add_argument("--refiner", default="icp")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--whole", action="store_true", help="search whole objects instead of one face")
-    parser.add_argument("--directions", type=int, default=4000, help="of the whole grid")
+    parser.add_argument("--directions", type=int, default=4000, help="directions of the whole grid")
     parser.add_argument("--moco", default="{}", help="options of moco for whole objects, as JSON")
     parser.add_argument("--out", type=Path, default=Path("out/encoders"))
     arguments = parser.parse_args()

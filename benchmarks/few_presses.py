@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""How many presses a calibration needs: the error of the surface's angle against the number of presses learned from.
+"""The number of presses for a calibration: the error of the surface angle against the number of training presses.
 
-The public sets are those of `real_images.py`, reduced as `tactile-loc calibrate` reads them, labels by hand. Of each of
-several splits the same fifth of the presses is held out; of the others some are learned from, at random, or spread over
-the gel: the one nearest to its middle, and then again and again the one farthest from those that there are.
+The public sets are those of `real_images.py`, reduced as by `tactile-loc calibrate`, with labels by hand. Each of
+several splits holds out the same fifth of the presses. Training presses are chosen from the others, at random or spread
+over the gel. Spreading starts with the press nearest to the gel's middle, and adds the press farthest from those
+chosen.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ COUNTS = (1, 2, 5, 10, 20)
 
 
 def choose_at_random(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
-    """Return the numbers of `count` presses, drawn at random; more are the fewer and others."""
+    """Return the numbers of `count` random presses; a larger choice contains the smaller ones."""
     order = np.random.default_rng(1000 + seed).permutation(among)
     return sorted(order[:count].tolist())
 
 
 def spread(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
-    """Return the numbers of `count` presses that lie far from one another."""
+    """Return the numbers of `count` presses that are far from each other."""
     places = {number: _place(presses, number) for number in among}
     chosen = [min(among, key=lambda number: float(np.hypot(*(places[number] - 0.5))))]
     while len(chosen) < count:
@@ -45,13 +46,13 @@ def spread(presses: PressFolder, among: Sequence[int], count: int, seed: int) ->
 
 
 def _place(presses: PressFolder, number: int) -> NDArray[np.float64]:
-    """Where a press is: shares (2,) of the image's width and height."""
+    """Return the position of a press: shares (2,) of the image's width and height."""
     rows, columns = np.nonzero(presses.label(number).contact)
     return np.array([columns.mean(), rows.mean()]) / presses.geometry.shape[::-1]
 
 
 def measure_error_deg(presses: PressFolder, count: int, choose: Callable[..., list[int]], seed: int) -> float:
-    """Return the mean error of the surface's angle on the presses held out, learned from `count` others."""
+    """Return the mean error of the surface angle on the held-out presses, after learning from `count` others."""
     others, held_out = split(len(presses), seed)
     learned = choose(presses, others, min(count, len(others)), seed)
     made = PhotometricEstimator(presses.geometry, presses.background)
@@ -63,7 +64,7 @@ def measure_error_deg(presses: PressFolder, count: int, choose: Callable[..., li
 def write_row(
     name: str, presses: PressFolder, choose: Callable[..., list[int]], counts: Sequence[int], splits: int
 ) -> str:
-    """Return a set's row of the table: errors in degrees, the last of all presses that are not held out."""
+    """Return a set's row of the table: errors in degrees, the last one for all presses that are not held out."""
     available = len(split(len(presses), 0)[0])
     cells = []
     for count in (*counts, available):

@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""Labels that are found in real images of a ball, beside those that people made by hand: circles, and what they teach.
+"""Labels found in real images of a ball, compared with labels by hand: the circles, and the calibrations from them.
 
-The public sets are those of `real_images.py`. Differences are found less hand, medians and 90 % quantiles over presses;
-radii are cut to the ball, as a table of presses has them. `offset` is the median difference of the centres: what all of
-a set's labels have in common. Surface angle errors are means over held-out presses, of several splits, of calibrations
-on the same other presses: `hand on hand` is learned from labels by hand and held against such, and so on; `moved` are
-the labels found, less the offset.
+The public sets are those of `real_images.py`. Differences are found minus hand, with medians and 90 % quantiles over
+presses; radii are cut to the ball, as in a table of presses. `offset` is the median difference of the centres in a set.
+Surface angle errors are means over held-out presses of several splits, for calibrations on the same presses. `hand on
+hand` is learned from labels by hand and tested on them, and so on; `moved` are the found labels minus the offset.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ LEARNED = ("hand", "found", "moved")
 
 
 def find(presses: PressFolder, name: str) -> FoundPresses:
-    """Find the balls in a set's images, with that of the untouched gel, if it has one, among them."""
+    """Find the balls in a set's images, including the image of the untouched gel if there is one."""
     frames = [Frame(row.image.name, image) for row, image in zip(presses.rows, presses.images, strict=True)]
     gel = [] if name == "FOTS" else [Frame("untouched", presses.background)]
     return find_presses([*frames, *gel], SETS[name][2] / SETS[name][3])
@@ -49,7 +48,7 @@ def list_circles(presses: PressFolder) -> Array:
 
 
 def relabel(presses: PressFolder, found: Array) -> PressFolder:
-    """Return the same presses with other circles (N, 3), pixels; a press without one (NaN) keeps its own."""
+    """Return the same presses with other circles (N, 3), pixels; a NaN circle keeps a press's own."""
     rows = [
         row if np.isnan(circle).any() else dataclasses.replace(row, values=row.values | _write(circle))
         for row, circle in zip(presses.rows, found, strict=True)
@@ -62,7 +61,7 @@ def _write(circle: Array) -> dict[str, str]:
 
 
 def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int) -> dict[str, float]:
-    """Learn from each labelling of the same presses; return errors of the surface's angle, by learned and tested."""
+    """Learn from each labelling of the same presses. Return errors of the surface angle, by pair of labels."""
     hand = sets["hand"]
     learned, held_out = ([n for n in part if known[n]] for part in split(len(hand), seed))
     errors = {}
@@ -77,7 +76,7 @@ def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], s
 
 
 def compare(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str, str]:
-    """Return a set's row of the table of circles, its row of the table of errors, and why presses were dropped."""
+    """Return a set's rows of the tables of circles and of errors, and the reasons for dropped presses."""
     presses = read(name, data, folder)
     start = time.perf_counter()
     found = find(presses, name)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""How long it takes to fuse several contacts over a grid of about `--poses` poses, by number of contacts.
+"""The time to fuse several contacts over a grid of about `--poses` poses, by number of contacts.
 
-For each mesh (FILE[:UNITS]; without any, the demo objects): one face, `pixel`, `--examples` examples of simulated
-touches with strong noise, by sensors that stand where the true poses have them. Each touch's posterior is at hand; what
-is timed is the fuser alone, once warmed up.
+For each mesh (FILE[:UNITS]; by default the demo objects): one face, `pixel`, `--examples` examples of simulated touches
+with strong noise, with sensors at the true poses. Each touch's posterior is computed beforehand. Only the fuser is
+timed, after a warm-up.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NUMBERS = (1, 2, 3, 5, 7)
 
 
 def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
-    """One row of the table: poses, then median and most milliseconds for each of NUMBERS."""
+    """Return one row of the table: poses, then median and maximal milliseconds for each of NUMBERS."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
     grid = {"name": "face", "spacing_mm": choose_spacing(obj, {}, arguments.poses)}
@@ -40,10 +40,10 @@ def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
     cells = []
     for n in NUMBERS:
         ms = []
-        for first in [0, *range(0, len(touches), most)]:  # the first twice, to warm up
+        for first in [0, *range(0, len(touches), most)]:  # the first example twice, to warm up
             some = slice(first, first + n)
             start = time.perf_counter()
-            with suppress(GridError):  # no common pose is found out as slowly
+            with suppress(GridError):  # finding no common pose takes as long
                 localizer.fuser.fuse(posteriors[some], T_base_sensor[some], None)
             ms.append((time.perf_counter() - start) * 1e3)
         cells.append(f"{np.median(ms[1:]):.0f}, {max(ms[1:]):.0f}")
@@ -54,11 +54,11 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
-    parser.add_argument("--poses", type=int, default=20_000, help="about how many poses a grid has")
+    parser.add_argument("--poses", type=int, default=20_000, help="approximate poses of a grid")
     parser.add_argument("--examples", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    print("milliseconds to fuse so many contacts: median, most")
+    print("milliseconds to fuse this many contacts: median, maximum")
     print(f"| object | poses | {' | '.join(map(str, NUMBERS))} |")
     print("|---" * (2 + len(NUMBERS)) + "|")
     with tempfile.TemporaryDirectory() as store:

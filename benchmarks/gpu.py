@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""The learned encoder on a GPU: how long an epoch of training takes, and how long it takes to encode and match a touch.
+"""The learned encoder on a GPU: times of a training epoch, and of encoding and matching a touch.
 
-An epoch is one of `--preset`'s, on a grid of about `--poses` poses of a demo object: rendering its touches, the steps,
-and encoding the keys. Encoding begins with contact depths in the memory of `--device` and ends with the scores of
-20 000 keys there; medians, in one run, for one touch and for 256, in float32 and in bfloat16, and as a CUDA graph.
-`--device cpu` rehearses it, without graphs.
+The epoch is that of `--preset`, on a grid of about `--poses` poses of a demo object: rendering touches, the steps, and
+encoding the keys. Encoding starts with contact depths in the memory of `--device` and ends with the scores of 20 000
+keys there. Times are medians in one run, for one touch and for 256, in float32, in bfloat16, and as a CUDA graph.
+`--device cpu` runs the same without graphs, as a rehearsal.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def make_network(recipe: Recipe) -> nn.Module:
 
 
 def time_epochs(recipe: Recipe, arguments: argparse.Namespace, device: torch.device) -> dict[str, float]:
-    """Train two epochs and return what the second took: in all, and its parts, seconds."""
+    """Train two epochs, and return the seconds of the second one in all and by part."""
     obj = load_object(arguments.object)
     settings = {"sensor": "gelslim", "shape_px": recipe.image_px}
     grid = {"name": "face", "spacing_mm": choose_spacing(obj, settings, arguments.poses)}
@@ -92,7 +93,7 @@ def time_latencies(recipe: Recipe, keys: int, device: torch.device, rounds: int)
 
 
 def time_matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> Callable[[], torch.Tensor]:
-    """Return what encodes a batch of touches and scores `keys` keys."""
+    """Return a function that encodes a batch of touches and scores `keys` keys."""
     weight = next(network.parameters())
     images = torch.rand(batch, recipe.planes(partly_seen=False), recipe.image_px, recipe.image_px, device=weight.device)
     images = images.to(weight.dtype).to(memory_format=torch.channels_last)
@@ -102,7 +103,7 @@ def time_matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> 
 
 
 def capture_graph(work: Callable[[], Any]) -> Callable[[], Any]:
-    """Record work as a CUDA graph and return what replays it."""
+    """Record work as a CUDA graph, and return a function that replays it."""
     side = torch.cuda.Stream()
     side.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(side):
@@ -116,7 +117,7 @@ def capture_graph(work: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def time_median(work: Callable[[], Any], device: torch.device, rounds: int) -> float:
-    """Return the median duration of work, waiting for the device each time, milliseconds."""
+    """Return the median duration of work, milliseconds, with a wait for the device each time."""
     for _ in range(3):
         work()
     seconds = []
@@ -135,22 +136,22 @@ def _finish(device: torch.device) -> None:
 
 
 def main() -> None:
-    """Run the benchmark and print what it finds as JSON."""
+    """Run the benchmark, and print the results as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--object", default="pin", help="a demo object's name or a mesh file")
+    parser.add_argument("--object", default="pin", help="demo object or mesh file")
     parser.add_argument("--preset", default="paper", choices=sorted(PRESETS))
-    parser.add_argument("--poses", type=int, default=20_000, help="about how many poses the grid has")
-    parser.add_argument("--queries", type=int, help="touches an epoch; default: the preset's")
-    parser.add_argument("--keys", type=int, default=20_000, help="keys that a touch is matched against")
+    parser.add_argument("--poses", type=int, default=20_000, help="approximate poses of the grid")
+    parser.add_argument("--queries", type=int, help="touches in each epoch; default: the preset's")
+    parser.add_argument("--keys", type=int, default=20_000, help="keys to match a touch with")
     parser.add_argument("--rounds", type=int, default=100)
     parser.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
     arguments = parser.parse_args()
     if arguments.device == "cuda" and not torch.cuda.is_available():
         parser.error("torch sees no CUDA device here; rehearse with --device cpu")
     device = torch.device(arguments.device)
-    recipe = PRESETS[arguments.preset].change(**({"queries": arguments.queries} if arguments.queries else {}))
+    recipe = replace(PRESETS[arguments.preset], **({"queries": arguments.queries} if arguments.queries else {}))
     chip = torch.cuda.get_device_name() if device.type == "cuda" else platform.processor() or "CPU"
-    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": recipe.describe()}, indent=1), flush=True)
+    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": asdict(recipe)}, indent=1), flush=True)
     print(json.dumps({"latency_ms": time_latencies(recipe, arguments.keys, device, arguments.rounds)}, indent=1))
     print(json.dumps({"training": time_epochs(recipe, arguments, device)}, indent=1))
 

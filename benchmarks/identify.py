@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
-"""How often touches tell which of many objects they are of, and that they are of none of these.
+"""How often touches identify their object among many, and reject a library without it.
 
-Every object in turn is pressed from random directions, by 30 to 90 % of the sensor's deepest press; the touches are
-drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all others but
-their own. Printed by number of touches: how often their own object is the most alike at a glance, and the best when
-looked into; how often it is among those that are located, and how often it is the most probable; how often it is right,
-"none of these" regarded; how often a left-out object is rejected; the same at the threshold of that probability where
-5 % of the known objects' touches would be rejected; which objects are taken for which; and, by the size of the library,
-the time of a glance and that of two touches.
+Every object in turn is pressed from random directions, by 30 to 90 % of the sensor's deepest press. The touches are
+drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all except
+their own.
 
-`--fit` prints the null evidence that the examples are most probable with. Objects are FILE[:UNITS] or demo names.
-`--out` keeps the examples, a file for each object and number of touches: what is there is not measured again.
+By number of touches, the table has how often the touched object is first after the quick comparison, and first after
+the full one; how often it is among the located objects, and the most probable; and how often the answer is right,
+including "none of these". It has how often a missing object is rejected, also at the threshold at which 5 % of the
+known objects are rejected. Then it lists confused objects and, by the size of the library, the times of a quick
+comparison and of two touches.
+
+`--fit` prints the null evidence under which the examples are most probable. Objects are FILE[:UNITS] or demo names.
+`--out` keeps the examples, one file for each object and number of touches, which are not measured again.
 """
 
 from __future__ import annotations
@@ -35,13 +37,13 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
 from tactile_loc.tasks.library import Library
 
-TEMPERATURE = 0.05  # that it need not be fitted: objects are weighed by their evidence
+TEMPERATURE = 0.05  # fixed: objects are weighed by their evidence
 FALSE_ALARMS = 0.05
 SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
 
 
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
-    """The touches of one object; those of a smaller number begin those of a larger one."""
+    """Return the touches of one object; fewer touches are the first ones of more."""
     obj, geometry = library.models[number].object, library.models[number].scene.geometry
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
@@ -50,8 +52,7 @@ def draw_example(library: Library, number: int, arguments: argparse.Namespace, a
 
 
 def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
-    """How well objects explain touches roughly, and by how much those fall short that would be located, with or without
-    the truth."""
+    """Return the objects' rough fits, and the misfits of the objects to be located, with and without the truth."""
     start = time.perf_counter()
     said = identify(touches, library, LOCATED + 1)
     return {
@@ -62,7 +63,7 @@ def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
 
 
 def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]:
-    """The objects that are located, and what came of it, its own among them or left out."""
+    """Return the located objects and the result, with or without their own object."""
     others = [name for name in row["alike"] if not (left_out and name == row["object"])]
     names = sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
     misfits = np.array([row["misfits"].get(name, np.inf) for name in names])
@@ -71,12 +72,12 @@ def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]
 
 
 def is_own_first(row: dict[str, Any], key: str) -> bool:
-    """Whether no object is before an example's own by what `key` of its row says of them."""
+    """Return whether no object is before an example's own, by the `key` of its row."""
     return bool(row[key][row["object"]] == max(row[key].values()))
 
 
 def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
-    """Shares of examples with the same number of touches, and what was taken for what."""
+    """Return shares over examples with the same number of touches, and the confused objects."""
     looked, first, right, known_none, strange_none = [], [], [], [], []
     taken: Counter[tuple[str, str]] = Counter()
     for row in rows:
@@ -101,7 +102,7 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
 
 
 def time_glances(library: Library, touch: Touch) -> float:
-    """The time of a glance at all objects, the second one: the first opens them."""
+    """Return the time of a quick comparison with all objects, the second one: the first opens them."""
     library.glance(touch)
     start = time.perf_counter()
     library.glance(touch)
@@ -109,18 +110,18 @@ def time_glances(library: Library, touch: Touch) -> float:
 
 
 def main() -> None:
-    """Measure, print tables, and keep the examples if asked."""
+    """Measure, print tables, and keep the examples if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(SUFFERING))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3])
-    parser.add_argument("--examples", type=int, default=1, help="of each object")
+    parser.add_argument("--examples", type=int, default=1, help="examples of each object")
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument("--fit", action="store_true")
-    parser.add_argument("--sizes", nargs="*", type=int, default=[], help="of libraries, to time")
-    parser.add_argument("--store", type=Path, help="where models are kept")
-    parser.add_argument("--out", type=Path, help="a folder, a file an object and number of touches")
+    parser.add_argument("--sizes", nargs="*", type=int, default=[], help="sizes of libraries to time")
+    parser.add_argument("--store", type=Path, help="store of models")
+    parser.add_argument("--out", type=Path, help="folder with a file for each object and number of touches")
     arguments = parser.parse_args()
     store = StageStore(arguments.store)
     library = Library([
@@ -155,7 +156,7 @@ def main() -> None:
 
 
 def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
-    """Print the table, and what was taken for what."""
+    """Print the table and the confused objects."""
     null = NullEvidence()
     if arguments.fit:
         known = [answer(row, left_out)[1] for row in rows for left_out in (False, True)]

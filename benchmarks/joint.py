@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How long ten hypotheses take that are refined against three touches together, and where they end.
+"""The time and the errors of refining ten hypotheses against three touches together.
 
-Each example is an object at rest that three sensors press from random directions, as in `contacts.py`; a hypothesis is
-the true pose, turned by 8 degrees about a random axis through the centroid and moved by some 2 mm along each axis.
-Printed are the median time over all examples, and the median error of the best explained hypothesis of each (root mean
-square over the surface, symmetry regarded). One thread: `NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1`.
+Each example is an object at rest that three sensors press from random directions, as in `contacts.py`. A hypothesis is
+the true pose, rotated by 8 degrees about a random axis through the centroid and moved by about 2 mm along each axis.
+The table has the median time over all examples, and the median error of each example's best explained hypothesis (root
+mean square over the surface, modulo symmetry). For one thread, set `NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1`.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 
 TURNED_DEG, MOVED_MM = 8.0, 2.0
-AGAIN = 5  # times each is measured
+AGAIN = 5  # repetitions of each measurement
 
 
 def measure(path: str, arguments: argparse.Namespace) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
     geometry = registry().create("sensor", arguments.sensor, {}).geometry
@@ -48,7 +48,7 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
         for again in range(AGAIN + (number == 0)):
             start = time.perf_counter()
             refined = refiner.refine_together(views, candidates)
-            if again or number:  # compiled, and the mesh is prepared
+            if again or number:  # after compiling and preparing the mesh
                 ms.append(1e3 * (time.perf_counter() - start))
         best = max(refined, key=lambda found: found.contact_iou)
         errors_mm.append(1e3 * metric.symmetric_distance(best.T_sensor_object[None], truth[None])[0])
@@ -56,7 +56,7 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
 
 
 def move_near(T: np.ndarray, centroid_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The pose (4, 4), turned about the centroid and moved."""
+    """Return the pose (4, 4), rotated about the centroid and moved."""
     R = rotation_about(rng.normal(size=3), np.radians(TURNED_DEG))
     middle = T[:3, :3] @ centroid_m + T[:3, 3]
     return make_transform(R, middle - R @ middle + 1e-3 * MOVED_MM * rng.normal(size=3)) @ T

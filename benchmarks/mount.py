@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""How exactly a sensor's mount on the flange is found, by the number of touches and their noise.
+"""The error of a sensor's mount on the flange, by the number of touches and their noise.
 
-Each example is a part that stands still at a random pose, a mount some centimetres and any turn off the flange, and
-random contacts of the part, drawn by ray casting, which the localizer does not use; flange poses follow from them. For
-every level of noise and number of touches: how many mounts were refused, of the others the median error (of the sensor
-frame's origin, and of its rotation) and that which nine of ten stay below, how many truths are in the ellipsoid that
-should hold 95 %, how many touches were left out, and the median time. Models are built beforehand. With `--outlier` the
-flange's pose of one touch of each example is wrong by 5 mm and 10 degrees: how often it is left out is shown, too.
+Each example has a part at rest at a random pose, a mount with an offset of some centimetres and any rotation, and
+random contacts of the part. Contacts are drawn by ray casting, which the localizer does not use, and give the flange
+poses. For every level of noise and number of touches, the table has the number of refused mounts, the median error and
+the 90 % quantile of the others (of the sensor frame's origin, and of its rotation), the share of truths in the 95 %
+ellipsoid, the number of excluded touches, and the median time. Models are built beforehand. With `--outlier` the
+flange's pose of one touch in each example is wrong by 5 mm and 10 degrees; then the table also has the share in which
+it was excluded.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ MOVED_MM, MOVED_DEG = 5.0, 10.0
 
 
 class Example(NamedTuple):
-    """What became of one example: errors in mm and degrees, e^T C^-1 e, touches left out, whether the wrong one was."""
+    """One example: errors in mm and degrees, e^T C^-1 e, the number of excluded touches, and if the wrong one was."""
 
     error_mm: float
     error_deg: float
@@ -46,14 +47,14 @@ class Example(NamedTuple):
 
 
 def draw_pose(std_m: float, rng: np.random.Generator) -> np.ndarray:
-    """A pose (4, 4) of any rotation."""
+    """Return a pose (4, 4) with a random rotation."""
     return make_transform(draw_rotations(1, rng)[0], std_m * rng.normal(size=3))
 
 
 def simulate(
     localizer: Localizer, count: int, level: str, rng: np.random.Generator
 ) -> tuple[FlangeTouches, np.ndarray]:
-    """Touches of a part at rest, and the true mount."""
+    """Return touches of a part at rest, and the true mount."""
     scene = Scene(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
     touches = simulate_touches(localizer.sampler, scene, count, rng, None, NOISE[level])
     T_flange_sensor, T_base_object = draw_pose(MOUNT_STD_M, rng), draw_pose(BASE_STD_M, rng)
@@ -63,7 +64,7 @@ def simulate(
 
 
 def add_outlier(given: FlangeTouches, rng: np.random.Generator) -> FlangeTouches:
-    """The same, the last flange's pose wrong."""
+    """Return the same touches with a wrong last flange pose."""
     T = given.T_base_flange.copy()
     shift = rng.normal(size=3)
     R = rotation_about(rng.normal(size=3), np.radians(MOVED_DEG))
@@ -72,7 +73,7 @@ def add_outlier(given: FlangeTouches, rng: np.random.Generator) -> FlangeTouches
 
 
 def measure_example(localizer: Localizer, count: int, level: str, seed: int, outlier: bool) -> Example | str:
-    """Find one mount, or say why it was refused."""
+    """Find one mount, or return the reason of the refusal."""
     rng = np.random.default_rng([seed, count])
     given, truth = simulate(localizer, count, level, rng)
     given = add_outlier(given, rng) if outlier else given
@@ -90,7 +91,7 @@ def measure_example(localizer: Localizer, count: int, level: str, seed: int, out
 
 
 def write_row(level: str, count: int, found: list[Example | str], outlier: bool) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     good = [one for one in found if isinstance(one, Example)]
     start = f"| {level} | {count} | {len(found) - len(good)} of {len(found)} |"
     if not good:
@@ -112,7 +113,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--touches", type=int, nargs="+", default=[6, 10, 15])
     parser.add_argument("--levels", nargs="+", default=["none", "mild", "strong"], choices=list(NOISE))
-    parser.add_argument("--examples", type=int, default=5, help="of each object")
+    parser.add_argument("--examples", type=int, default=5, help="examples of each object")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--outlier", action="store_true")
     parser.add_argument("--store", type=Path)
@@ -120,7 +121,7 @@ def main() -> None:
     store = StageStore(arguments.store)
     localizers = [Localizer.create(name, sensor=arguments.sensor, store=store) for name in arguments.objects]
     for localizer in localizers:
-        localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
+        localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles
     print(
         "| noise | touches | refused | error, mm (90 %) | error, degrees (90 %) | in 95 % | left out | time, s |"
         + (" outlier left out |" if arguments.outlier else "")

@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
-"""How many touches it takes to know where an object is, if each next one is chosen, and if it is drawn by lot.
+"""The number of touches until an object's pose is known, with chosen and with random touches.
 
-An object stands still. A first touch, from any direction, is the same for both; then one of `--approaches` sensor poses
-around the object is tried: the one that `choose_next_touch` ranks first, or any. Both choose from the same approaches,
-in the same run; one that meets nothing, or shows nothing but a flat face, is replaced (by the next in rank, by another
-lot), and counted. Touches are drawn by ray casting, which the localizer does not use, pressed by 30 to 90 % of the
-sensor's deepest press the first time, by 60 % after. Known means: the first hypothesis of all touches together is
-within 1 mm (root mean square over the surface) and 1 degree, symmetry regarded, so that it would be grasped there.
+An object is at rest. The first touch, from any direction, is the same for both methods. Then one of `--approaches`
+sensor poses around the object is tried: the first in the ranking of `choose_next_touch`, or a random one. Both choose
+from the same approaches, in the same run. An approach that meets nothing, or shows only a flat face, is replaced by the
+next in rank or by another random one, and counted. Touches are drawn by ray casting, which the localizer does not use.
+They are pressed by 30 to 90 % of the sensor's deepest press the first time, and by 60 % afterwards. A pose is known if
+the first hypothesis from all touches is within 1 mm (root mean square over the surface) and 1 degree, modulo symmetry.
 
-For each object: the entropy of the modes after the first touch, nats; the share that is known after one touch, two,
-three, ...; the mean number of touches until then, an example that is not known after the last counting as one more;
-presses replaced; and the median time of a choice. Then the same of the twelve objects of the highest entropy, and of
-all. Objects are FILE[:UNITS] or demo names. `--out` keeps each object's examples: what is there is not measured again.
+For each object the table has the entropy of the modes after the first touch, nats; the share of known poses after one,
+two, three, ... touches; the mean number of touches until then, where an unknown pose counts as one more touch than the
+last; the number of replaced presses; and the median time of a choice. The last rows are for the twelve objects with the
+highest entropy, and for all. Objects are FILE[:UNITS] or demo names. `--out` keeps each object's examples, which are
+not measured again.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
 WITHIN_M, WITHIN_RAD = 1e-3, np.radians(1.0)
-PRESS = 0.6  # of the sensor's deepest
-TEMPERATURE = 0.05  # that it need not be fitted: hypotheses are weighed by their evidence
+PRESS = 0.6  # share of the sensor's deepest press
+TEMPERATURE = 0.05  # fixed: hypotheses are weighed by their evidence
 Choice = Callable[[Localization, list[Approach]], Iterator[Approach]]
 
 
 def choose_approach(seconds: list[float]) -> Choice:
-    """Choose by what the touches so far have left in doubt."""
+    """Choose the approach that resolves the remaining doubt."""
 
     def choose(found: Localization, left: list[Approach]) -> Iterator[Approach]:
         start = time.perf_counter()
@@ -59,12 +60,12 @@ def choose_approach(seconds: list[float]) -> Choice:
 
 
 def choose_by_lot(rng: np.random.Generator) -> Choice:
-    """Choose at random."""
+    """Choose a random approach."""
     return lambda found, left: (left[k] for k in rng.permutation(len(left)))
 
 
 def is_known(obj: ObjectModel, found: Localization) -> bool:
-    """Whether the first hypothesis is within 1 mm and 1 degree of the truth or of a pose that looks the same."""
+    """Return whether the first hypothesis is within 1 mm and 1 degree of the truth, modulo symmetry."""
     T, truth = found.best.T_sensor_object, np.asarray(found.touch.T_sensor_object)
     near_m = PoseMetric(obj).symmetric_distance(T[None], truth[None])[0]
     step_rad = 0.2 * WITHIN_RAD
@@ -76,9 +77,9 @@ def try_approach(
     localizer: Localizer, source: RobotTouches, found: Localization, approaches: list[Approach], choose: Choice,
     most: int, rng: np.random.Generator,
 ) -> tuple[int, int]:  # fmt: skip
-    """After how many touches the pose is known, `most` + 1 if after none of these, and how many presses were replaced.
+    """Return the number of touches until the pose is known, or `most` + 1, and the number of replaced presses.
 
-    `found` is what the first touch says.
+    `found` is the result of the first touch.
     """
     touches, left, replaced = [found.touch], list(approaches), 0
     while not is_known(localizer.object, found):
@@ -103,7 +104,7 @@ def try_approach(
 
 
 def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, Any]:
-    """All examples of one object."""
+    """Measure all examples of one object."""
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[arguments.level])
     seconds: list[float] = []
@@ -128,12 +129,12 @@ def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, An
 
 
 def write_shares(touches: list[int], most: int) -> list[float]:
-    """The shares that are known after 1, 2, ... touches."""
+    """Return the shares of known poses after 1, 2, ... touches."""
     return [float(np.mean(np.array(touches) <= n)) for n in range(1, most + 1)]
 
 
 def write_line(name: str, rows: list[dict[str, Any]]) -> str:
-    """A row of the table, of one object or of all."""
+    """Return a row of the table, for one object or for all."""
     doubt = np.mean([nats for row in rows for nats in row["entropies"]])
     cells = [name, str(sum(len(row["touches"]["chosen"]) for row in rows)), f"{doubt:.2f}"]
     for kind in ("chosen", "random"):
@@ -150,17 +151,17 @@ def write_line(name: str, rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure, print a table, and keep each object's examples if asked."""
+    """Measure, print a table, and keep each object's examples if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(LEVELS))
     parser.add_argument("--examples", type=int, default=20)
     parser.add_argument("--approaches", type=int, default=200)
-    parser.add_argument("--most", type=int, default=6, help="touches")
+    parser.add_argument("--most", type=int, default=6, help="most touches")
     parser.add_argument("--seed", type=int, default=23)
-    parser.add_argument("--store", type=Path, help="where models are kept")
-    parser.add_argument("--out", type=Path, help="a folder, a file an object")
+    parser.add_argument("--store", type=Path, help="store of models")
+    parser.add_argument("--out", type=Path, help="folder with a file for each object")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     print("| object | examples | doubt, nats | chosen: known after 1, 2, ... touches | mean | replaced | random: known "
@@ -183,7 +184,7 @@ def main() -> None:
         print(write_line(row["object"], [row]), flush=True)
     rows.sort(key=lambda row: -float(np.mean(row["entropies"])))
     for count in sorted({min(12, len(rows)), len(rows)}):
-        print(write_line(f"the {count} in most doubt after the first touch", rows[:count]))
+        print(write_line(f"the {count} with the highest entropy after the first touch", rows[:count]))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""How well objects are located from touches that are drawn outside the model that locates them.
+"""Errors of locating objects from touches that do not follow the localizer's model.
 
-All touches are drawn by ray casting, pressed by 30 to 90 % of the sensor's deepest press, and located with the mesh as
-it is: from the same mesh; from one with smooth errors along its normals, as a scan has (0.05 and 0.1 mm root mean
-square, over some 2 mm); from one decimated to 0.1 mm; and from the same with noise that nothing was fitted to
-(`UnseenNoise`). For each: one touch on the known face (`face`, 3 mm) and three touches from any direction, the whole
-object searched, as in `contacts.py`. The median error (root mean square over the surface, symmetry regarded), the share
-within 1 mm, and how often any hypothesis was within 1 mm. Meshes are given as FILE[:UNITS] or a demo object's name.
+All touches are drawn by ray casting, pressed by 30 to 90 % of the sensor's deepest press, and located with the original
+mesh. They are drawn from the same mesh; from a mesh with smooth errors along its normals, as in a scan (0.05 and 0.1 mm
+root mean square, with a correlation length of 2 mm); from a mesh decimated to 0.1 mm; and from the same mesh with noise
+to which nothing was fitted (`UnseenNoise`). Each case has one touch on the known face (`face`, 3 mm) and three touches
+from any direction with a search of the whole object, as in `contacts.py`. The table has the median error (root mean
+square over the surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm. Meshes
+are given as FILE[:UNITS] or a demo object's name.
 """
 
 from __future__ import annotations
@@ -40,21 +41,21 @@ from tactile_loc.store.store import StageStore
 
 Float64 = NDArray[np.float64]
 
-PRESS = (0.3, 0.9)  # of the sensor's deepest
+PRESS = (0.3, 0.9)  # share of the sensor's deepest press
 CORRELATION_M = 2e-3
 Alter = Callable[[TriangleMesh, np.random.Generator], TriangleMesh]
-EDGE = 0.4  # of the correlation length: longer edges are split before the surface is displaced
-WAVES = 256  # that a random field is the sum of
-HALVINGS = 12  # of the range in which the number of faces is looked for
-SAMPLES = 4000  # points at which a decimated surface is compared
+EDGE = 0.4  # correlation lengths: longer edges are split before the surface is displaced
+WAVES = 256  # waves in the sum of a random field
+HALVINGS = 12  # of the search range for the number of faces
+SAMPLES = 4000  # points for comparing a decimated surface
 
 
 def simulate_scan(mesh: TriangleMesh, rms_m: float, correlation_m: float, rng: np.random.Generator) -> TriangleMesh:
-    """Return the surface displaced along its normals by a smooth random field, as a scan is; metres.
+    """Return the surface displaced along its normals by a smooth random field, as in a scan; metres.
 
-    The field is Gaussian with zero mean and covariance exp(-(distance / correlation)^2 / 2), drawn as a sum of waves
-    (random Fourier features), and scaled so that its root mean square over the surface is `rms_m`. Edges longer than
-    EDGE of the correlation length are split first.
+    The field is Gaussian with zero mean and covariance exp(-(distance / correlation)^2 / 2). It is a sum of waves
+    (random Fourier features), scaled to a root mean square of `rms_m` over the surface. Edges longer than EDGE
+    correlation lengths are split first.
     """
     fine = split_edges(_merge_vertices(mesh), EDGE * correlation_m)
     waves = rng.standard_normal((WAVES, 3)) / correlation_m
@@ -66,9 +67,9 @@ def simulate_scan(mesh: TriangleMesh, rms_m: float, correlation_m: float, rng: n
 
 
 def split_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
-    """Return the same surface with no edge longer than `longest_m` metres, and no gap where there was none.
+    """Return the same surface with no edge longer than `longest_m` metres, and without new gaps.
 
-    An edge is halved when it is the longest of all faces that share it (Rivara, 1984), until all are short.
+    An edge is halved if it is the longest of all faces that share it (Rivara, 1984), until all are short.
     """
     vertices, faces = mesh.vertices_m, mesh.faces
     while True:
@@ -77,7 +78,7 @@ def split_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
         of_face = index.reshape(-1, 3)
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         rank = np.empty(len(edges), np.int64)
-        rank[np.argsort(length, kind="stable")] = np.arange(len(edges))  # no two are equally long
+        rank[np.argsort(length, kind="stable")] = np.arange(len(edges))  # makes all lengths distinct
         side = rank[of_face].argmax(axis=1)
         longest = of_face[np.arange(len(faces)), side]
         shared = np.bincount(of_face.ravel(), minlength=len(edges)) == np.bincount(longest, minlength=len(edges))
@@ -95,9 +96,9 @@ def split_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
 
 
 def decimate(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> TriangleMesh:
-    """Return the surface with as few faces as keep it within `rms_m` metres of its own, root mean square.
+    """Return the surface with the fewest faces that keep it within `rms_m` metres of the original, root mean square.
 
-    By quadric error metrics, those of open3d.
+    The method is open3d's quadric error decimation.
     """
     whole = _merge_vertices(mesh)
     points = mesh.sample(SAMPLES, rng)
@@ -116,11 +117,11 @@ def decimate(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> Tria
 
 @dataclasses.dataclass(frozen=True)
 class UnseenNoise(TouchNoise):
-    """Noise that nothing here is fitted to: the height of the whole image drifts slowly, and single pixels drop out.
+    """Noise to which nothing is fitted: a slow drift of the whole image's height, and drop-outs of single pixels.
 
     `tilt_m` is the standard deviation, over the sensing rectangle, of a random quadratic surface that is added to the
-    measured depth; `dropout` the share of pixels in contact that show none, `salt` the share of the others that show
-    contact of a random depth.
+    measured depth. `dropout` is the share of pixels in contact that show none. `salt` is the share of the other pixels
+    that show contact at a random depth.
     """
 
     tilt_m: float = 5e-5
@@ -143,7 +144,7 @@ class UnseenNoise(TouchNoise):
         return noisy
 
     def _draw_drift(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32:
-        """Random quadratic surfaces (count, H, W) of standard deviation `tilt_m` over the gel, metres."""
+        """Return random quadratic surfaces (count, H, W) of standard deviation `tilt_m` over the gel, metres."""
         x, y = (2 * (a - a.mean()) / max(np.ptp(a), 1e-12) for a in (gel.x_m, gel.y_m))
         X, Y = np.meshgrid(x, y)
         terms = np.stack([X, Y, X * Y, X * X, Y * Y]).reshape(5, -1)
@@ -154,7 +155,7 @@ class UnseenNoise(TouchNoise):
 
 
 def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh with one vertex at each place: a surface that is moved at its vertices must not come apart."""
+    """Return the mesh with one vertex at each place, so that moving vertices opens no gaps."""
     vertices, index = np.unique(mesh.vertices_m.round(9), axis=0, return_inverse=True)
     faces = index.ravel()[mesh.faces]
     a, b, c = faces.T
@@ -162,7 +163,7 @@ def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _compute_vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
-    """Unit normals (V, 3), weighted by area, and a third of the area (V,) of the faces about each vertex."""
+    """Return area-weighted unit normals (V, 3), and a third of the area (V,) of the faces at each vertex."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     across = 0.5 * np.cross(b - a, c - a)
     normals, areas = np.zeros_like(mesh.vertices_m), np.zeros(len(mesh.vertices_m))
@@ -173,7 +174,7 @@ def _compute_vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
 
 
 def _measure_rms_distance(points_m: Float64, mesh: TriangleMesh) -> float:
-    """Root mean square distance of points (P, 3) from a surface, metres."""
+    """Return the root mean square distance of points (P, 3) from a surface, metres."""
     import open3d as o3d
 
     scene: Any = o3d.t.geometry.RaycastingScene()
@@ -194,7 +195,7 @@ CASES: dict[str, tuple[Alter, TouchNoise]] = {
 def touch_on_face(
     localizer: Localizer, altered: ObjectModel, renderer: Renderer, noise: TouchNoise, rng: np.random.Generator
 ) -> Touch:
-    """A touch of the altered object at a pose that the localizer's grid covers."""
+    """Return a touch of the altered object at a pose that the localizer's grid covers."""
     scene = Scene(altered, localizer.scene.geometry, renderer)
     while True:
         poses, touching = scene.bring_to_contact(draw_contact_poses(localizer.sampler, localizer.scene, 1, rng))
@@ -210,7 +211,7 @@ def touch_on_face(
 
 
 def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return a row for one touch on the known face and one for three from anywhere, of one object."""
+    """Return a row for one touch on the known face, and one for three touches from any direction, of one object."""
     alter, noise = CASES[case]
     obj = localizers[1].object
     altered = dataclasses.replace(obj, mesh=alter(obj.mesh, np.random.default_rng(arguments.seed)))
@@ -240,7 +241,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
 
 
 def main() -> None:
-    """Measure, print a table, and write the rows as JSON if asked."""
+    """Measure, print a table, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=["pin", "damping_pin", "cotter"])
     parser.add_argument("--sensor", default="gelsight-mini")

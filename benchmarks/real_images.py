@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Real images of gels: how well slopes, depths and a pose come out of them, learned from presses of a ball alone.
+"""Errors of slopes, depths and poses from real images of gels, with calibrations on presses of a ball only.
 
 `--data` is a folder with the public sets gelslim_balls, gelsight_mini_balls, gelsight_balls_160x120 and fots_balls, and
-gelslim_shapes: other shapes on the first sensor. Slope errors are means over presses that were held out, of several
-splits. The shapes are read with a calibration on four fifths of the balls (split 0). Times are medians on this machine.
+gelslim_shapes: other shapes on the first sensor. Slope errors are means over held-out presses of several splits. The
+shapes are read with a calibration on four fifths of the balls (split 0). Times are medians on this machine.
 
-How deep the shapes were pressed is stated in their files' names, and is measured here too, on the small sphere, whose
-shape is known: `circle` is the height of the cap over its visible circle, and how deep the gel is there; `surface` the
-top of the sphere of that radius that fits the middle of the surface best.
+The press depths of the shapes are given in their file names. They are also measured on the small sphere of known shape:
+`circle` is the height of the cap over its visible circle, with the depth of the gel there; `surface` is the top of the
+sphere of that radius that fits the middle of the surface best.
 """
 
 from __future__ import annotations
@@ -26,15 +26,14 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.calibration.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.health import Health, measure_health
 from tactile_loc.calibration.presses import PressFolder, choose_size_px, convert, read_presses
-from tactile_loc.calibration.reading import measure_press_m
+from tactile_loc.calibration.reading import Health, measure_health, measure_press_m
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
-# folder or file, format, ball radius and pixel in mm, image size
+# folder or file, format, ball radius and pixel size in mm, image size
 SETS = {
     "gelslim": ("gelslim_balls", "circles", 2.92, 0.059259, (320, 320)),
     "GelSight Mini": ("gelsight_mini_balls", "gs_sdk", 9.47 / 2, 0.0634, (320, 240)),
@@ -44,14 +43,14 @@ SETS = {
 PRESSES_MM = ("0.25", "0.5", "0.75", "1.0")
 SMALL_SPHERE_MM = 2.92
 TIP_Z_M = 20e-3
-BORDER_MM = 0.3  # of the tip, where the gel does not follow
-AROUND_MM = (0.5, 1.0)  # from the tip: the gel hangs there, but not steeply
-DARK, WHITE = 12, 245  # counts between which a colour is not cut off
+BORDER_MM = 0.3  # excluded border of the tip, where the gel does not follow
+AROUND_MM = (0.5, 1.0)  # distance from the tip: a gentle part of the skirt
+DARK, WHITE = 12, 245  # counts between which a colour is not saturated
 GRID_MM = 1.6  # a bank of some 13 000 poses of 1600 cells; half of it, eight times as many, takes 16 GB
 
 
 def read(name: str, data: Path, folder: Path) -> PressFolder:
-    """Convert a public set into a folder of presses and read it."""
+    """Convert a public set into a folder of presses, and read it."""
     source, format, ball_radius_mm, mm_per_px, (width, height) = SETS[name]
     convert(data / source, folder, format, ball_radius_mm, mm_per_px)
     scale = 1e3 / mm_per_px
@@ -62,15 +61,16 @@ def read(name: str, data: Path, folder: Path) -> PressFolder:
 
 
 def reduce(presses: PressFolder, name: str, folder: Path) -> PressFolder:
-    """Return a set's presses as small as `tactile-loc calibrate` reads them."""
+    """Return a set's presses at the size that `tactile-loc calibrate` uses."""
     size_px = choose_size_px(presses.camera)
     return read_presses(folder, presses.camera, median_background=name == "FOTS", size_px=size_px)
 
 
 def list_health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder]) -> list[str]:
-    """Return rows of how far off each calibration finds each set's images, resized: figures from least to most.
+    """Return rows of the health of each set's images under each calibration, from least to most.
 
-    Of its own set the presses that were held out; of the others all, as they are and with their own untouched gel.
+    For the calibration's own set these are the held-out presses; for the others, all presses, without and with their
+    own untouched gel.
     """
     rows = []
     for name, calibrated in calibrations.items():
@@ -85,7 +85,7 @@ def list_health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressF
 
 
 def _figure(calibrated: Calibrated, presses: PressFolder, number: int, untouched: NDArray[np.uint8]) -> float:
-    """The health of an image, resized to the calibration's, as a multiple of the worst that it learned from."""
+    """Return the health of an image, resized to the calibration's size, as a multiple of the worst training press."""
     estimator = calibrated.estimator
     image, zero = (_resize(i, estimator.geometry.shape) for i in (presses.images[number], untouched))
     estimator.untouched, kept = zero, estimator.untouched
@@ -101,7 +101,7 @@ def _resize(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint
 
 
 def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
-    """Calibrate on several splits; return the first and the mean errors."""
+    """Calibrate on several splits. Return the first calibration and the mean errors."""
     done = [
         calibrate(presses, presses.geometry, presses.background, "photometric", seed=seed) for seed in range(splits)
     ]
@@ -114,11 +114,10 @@ def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[
 
 @dataclass(frozen=True)
 class SpherePress:
-    """A press of the small sphere as its image shows it: the visible circle, and depths in mm.
+    """A press of the small sphere, measured in its image: the visible circle, and depths in mm.
 
-    `cap_mm` is the height of the sphere above the circle, `rim_mm` how deep the gel is at it, `top_mm` how deep
-    the top of the sphere is that fits the middle of the surface best, `rms_mm` how far off it the surface is in the
-    circle.
+    `cap_mm` is the height of the sphere above the circle, `rim_mm` the depth of the gel at the circle, `top_mm` the
+    depth of the top of the best fitting sphere, `rms_mm` its RMS distance from the surface in the circle.
     """
 
     circle: Circle
@@ -135,12 +134,12 @@ class SpherePress:
         change = compare_colours(image, estimator.background)
         imprint = find_imprint(change)
         assert imprint is not None
-        circle, _ = find_rim(change, imprint.circle)
+        circle = find_rim(change, imprint.circle)
         pitch_mm = 1e3 * estimator.geometry.pixel_pitch_m
         away_mm, radius_mm = pitch_mm * circle.measure_distance_px(image.shape[:2]), pitch_mm * circle.radius_px
         below_mm = SMALL_SPHERE_MM - np.sqrt(SMALL_SPHERE_MM**2 - np.minimum(away_mm, radius_mm) ** 2)
         surface_mm = 1e3 * estimator.read_indentation(image)
-        tops_mm = surface_mm + below_mm  # of the sphere, as each pixel in contact says
+        tops_mm = surface_mm + below_mm  # of the sphere, from each pixel in contact
         top_mm = float(tops_mm[away_mm < radius_mm / 2].mean())
         rim_mm = float(surface_mm[np.abs(away_mm - radius_mm) < pitch_mm].mean())
         return cls(
@@ -154,11 +153,10 @@ class SpherePress:
 
 
 def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
-    """Return how strong the colours around the prism's tip are at each press, in multiples of those at 0.5 mm.
+    """Return the strength of the colours around the prism's tip at each press, as multiples of that at 0.5 mm.
 
-    A flat face touches the same of the gel at any press, whose surface then grows in proportion, and small slopes'
-    colours with it: nothing that was learned is asked. Looked at are pixels in AROUND_MM of the tip that no press
-    darkens or whitens fully.
+    A flat face touches the same area at any press. Then the surface grows in proportion, and so do the colours of small
+    slopes, independently of any calibration. Only pixels in AROUND_MM of the tip count that are never saturated.
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
@@ -176,7 +174,7 @@ def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
 
 
 def measure_depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
-    """Return rows of the table of depths of the prism's tip, beside what is stated and what the sphere shows."""
+    """Return rows of the table of depths of the prism's tip, with the given depths and the sphere's."""
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
     for press, times in zip(PRESSES_MM, measure_growth(calibrated, shapes), strict=True):
@@ -192,7 +190,7 @@ def measure_depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, Sphe
 
 
 def locate(sensor: Path, shapes: Path, store: Path) -> list[str]:
-    """Locate the prism from its images with the default components; return rows of the table of poses."""
+    """Locate the prism in its images with the default components. Return rows of the table of poses."""
     localizer = Localizer.create(
         shapes / "prism.stl", units="mm", symmetry="none", sensor={"name": "calibrated", "path": str(sensor)},
         grid={"name": "face", "face": "+z", "spacing_mm": GRID_MM}, encoder={"name": "pixel", "cells": 40},
@@ -223,7 +221,7 @@ def write_head(*names: str) -> str:
 
 
 def _measure_off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorGeometry) -> tuple[float, float, float]:
-    """How far a pose of the prism is off: x and y of the tip in mm, yaw in degrees."""
+    """Return the error of a pose of the prism: x and y of the tip in mm, yaw in degrees."""
     tip_m = T @ np.array([0.0, 0.0, TIP_Z_M, 1.0])
     u, v = (value + 0.5 for value in pose["origin_px"])  # the set counts from the first pixel's centre
     sx, sy = geometry.scale_at_surface
@@ -233,14 +231,14 @@ def _measure_off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorG
 
 
 def _write_pose(poses: dict[str, Any], press: str) -> dict[str, Any]:
-    """The pose at a press; the lightest has none of its own, but the object had not moved."""
+    """Return the pose at a press; the lightest press has no pose of its own, but the object had not moved."""
     return poses.get(f"prism_{press}") or poses["prism_0.5"]
 
 
 def _find_tip(
     pose: dict[str, Any], mesh: Path, shape: tuple[int, int], border_mm: float = BORDER_MM
 ) -> NDArray[np.bool_]:
-    """The pixels (H, W) that the prism's tip covers, but for its border."""
+    """Return the pixels (H, W) that the prism's tip covers, without its border."""
     import trimesh
 
     tip = trimesh.load(mesh)
@@ -272,7 +270,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
     parser.add_argument("--splits", type=int, default=3)
-    parser.add_argument("--calibrations", action="store_true", help="stop before other shapes are read and located")
+    parser.add_argument("--calibrations", action="store_true", help="stop before reading and locating other shapes")
     arguments = parser.parse_args()
     if not arguments.data.is_dir():
         parser.error(f"there is no {arguments.data}; give --data")

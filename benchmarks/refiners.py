@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
-"""Refiners from the same most probable grid pose: how near they get and how long they take, in one run.
+"""Errors and times of refiners from the same most probable grid pose, in one run.
 
 For each mesh and noise: one face, a grid of about `--poses` poses matched by pixels, `--touches` simulated touches.
-Each touch's candidate is the same for all refiners, which take turns in another order from touch to touch, each warmed
-up before. Errors are ADD over 10 000 surface points, symmetry regarded, in mm. "Right mode" are the touches whose
-candidate lies within 6 mm of the truth. The last table chooses among the refined ten most probable poses the one that
-explains the touch best.
+Each touch's candidate is the same for all refiners. The refiners are warmed up, and take turns in a different order for
+each touch. Errors are ADD over 10 000 surface points, modulo symmetry, in mm. The touches of the "right mode" have a
+candidate within 6 mm of the truth. For the last table, each refiner refines the ten most probable poses and chooses the
+one that explains the touch best.
 
-Touches are drawn by `--renderer`: the exact one, lest edges be where the grid's renderer, `--model-renderer`, has put
-them. Meshes are given as FILE[:UNITS]; without any, the demo objects are used.
+Touches are drawn by `--renderer`, the exact one, so that edges do not match those of the grid's renderer,
+`--model-renderer`. Meshes are given as FILE[:UNITS]; by default the demo objects.
 
-Refiners from other libraries get the same clouds as ours and, as ours, are not believed where the contact they end in
-overlaps less. Those that are not installed are left out: pip install small_gicp probreg
+Refiners from other libraries get the same clouds as ours. As with ours, a result with less contact overlap than the
+candidate is rejected. Missing libraries are left out: pip install small_gicp probreg
 """
 
 from __future__ import annotations
@@ -64,26 +64,26 @@ REFERENCE = "icp"
 LINES = ("reg-1", "chosen of 10", "nearest of 10")
 TEN = 10
 RIGHT_MODE_MM = 6.0
-DISTINCTIVE = 0.1  # of the first mode's probability: a touch with a less probable second mode is distinctive
-TEMPERATURE = 1e-3  # fixed: which modes there are must not hang on touches that a temperature was fitted to
-LEAST_MM = 1e-3  # smaller differences are none
+DISTINCTIVE = 0.1  # largest probability of a distinctive touch's second mode, share of the first mode's
+TEMPERATURE = 1e-3  # fixed: the modes must not depend on the touches for fitting a temperature
+LEAST_MM = 1e-3  # smaller differences count as equal
 
 
 class Peer(CloudRefiner):
-    """Registers by a function of another library, which maps source and target clouds to T (4, 4), mm."""
+    """Registers with a function of another library, which maps source and target clouds to T (4, 4), mm."""
 
     def __init__(self, align: Callable[[Cloud, Cloud], Transform]) -> None:
         super().__init__()
         self.align = align
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return what the library found, or nothing if that is not finite."""
+        """Return the library's result, or None if it is not finite."""
         T_mm = self.align(source, target)
         return Registration(T_mm if np.isfinite(T_mm).all() else None)
 
 
 def open3d_icp() -> Peer:
-    """open3d's point-to-plane ICP, one pass, pairs up to 1 mm apart, else its defaults (30 iterations)."""
+    """Register by open3d's point-to-plane ICP: one pass, pairs up to 1 mm apart, otherwise defaults (30 iterations)."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -98,7 +98,7 @@ def open3d_icp() -> Peer:
 
 
 def small_gicp_gicp() -> Peer:
-    """small_gicp's GICP with its defaults: voxels of 0.25 mm, pairs up to 1 mm apart, 20 iterations, one thread."""
+    """Register by small_gicp's GICP with its defaults: 0.25 mm voxels, pairs up to 1 mm, 20 iterations, one thread."""
     import small_gicp
 
     def align(source: Cloud, target: Cloud) -> Transform:
@@ -108,7 +108,7 @@ def small_gicp_gicp() -> Peer:
 
 
 def probreg_filterreg() -> Peer:
-    """probreg's FilterReg, point to point, 20 iterations, the variance estimated as its examples do."""
+    """Register by probreg's FilterReg: point to point, 20 iterations, with an estimated variance as in its examples."""
     from probreg import filterreg
 
     def align(source: Cloud, target: Cloud) -> Transform:
@@ -124,7 +124,7 @@ PEERS = {"open3d ICP": open3d_icp, "small_gicp GICP": small_gicp_gicp, "probreg 
 
 
 def list_refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
-    """Return the refiners that can be had, and of each other one why not."""
+    """Return the available refiners, and the reason for each missing one."""
     makers: dict[str, Callable[[], Refiner]] = {
         label: partial(registry().create, "refiner", name, options) for label, (name, options) in OURS.items()
     }
@@ -140,13 +140,13 @@ def list_refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
 
 
 def is_distinctive(posterior: PosePosterior, spacing_mm: float) -> bool:
-    """Tell whether a posterior's second mode has less than DISTINCTIVE of the probability of its first."""
+    """Return whether a posterior's second mode has less than DISTINCTIVE of the probability of its first."""
     modes = posterior.modes(2e-3 * spacing_mm, 2)
     return len(modes) < 2 or modes[1].probability < DISTINCTIVE * modes[0].probability
 
 
 class Bench:
-    """One object: its localizer, and the refiners that are compared on it."""
+    """One object: its localizer, and the compared refiners."""
 
     def __init__(self, obj: ObjectModel, arguments: argparse.Namespace, compared: dict[str, Refiner]) -> None:
         base = {"sensor": arguments.sensor, "renderer": arguments.model_renderer, "temperature": TEMPERATURE}
@@ -159,7 +159,7 @@ class Bench:
         self.points_m = obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
     def collect_records(self, noise: str, touches: int, seed: int) -> list[Record]:
-        """Return what was measured of each of the touches of a noise."""
+        """Return the measurements of each touch of a noise."""
         drawn = [SimulatedTouches(noise, seed).draw_touch(self.drawer, number) for number in range(touches)]
         first = self.find_candidates(drawn[0])[1]
         for refiner in self.compared.values():
@@ -174,7 +174,7 @@ class Bench:
         return posterior, [Candidate(poses[i], int(i), float(posterior.log_p[i])) for i in posterior.top(TEN)]
 
     def measure(self, number: int, touch: Touch) -> Record:
-        """Refine a touch's most probable pose by all refiners, and ten by some: errors in mm, times in ms."""
+        """Refine a touch's most probable pose by all refiners, and ten poses by some: errors in mm, times in ms."""
         posterior, ten = self.find_candidates(touch)
         order = list(self.compared)
         order = order[number % len(order) :] + order[: number % len(order)]
@@ -192,7 +192,7 @@ class Bench:
         return record
 
     def choose(self, name: str, touch: Touch, ten: list[Candidate]) -> dict[str, float]:
-        """Refine ten poses and choose the one that explains the touch best: errors of LINES in mm, time in ms."""
+        """Refine ten poses, and choose the one that explains the touch best: errors of LINES in mm, time in ms."""
         start = time.perf_counter()
         refined = self.compared[name].refine_many(touch, ten, self.localizer.scene)
         poses = np.stack([pose.T_sensor_object for pose in refined])
@@ -203,22 +203,22 @@ class Bench:
         return {line: float(error) for line, error in lines} | {"ms": seconds * 1e3}
 
     def measure_errors_mm(self, poses: Poses, touch: Touch) -> NDArray[np.float64]:
-        """ADD (K,) in mm of poses (K, 4, 4), symmetry regarded."""
+        """Return ADD (K,) in mm of poses (K, 4, 4), modulo symmetry."""
         return 1e3 * compute_adds(self.localizer.object, self.points_m, poses, require_true_pose(touch))
 
 
 def select(records: list[Record], what: str, name: str) -> NDArray[np.float64]:
-    """The numbers (T,) of a refiner in records."""
+    """Return the numbers (T,) of a refiner in records."""
     return np.array([record[what][name] for record in records])
 
 
 def keep_right_mode(records: list[Record]) -> list[Record]:
-    """The records whose candidate lies within RIGHT_MODE_MM of the truth."""
+    """Return the records with a candidate within RIGHT_MODE_MM of the truth."""
     return [record for record in records if record["candidate_mm"] <= RIGHT_MODE_MM]
 
 
 def write_cells(records: list[Record], name: str) -> list[str]:
-    """Median, 90th percentile, share of touches that came nearer than their candidate, and median time."""
+    """Return the median, the 90th percentile, the share of improved touches, and the median time."""
     if not records:
         return ["", "", "", ""]
     errors, before = select(records, "errors_mm", name), np.array([record["candidate_mm"] for record in records])
@@ -230,19 +230,19 @@ def write_cells(records: list[Record], name: str) -> list[str]:
 
 
 def write_table(head: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [f"| {' | '.join(row)} |" for row in [head, *rows]]
     return "\n".join([lines[0], f"|{'---|' * len(head)}", *lines[1:]])
 
 
 def list_objects(records: list[Record]) -> dict[str, list[Record]]:
-    """The records of each object."""
+    """Return the records of each object."""
     names = dict.fromkeys(record["object"] for record in records)
     return {name: [record for record in records if record["object"] == name] for name in names}
 
 
 def group_by_object(records: list[Record], compared: dict[str, Refiner], missing: dict[str, str]) -> str:
-    """The table of one object and noise."""
+    """Return the table of one object and noise."""
     near = keep_right_mode(records)
     columns = ["median mm", "90th percentile", "improved", "median ms"]
     head = ["refiner", *columns, *(f"{column}, right mode ({len(near)})" for column in columns)]
@@ -251,7 +251,7 @@ def group_by_object(records: list[Record], compared: dict[str, Refiner], missing
 
 
 def list_medians(records: list[Record], compared: dict[str, Refiner]) -> str:
-    """Medians of all objects, one column a refiner."""
+    """Return medians of all objects, one column for each refiner."""
     rows = [
         [name, str(len(some)), *(f"{np.median(select(some, 'errors_mm', k)):.3f}" for k in compared)]
         for name, some in list_objects(records).items()
@@ -260,7 +260,7 @@ def list_medians(records: list[Record], compared: dict[str, Refiner]) -> str:
 
 
 def compare_relative(records: list[Record], name: str) -> float:
-    """The geometric mean over objects of a refiner's median error, as a multiple of the reference's."""
+    """Return the geometric mean over objects of a refiner's median error, as a multiple of the reference's."""
     logs = [
         np.log(np.maximum([np.median(select(some, "errors_mm", k)) for k in (name, REFERENCE)], LEAST_MM))
         for some in list_objects(records).values()
@@ -269,7 +269,7 @@ def compare_relative(records: list[Record], name: str) -> float:
 
 
 def summarise(records: list[Record], compared: dict[str, Refiner]) -> str:
-    """One row a refiner, over all objects."""
+    """Return one row for each refiner, over all objects."""
     near = keep_right_mode(records)
     head = ["refiner", f"median / {REFERENCE}'s", "improved", "median ms", f"median / {REFERENCE}'s, right mode"]
     head += ["median mm", "90th percentile", "improved"]
@@ -289,7 +289,7 @@ def summarise(records: list[Record], compared: dict[str, Refiner]) -> str:
 
 
 def write_choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
-    """Median and mean errors of choosing among ten refined poses, over all objects."""
+    """Return median and mean errors of choosing among ten refined poses, over all objects."""
     rows = []
     for name in CHOOSING:
         for label, some in (("all", records), ("distinctive", [r for r in records if r["distinctive"]])):
@@ -302,7 +302,7 @@ def write_choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
 
 
 def report(records: list[Record], noise: str, compared: dict[str, Refiner]) -> str:
-    """All that is said of a noise over all objects."""
+    """Return the report of a noise over all objects."""
     some = [record for record in records if record["noise"] == noise]
     parts = {
         "medians, mm": list_medians(some, compared),
@@ -313,7 +313,7 @@ def report(records: list[Record], noise: str, compared: dict[str, Refiner]) -> s
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Measure all meshes and print tables, an object's as soon as it is done."""
+    """Measure all meshes, and print the tables of each object when it is done."""
     compared, missing = list_refiners()
     records: list[Record] = []
     for mesh in arguments.meshes or DEMO_OBJECTS:
@@ -336,11 +336,11 @@ def main() -> None:
     """Run the benchmark and print its tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
-    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
-    parser.add_argument("--touches", type=int, default=40, help="of each noise")
-    parser.add_argument("--noise", default="none,strong", help="of the touches, joined with commas")
-    parser.add_argument("--renderer", default="zbuffer", help="draws the touches: zbuffer, raycast or heightmap")
-    parser.add_argument("--model-renderer", default="heightmap", help="draws the grid and what refiners see")
+    parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid")
+    parser.add_argument("--touches", type=int, default=40, help="touches of each noise")
+    parser.add_argument("--noise", default="none,strong", help="noise levels of the touches, separated by commas")
+    parser.add_argument("--renderer", default="zbuffer", help="renderer of the touches: zbuffer, raycast or heightmap")
+    parser.add_argument("--model-renderer", default="heightmap", help="renderer of the grid and of the refiners")
     parser.add_argument("--sensor", default="gelslim")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--store", type=Path, help="keep the grids here; default: a temporary folder")

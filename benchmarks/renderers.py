@@ -1,10 +1,10 @@
-"""How fast the built-in renderers draw contact poses, and how well they agree, in one interleaved run.
+"""The speed and the agreement of the built-in renderers on contact poses, in one interleaved run.
 
     python benchmarks/renderers.py [--meshes FILE ...] [--poses 720] [--rotations 12] [--json FILE]
 
-Every renderer draws the same poses: as in a pose grid, few rotations times many in-plane translations, brought to
-contact. Only the render call is timed, after a warm-up that compiles, builds and uploads whatever is kept between
-calls; the renderers take turns, and the median of the rounds counts. Agreement is with ray casting, over all poses.
+Every renderer draws the same poses: as in a pose grid, a few rotations times many in-plane translations, brought to
+contact. Only the render call is timed, after a warm-up for compiling, building and uploading. The renderers take turns,
+and the median of the rounds counts. The agreement is measured with ray casting, over all poses.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ SPREAD_M = 0.024
 
 @dataclass(frozen=True)
 class Row:
-    """One renderer on one mesh and camera, its pictures beside ray casting's.
+    """One renderer on one mesh and camera, compared with ray casting.
 
-    `mask_agreement` is the share of all pixels whose contact is the same, `contact_iou` the intersection over union of
-    the contacts, `depth_difference_um` the median where both touch.
+    `mask_agreement` is the share of all pixels with equal contact, `contact_iou` the intersection over union of the
+    contacts, `depth_difference_um` the median difference where both touch.
     """
 
     camera: str
@@ -75,21 +75,21 @@ def draw_poses(mesh: TriangleMesh, g: SensorGeometry, count: int, rotations: int
 
 
 def list_available(mesh: TriangleMesh, T: Poses, g: SensorGeometry) -> dict[str, Renderer]:
-    """Return the renderers that run here, warmed up on the mesh and the camera."""
+    """Return the available renderers, warmed up on the mesh and the camera."""
     found: dict[str, Renderer] = {}
     for name, kind in (("raycast", RaycastRenderer), ("pyrender", PyrenderRenderer), ("heightmap", HeightmapRenderer)):
         renderer = kind()
         try:
             renderer.render(mesh, T[:2], g)
         except RenderError as error:
-            print(f"{name} is left out: {error}")
+            print(f"{name} is skipped: {error}")
             continue
         found[name] = renderer
     return found
 
 
 def measure(name: str, camera: str, mesh: TriangleMesh, T: Poses, rounds: int) -> list[Row]:
-    """Time all renderers in turns on the same poses and compare their pictures with ray casting's."""
+    """Time all renderers in turns on the same poses, and compare their pictures with ray casting's."""
     g = CAMERAS[camera]
     renderers = list_available(mesh, T, g)
     seconds: dict[str, list[float]] = {r: [] for r in renderers}
@@ -111,7 +111,7 @@ def measure(name: str, camera: str, mesh: TriangleMesh, T: Poses, rounds: int) -
 
 
 def measure_agreement(depth: Float32, reference: Float32, g: SensorGeometry) -> tuple[float, float, float]:
-    """Return `mask_agreement`, `contact_iou` and `depth_difference_um` as Row states them."""
+    """Return `mask_agreement`, `contact_iou` and `depth_difference_um` as defined in Row."""
     limit = np.float32(g.standoff_m + g.max_depth_m)
     touch, expected = depth < limit, reference < limit
     both = touch & expected
@@ -136,11 +136,11 @@ def main() -> None:
     """Parse the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description="Speed and agreement of the built-in renderers.")
     parser.add_argument("--meshes", nargs="+", type=Path, default=[DEMO_OBJECTS[name].path for name in OBJECTS])
-    parser.add_argument("--poses", type=int, default=720, help="poses a mesh and camera")
-    parser.add_argument("--rotations", type=int, default=12, help="rotations among them")
-    parser.add_argument("--rounds", type=int, default=3, help="how often each renderer draws them")
-    parser.add_argument("--seed", type=int, default=0, help="of the rotations")
-    parser.add_argument("--json", type=Path, help="write the figures here")
+    parser.add_argument("--poses", type=int, default=720, help="poses for each mesh and camera")
+    parser.add_argument("--rotations", type=int, default=12, help="distinct rotations of these poses")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of drawing with each renderer")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the rotations")
+    parser.add_argument("--json", type=Path, help="file for the results")
     args = parser.parse_args()
     rows: list[Row] = []
     for path in args.meshes:

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
-"""How fast a recording is replayed, and how near to the truth its poses are.
+"""The speed of replaying a recording, and the errors of its poses.
 
-For each object and noise: a slide of 500 images over it, drawn by ray casting, which the localizer does not use,
-written as an MCAP recording with TF; replayed into the base's frame; and the recording that comes out read by another
-library, mcap-ros2-support, its messages compared with the truth. The table has the images; how many were skipped as
-without contact, and in parentheses how many were located though the sensor was lifted off; how many were refused;
-images per second, from reading to the files that are written, and what an image takes beside locating it; of the poses
-the median surface distance to the truth and, in parentheses, what nine of ten stay below; the share below 1 mm; and of
-these the median error squared over the covariance in the message (5.35 if that is true). Models are built beforehand.
-Each image is located for itself, among all poses of the object: one that looks like another place of it ends there.
+For each object and noise, a slide of 500 images over the object is drawn by ray casting, which the localizer does not
+use, and written as an MCAP recording with TF. It is replayed into the base's frame. Another library, mcap-ros2-support,
+reads the resulting recording, and its messages are compared with the truth.
+
+The table has the number of images, the skipped images without contact and, in parentheses, the images that were located
+although the sensor was lifted off, and the refused images. Images per second are measured from reading to the written
+files. Then follow the time for each image besides locating it, the median surface distance to the truth with the 90 %
+quantile in parentheses, and the share below 1 mm. For poses below 1 mm, the last column is the median squared error
+over the message's covariance (5.35 for a true covariance). Models are built beforehand. Each image is located
+separately, among all poses of the object, so an image that looks like another place of the object gives a pose there.
 """
 
 from __future__ import annotations
@@ -43,14 +45,14 @@ NEAR_M = 1e-3
 
 
 def decode(path: Path, topic: str) -> list[Any]:
-    """The messages of a topic, as an independent reader has them."""
+    """Return the messages of a topic, as read by an independent library."""
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
 
 
 def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
-    """Replay a recording into the base's frame; also the seconds that took, and of these what locating did."""
+    """Replay a recording into the base's frame. Return it with the seconds in all, and for locating."""
     locating_s = 0.0
 
     def estimate(touch: Touch) -> LocatedFrame:
@@ -71,7 +73,7 @@ def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, flo
 
 
 def measure_errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Surface distances to the truth (N,), metres, and of those near it squared errors over their covariances."""
+    """Return surface distances to the truth (N,), metres, and for near poses squared errors over their covariances."""
     metric = PoseMetric(localizer.object)
     T = np.stack([read_pose(message).T for message in poses])
     truth = np.broadcast_to(T_BASE_OBJECT, T.shape)
@@ -83,7 +85,7 @@ def measure_errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.f
 
 
 def write_row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     source, out = folder / "slide.mcap", folder / "poses.mcap"
     write_slide(source, slide)
     found, seconds, locating_s = replay(localizer, source, out)
@@ -119,7 +121,7 @@ def main() -> None:
     renderer = registry().create("renderer", "raycast", {})
     for name in arguments.objects:
         localizer = Localizer.create(name, sensor=arguments.sensor, store=StageStore(arguments.store))
-        localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
+        localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles
         for level in arguments.levels:
             slide = draw_random_slide(localizer, arguments.images, arguments.seed, NOISE[level], renderer)
             with tempfile.TemporaryDirectory() as folder:

@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
-"""Whether one touch of a whole object is found, from any direction, and what building and searching take.
+"""How often one touch of a whole object is found, from any direction, and the cost of building and searching.
 
-An object is pressed from random directions by 30 to 90 % of the sensor's deepest press; every contact of at least
-0.25 % of the sensor counts; touches are drawn by ray casting, which the localizer does not use. Printed for each object
-and sensor: how many places, seconds to build them and to fit probabilities, the most memory that took, megabytes in the
-store, seconds to open what is built; the share of touches whose right mode (within 1 mm, root mean square over the
-surface, symmetry regarded) is the first of ten hypotheses, and among them; of the others, how many another pose
-explains as well as the true one does (imprint IoU within 0.01), *ambiguous*; how many not, though the search had come
-within 1 mm of it, *not listed*; how many the search missed, *not found*; the median and the slowest twentieth of the
-time to ten refined hypotheses. Then the shares by contact area. `--grid` and `--encoder` choose others.
+An object is pressed from random directions by 30 to 90 % of the sensor's deepest press. Every contact of at least
+0.25 % of the sensor counts. Touches are drawn by ray casting, which the localizer does not use.
+
+For each object and sensor the table has the number of places, the seconds to build them and to fit probabilities, the
+peak memory, the megabytes in the store, and the seconds to open the model. A touch's right mode is within 1 mm (root
+mean square over the surface, modulo symmetry). The table has the share of touches with the right mode first, and among
+ten hypotheses. The others are *ambiguous* if another pose explains the touch as well (imprint IoU within 0.01), *not
+listed* if the search came within 1 mm, or *not found*. Then follow the median and the 95 % quantile of the time to ten
+refined hypotheses, and the shares by contact area. `--grid` and `--encoder` choose other components.
 """
 
 from __future__ import annotations
@@ -36,25 +37,25 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.store import StageStore
 
-AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # borders of the share of the sensor in contact
+AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # limits of the contact area, share of the sensor
 NEAR_MM = 1.0
 
 
 def create(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> Localizer:
-    """A localizer of the object in a mesh file."""
+    """Return a localizer of the object in a mesh file."""
     name, _, units = path.partition(":")
     chosen = {slot: json.loads(given) for slot in ("grid", "encoder") if (given := getattr(arguments, slot))}
     return Localizer.create(name, units=units or "auto", sensor=sensor, store=StageStore(store), **chosen)
 
 
 def measure_peak_memory_mb() -> float:
-    """The most memory that this process has had, on Linux; getrusage would tell its parent's, if that is more."""
+    """Return this process's peak memory on Linux; getrusage would return its parent's if that is larger."""
     status = Path("/proc/self/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) / 1e3
 
 
 def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> dict[str, float]:
-    """Build all that a touch needs; return how much that is, and the time and memory it took."""
+    """Build all stages for a touch. Return their sizes, and the time and memory."""
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
     searched = len(localizer.search.places) if localizer.search else localizer.model.size
     places_s = time.perf_counter() - start
@@ -68,7 +69,7 @@ def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) ->
 def build_model(
     path: str, arguments: argparse.Namespace, sensor: str, store: Path
 ) -> tuple[Localizer, dict[str, float]]:
-    """A localizer that a process of its own has built, and what that took."""
+    """Build a localizer in a separate process, and return it with the cost."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         about = process.submit(build, path, arguments, sensor, store).result()
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
@@ -79,12 +80,12 @@ def build_model(
 
 
 def measure_nearest_m(answer: Localization, touch: Touch) -> float:
-    """How near to the truth the search came, before it chose and refined, metres."""
+    """Return the smallest distance of the search's poses from the truth, before refinement, metres."""
     return float(answer.posterior.grid.nearest(np.asarray(touch.T_sensor_object)[None])[0][0])
 
 
 def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> list[dict[str, float]]:
-    """What became of each touch."""
+    """Return the result of each touch."""
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[level])
     found = []
@@ -97,14 +98,14 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
             said, searched_m = locate(localizer, [touch], answer), measure_nearest_m(answer, touch)
         except TactileLocError:
             seconds, said, searched_m = time.perf_counter() - start, Located(), np.inf
-        if number >= 0:  # the first warms up
+        if number >= 0:  # the first call warms up
             one = {"seconds": seconds, "area": measure_contact_share(touch), "searched_mm": 1e3 * searched_m}
             found.append({**said._asdict(), **one})
     return found
 
 
 def write_shares(found: list[dict[str, float]]) -> dict[str, float]:
-    """The shares of touches, of none NaN."""
+    """Return the shares of touches, or NaN without touches."""
     first = np.array([one["chosen_mm"] < NEAR_MM for one in found])
     among = np.array([one["nearest_mm"] < NEAR_MM for one in found])
     ambiguous = np.array([bool(one["undetermined"]) for one in found])
@@ -120,21 +121,21 @@ def write_shares(found: list[dict[str, float]]) -> dict[str, float]:
 
 
 def write_line(start: list[str], one: dict[str, float]) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     percent = [f"{one[key]:.0%}" for key in ("first", "among", "ambiguous", "not_listed", "not_found")]
     times = [f"{1e3 * one[key]:.0f}" for key in ("median_s", "slow_s")]
     return f"| {' | '.join([*start, str(one['touches']), *percent, *times])} |"
 
 
 def main() -> None:
-    """Measure, print tables, and write the rows as JSON if asked."""
+    """Measure, print tables, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
     parser.add_argument("--level", default="clean", choices=list(LEVELS))
     parser.add_argument("--touches", type=int, default=200)
-    parser.add_argument("--grid", default='{"name": "whole"}', help="as JSON")
-    parser.add_argument("--encoder", help="as JSON; default: the grid's")
+    parser.add_argument("--grid", default='{"name": "whole"}', help="grid as JSON")
+    parser.add_argument("--encoder", help="encoder as JSON; default: the grid's")
     parser.add_argument("--seed", type=int, default=17)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()

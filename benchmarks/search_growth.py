@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""How searching a whole object grows with its size and with how dense its directions are.
+"""How the search of a whole object scales with its size and with the density of directions.
 
-Each object is made smaller and larger, and searched with fewer and more directions. Printed for each: how many poses
-are told apart, places times turns; seconds to list the places; and the median time of one touch to ten refined
-hypotheses, pressed from random directions and drawn by ray casting. A figure draws both against size and directions.
+Each object is scaled down and up, and searched with fewer and more directions. For each case the table has the number
+of distinct poses (places times yaws), the seconds to list the places, and the median time from one touch to ten refined
+hypotheses. Touches come from random directions and are drawn by ray casting. A figure draws both times against size and
+directions.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ MEASURED = {"places_s": ("listing places (s)", [0.3, 1, 3, 10, 30]), "touch_s": 
 
 
 def scale_object(obj: ObjectModel, scale: float) -> ObjectModel:
-    """The object, so many times as large."""
+    """Return the object, scaled by a factor."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"{obj.name}.ply")
         trimesh.Trimesh(obj.mesh.vertices_m * scale, obj.mesh.faces, process=False).export(path)
@@ -41,7 +42,7 @@ def scale_object(obj: ObjectModel, scale: float) -> ObjectModel:
 
 
 def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Build and search one object."""
+    """Build and search one object, and return its row."""
     config = RunConfig.from_dict(
         {"sensor": arguments.sensor, "temperature": 0.03, "grid": {"name": "whole", "directions": directions}}, "growth"
     )
@@ -51,7 +52,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
         places_s = time.perf_counter() - start
         source = RobotTouches(obj, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
         seconds = []
-        for number in range(arguments.touches + 1):  # the first warms up
+        for number in range(arguments.touches + 1):  # the first call warms up
             (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, number]))
             start = time.perf_counter()
             localizer.localize(touch)
@@ -64,7 +65,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Draw what was measured against size and directions, on logarithmic axes."""
+    """Draw the times against size and directions, on logarithmic axes."""
     figure = make_figure(9, 6.5, constrained=True)
     panels = figure.subplots(2, 2, sharey="row")
     for axes, (key, (label, ticks)) in zip(panels, MEASURED.items(), strict=True):
@@ -90,13 +91,13 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    """Measure, print a table, and draw it if asked."""
+    """Measure, print a table, and draw it if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--touches", type=int, default=7)
     parser.add_argument("--seed", type=int, default=17)
-    parser.add_argument("--figure", type=Path, help="draw the growth in this PNG")
+    parser.add_argument("--figure", type=Path, help="PNG file of the figure")
     arguments = parser.parse_args()
     rows = []
     print("| object | diagonal, mm | directions | poses, million | places, s | one touch, ms |")

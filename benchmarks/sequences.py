@@ -1,18 +1,17 @@
 #!/usr/bin/env python3
-"""A sensor slides and turns over an object: how well its pose is tracked, and how soon found again after a jump.
+"""Errors of tracking an object while a sensor slides and rotates over it, and the recovery after a jump.
 
 Sequences are those of `tactile_loc.evaluation.sequences`: any direction, pressed, mild noise that stays on the gel for
-a quarter of a second, drawn by ray casting, 100 frames a second, sensor poses off by 0.1 mm and 0.1 degrees. Three
-ways, on the same frames: the tracker, begun some 1 mm and 1 degree off; each frame localised alone, of every tenth;
-and ICP of each frame's surface to that of the frame before, from where the sensor's motion says it is, begun at the
-truth.
+a quarter of a second, drawn by ray casting, 100 frames a second, sensor poses wrong by 0.1 mm and 0.1 degrees. Three
+methods get the same frames: the tracker, started with an error of 1 mm and 1 degree; each tenth frame localised alone;
+and ICP of each frame's surface to the frame before, predicted by the sensor's motion, started at the truth.
 
 Errors are those of the object's centroid and of its rotation, modulo its symmetry: median and 95 % over all frames, and
-at the end. Time a frame is the median and the 99th percentile, wall clock, of the tracker where it did not search. *In
-95 %* is how often the truth is in the tracker's 95 % ellipsoid. A jump: the object lies elsewhere all at once, and the
-sensor's pose says nothing of it; a slip: it slid by 4 mm along the gel and turned by 15 degrees. Found is what is
-within 3 mm (root mean square over the surface), 1.5 mm of a slip: at once, of one frame alone, and of the tracker's
-first mode or any of its modes, later. `OMP_NUM_THREADS=1` keeps libraries from waiting for one another.
+at the end. The time for a frame is the median and the 99th percentile, wall clock, of the tracker where it did not
+search. *In 95 %* is the share of truths in the tracker's 95 % ellipsoid. In a jump, the object suddenly lies elsewhere
+without a change of the sensor's pose. In a slip, it slides by 4 mm along the gel and rotates by 15 degrees. Found means
+within 3 mm (root mean square over the surface), or 1.5 mm for a slip: at once by one frame alone, and later by the
+tracker's first mode or any of its modes. `OMP_NUM_THREADS=1` keeps libraries from waiting for each other.
 """
 
 from __future__ import annotations
@@ -45,22 +44,22 @@ from tactile_loc.tasks.tracker import TrackedPose, Tracker
 
 SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 START_STD = np.array([1e-3] * 3 + [np.radians(1.0)] * 3) / np.sqrt(3)
-ALONE_EVERY = 10  # frames of which one is localised alone
+ALONE_EVERY = 10  # every so many frames, one is localised alone
 FOUND_M = 3e-3
 SLIP, SLIP_FOUND_M = Slip(4e-3, np.radians(15.0)), 1.5e-3
-BEFORE, SOON, LATE = 12, 3, 100  # frames before a jump, and after it
+BEFORE, SOON, LATE = 12, 3, 100  # frames before and after a jump
 CLOUD_POINTS = 1000
 
 
 class Followed(NamedTuple):
-    """Poses (N, 4, 4) of N frames, and seconds that each took."""
+    """Poses (N, 4, 4) of N frames, and the seconds for each."""
 
     T_sensor_object: np.ndarray
     seconds: np.ndarray
 
 
 def make_sliding(localizer: Localizer) -> SlidingTouches:
-    """Sequences of the localizer's object, by another renderer than its own."""
+    """Return sequences of the localizer's object, drawn by another renderer than its own."""
     renderer = registry().create("renderer", "raycast", {})
     return SlidingTouches(RobotTouches(
         localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=SENSOR_STD_M,
@@ -69,7 +68,7 @@ def make_sliding(localizer: Localizer) -> SlidingTouches:
 
 
 def start_tracker(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Generator) -> Tracker:
-    """A tracker that begins near the truth."""
+    """Return a tracker that starts near the truth."""
     tracker = Tracker(localizer)
     truth = frames[0].T_base_sensor @ frames[0].T_sensor_object
     tracker.start(move(truth, START_STD * rng.normal(size=6)), np.diag(START_STD**2))
@@ -77,7 +76,7 @@ def start_tracker(localizer: Localizer, frames: Sequence[Frame], rng: np.random.
 
 
 def track(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose], np.ndarray]:
-    """What is tracked at each frame, and seconds."""
+    """Return the tracked poses and the seconds for each frame."""
     found, seconds = [], []
     for frame in frames:
         start = time.perf_counter()
@@ -87,7 +86,7 @@ def track(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose],
 
 
 def time_each(find: Callable[[Touch], np.ndarray], touches: Sequence[Touch]) -> Followed:
-    """The pose that is found of each touch."""
+    """Return the pose and the seconds for each touch."""
     poses, seconds = [], []
     for touch in touches:
         start = time.perf_counter()
@@ -97,7 +96,7 @@ def time_each(find: Callable[[Touch], np.ndarray], touches: Sequence[Touch]) -> 
 
 
 def chain_icp(frames: Sequence[Frame]) -> Followed:
-    """Poses by ICP of each frame to the one before, from the first frame's true pose on."""
+    """Return poses by ICP of each frame to the one before, starting at the first frame's true pose."""
     icp = registry().create("refiner", "icp", {})
     poses, seconds, before = [frames[0].T_sensor_object], [0.0], None
     for last, frame in zip((frames[0], *frames), frames, strict=False):
@@ -120,7 +119,7 @@ def chain_icp(frames: Sequence[Frame]) -> Followed:
 
 
 def make_cloud(touch: Touch) -> Cloud:
-    """A touch's surface and walls as points in mm."""
+    """Return a touch's surface and walls as points in mm."""
     geometry, shape = touch.thin(200)
     points_m, normals = make_contact_cloud(shape, geometry)
     every = max(1, round(len(points_m) / CLOUD_POINTS))
@@ -128,10 +127,9 @@ def make_cloud(touch: Touch) -> Cloud:
 
 
 def measure_pose_differences(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """How far off the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4) are.
+    """Return the errors of the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4).
 
-    They are compared with whichever pose looks like the true one (K, 4, 4) and is nearest, root mean square distance of
-    the surface.
+    Among the poses equivalent to the true one (K, 4, 4), the nearest by root mean square surface distance counts.
     """
     nearest = PoseMetric(obj).nearest_equivalents(T_true, T_estimates)
     centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
@@ -142,7 +140,7 @@ def measure_pose_differences(obj: ObjectModel, T_estimates: Poses, T_true: Poses
 def write_row(
     localizer: Localizer, name: str, followed: Followed, truth: np.ndarray, local: np.ndarray, last: str
 ) -> str:
-    """One row of the table of slides."""
+    """Return one row of the table of slides."""
     shift_m, turn_rad = measure_pose_differences(localizer.object, followed.T_sensor_object, truth)
     mm, degrees = 1e3 * shift_m, np.degrees(turn_rad)
     ms = 1e3 * followed.seconds[local]
@@ -154,7 +152,7 @@ def write_row(
 
 
 def measure_slides(localizer: Localizer, count: int, seed: int) -> list[str]:
-    """The rows of one sequence."""
+    """Return the rows of one sequence."""
     rng = np.random.default_rng([seed, 0])
     frames = make_sliding(localizer).draw_example(count, rng)
     truth = np.array([frame.T_sensor_object for frame in frames])
@@ -176,8 +174,10 @@ def measure_slides(localizer: Localizer, count: int, seed: int) -> list[str]:
 
 
 class Found(NamedTuple):
-    """How many jumps' poses are found: at once by one frame alone, by the tracker's first mode and by any of them, SOON
-    and LATE frames after; and seconds of a search."""
+    """The numbers of found poses after jumps, and the seconds of a search.
+
+    Poses are found at once by one frame alone, or SOON and LATE frames after by the tracker's first mode or any mode.
+    """
 
     alone: int
     soon: int
@@ -188,7 +188,7 @@ class Found(NamedTuple):
 
 
 def measure_jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> Found:
-    """After how many jumps, or slips, the object is found again."""
+    """Return how often the object is found again after jumps or slips."""
     near_m = SLIP_FOUND_M if slip else FOUND_M
     metric, searching, counts = PoseMetric(localizer.object), [], np.zeros(5, int)
     for number in range(examples):
@@ -206,7 +206,7 @@ def measure_jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | N
 
 
 def is_near(metric: PoseMetric, poses: np.ndarray, frame: Frame, near_m: float) -> np.ndarray:
-    """Whether poses (K, 4, 4) are within `near_m` metres of the true one."""
+    """Return whether poses (K, 4, 4) are within `near_m` metres of the true one."""
     return metric.symmetric_distance(poses, np.stack([frame.T_sensor_object] * len(poses))) < near_m
 
 
@@ -216,7 +216,7 @@ def main() -> None:
     parser.add_argument("objects", nargs="*", default=list(DEMO_OBJECTS))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--frames", type=int, default=500)
-    parser.add_argument("--jumps", type=int, default=5, help="of each object")
+    parser.add_argument("--jumps", type=int, default=5, help="jumps of each object")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--store", type=Path)
     arguments = parser.parse_args()

@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""Depth from simulated images of the demo objects, by an estimator that has only seen simulated calibration boards.
+"""Depth from simulated images of the demo objects, by an estimator trained on simulated calibration boards only.
 
-The sensor is calibrated as `tactile-loc calibrate --simulated` does it, or found in the store. Then it reads touches of
-objects that it has never seen, at random poses, pressed as deep as the sensor goes, under the nominal lamps. Errors of
-the indentation are RMS over the whole image and over what is in contact; IoU is the overlap of the contact's mask with
-the true one. Times are medians on this machine. Prints a Markdown table.
+The sensor is calibrated as by `tactile-loc calibrate --simulated`, or loaded from the store. Then it reads touches of
+unseen objects at random poses, at the sensor's deepest press, under the nominal lamps. Errors of the indentation are
+RMS over the whole image and over the contact. IoU is the overlap of the contact's mask with the true mask. Times are
+medians on this machine. The output is a Markdown table.
 
-With `--locate N` the objects are then located from N images, by the protocol of `tactile-loc evaluate`, and from the
-same touches given as clean contact shapes, with each `--encoder`, on grids of about `--poses` poses: a second table.
+With `--locate N` the objects are also located from N images, by the protocol of `tactile-loc evaluate`, and from the
+same touches given as clean contact shapes. A second table has the results for each `--encoder`, on grids of about
+`--poses` poses.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps
 def measure_errors(
     estimator: GelEstimator, noise_m: float, touch: Touch, image: np.ndarray, known_m: np.ndarray
 ) -> tuple[float, ...]:
-    """Measure one touch; the IoU is 0 when no contact is found in it."""
+    """Return the errors of one touch; the IoU is 0 when no contact is found in it."""
     observed = estimator.geometry.observed_mask
     start = time.perf_counter()
     found_m = estimator.read_indentation(image)
@@ -116,13 +117,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sensor", default="gelslim")
     parser.add_argument("--estimator", default="cnn")
-    parser.add_argument("--presses", type=int, help="on the boards; default: the estimator's own")
+    parser.add_argument("--presses", type=int, help="presses of the boards; default: the estimator's number")
     parser.add_argument("-o", "--option", action="append", default=[], metavar="OPTION=VALUE")
     parser.add_argument("--touches", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=7, help="of the touches")
-    parser.add_argument("--locate", type=int, default=0, metavar="N", help="touches an object to locate")
+    parser.add_argument("--seed", type=int, default=7, help="seed of the touches")
+    parser.add_argument("--locate", type=int, default=0, metavar="N", help="touches to locate for each object")
     parser.add_argument("--encoder", action="append", metavar="NAME", help="for --locate; may be repeated")
-    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has, for --locate")
+    parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid, for --locate")
     parser.add_argument("--store", type=Path)
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)

@@ -2,8 +2,8 @@
 """Errors and times of locating real objects from one clean touch, with the default components.
 
 For each mesh: one face, a grid of about `--poses` poses, `--touches` random continuous poses. Errors are ADD over
-10 000 surface points, symmetry regarded, in mm and normalised by a random pose's mean error. Meshes are given as
-FILE[:UNITS]; without any, the demo objects are used. Times are medians on this machine, in one run.
+10 000 surface points, modulo symmetry, in mm and divided by a random pose's mean error. Meshes are given as
+FILE[:UNITS]; by default the demo objects. Times are medians on this machine, in one run.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
-    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
+    parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid")
     parser.add_argument("--touches", type=int, default=200)
     parser.add_argument("--sensor", default="gelslim")
     parser.add_argument("--refiner", default="joint")

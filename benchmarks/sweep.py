@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""One sweep three ways: on local processes, on a Dask cluster of this machine, and each with a worker killed meanwhile.
+"""One sweep on local processes and on a Dask cluster of this machine, each also with a worker killed meanwhile.
 
-Two renderers, three encoders, four refiners and three demo objects, with a coarse grid, few pixels and few touches: it
-is about the sweep, not about the numbers in it. `--small` takes two encoders and two refiners, one renderer and one
-object. Printed, and written to `--out`/counts.json, are the rows, failures, how often each stage was built, and whether
-all tables are the same. The exit code is 1 when anything is lost, differs or was built twice.
+The plan has two renderers, three encoders, four refiners and three demo objects, with a coarse grid, few pixels and few
+touches: it tests the sweep, not the results. `--small` uses two encoders, two refiners, one renderer and one object.
+The rows, the failures, how often each stage was built, and whether all tables are equal are printed and written to
+`--out`/counts.json. The exit code is 1 if anything is lost, differs or was built twice.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FACTORS = {
 SMALL = {"object": 1, "renderer": 1, "encoder": 2, "refiner": 2}
 QUIET = {"dashboard_address": "127.0.0.1:0", "scheduler_kwargs": {"dashboard": False}}
 WAYS = ("local", "local-killed", "dask", "dask-killed")
-KILL_AFTER = 0.25  # of the rows
+KILL_AFTER = 0.25  # share of the rows
 
 
 def make_plan(arguments: argparse.Namespace) -> Plan:
@@ -58,7 +58,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
 
 @contextmanager
 def kill_at_random(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterator[list[int]]:
-    """Kill one of the processes `victims` when the folder `rows` holds `after` rows; yield who was killed."""
+    """Kill one of the processes `victims` when the folder `rows` holds `after` rows; yield the killed process."""
     killed: list[int] = []
     over = threading.Event()
 
@@ -85,7 +85,7 @@ def list_local_workers() -> list[int]:
 
 
 def measure(name: str, arguments: argparse.Namespace, workers: Workers, victims: Callable[[], list[int]] | None) -> Any:
-    """Run the sweep into a folder and a store of its own, and return its table and its counts."""
+    """Run the sweep with a new folder and store, and return its table and its counts."""
     out, store = arguments.out / name, arguments.out / f"store-{name}"
     plan = make_plan(arguments)
     after = int(KILL_AFTER * len(combine(plan)[0]))
@@ -103,7 +103,7 @@ def measure(name: str, arguments: argparse.Namespace, workers: Workers, victims:
 
 
 def count_rows(swept: Sweep, store: Path) -> dict[str, Any]:
-    """Return how many rows there are and failed, and how often stages were built."""
+    """Return the numbers of rows and of failures, and how often stages were built."""
     built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
     stored = {f"{entry.stage} {entry.digest}" for entry in StageStore(store).entries()}
     return {
@@ -114,13 +114,13 @@ def count_rows(swept: Sweep, store: Path) -> dict[str, Any]:
 
 
 def drop_momentary(swept: Sweep) -> list[dict[str, Any]]:
-    """Return the table without what depends on the machine or the moment."""
+    """Return the table without columns that depend on the machine or the time."""
     return [{name: value for name, value in row.items() if name not in MOMENTARY} for row in swept.rows]
 
 
 @contextmanager
 def make_workers(way: str, arguments: argparse.Namespace) -> Iterator[tuple[Workers, Callable[[], list[int]]]]:
-    """Workers of one of WAYS, and how to find their processes."""
+    """Return workers of one of WAYS, and a function that finds their processes."""
     from distributed import LocalCluster
 
     if way.startswith("local"):
@@ -131,14 +131,14 @@ def make_workers(way: str, arguments: argparse.Namespace) -> Iterator[tuple[Work
 
 
 def run_all(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], dict[str, Any]]]:
-    """Run the sweep in all ways that were asked for."""
+    """Run the sweep in all requested ways."""
     for way in arguments.ways:
         with make_workers(way, arguments) as (workers, victims):
             yield measure(way, arguments, workers, victims if way.endswith("-killed") else None)
 
 
 def is_whole(found: dict[str, Any], table: list[dict[str, Any]], first: list[dict[str, Any]]) -> bool:
-    """Whether nothing was lost, built twice, or came out differently."""
+    """Return whether nothing was lost, built twice, or different."""
     lost = found["failed"] + found["stored_but_in_no_row"] + found["in_a_row_but_not_stored"]
     return not lost and found["most_builds_of_one"] == 1 and table == first
 
@@ -148,10 +148,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/sweep"))
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--count", type=int, default=2, help="touches a combination")
+    parser.add_argument("--count", type=int, default=2, help="touches of each combination")
     parser.add_argument("--spacing-mm", type=float, default=8.0)
-    parser.add_argument("--small", action="store_true", help="two encoders and two refiners, one of the others")
-    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS, help="of these alone; by default all")
+    parser.add_argument("--small", action="store_true", help="two encoders, two refiners, one renderer and one object")
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS, help="ways to run; by default all")
     arguments = parser.parse_args()
     arguments.out = arguments.out.absolute()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ the tables and computed figures of the documentation are renewed, and the senten
 `bind RUN` says that they were looked over. `--all` repeats every kept run, and runs every other benchmark.
 `compare` reports the changes since the version before that has results, and fails where a time grew, or a speed fell,
 by more than a tenth. Times are compared as multiples of a yardstick: a fixed piece of work, measured before and after.
-`page` writes the documentation's page of results, its figure, and all figures that come from results.
+`page` writes the documentation's page of results, and all figures that come from results.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from statistics import geometric_mean, median
+from statistics import median
 from typing import Any
 
 import figures
 from results import NUMBER, RESULTS, ROOT, Kept, Table, latest, tables, versions
 
 BENCHMARKS = ROOT / "benchmarks"
-PAGE, FIGURE = ROOT / "docs" / "results.md", ROOT / "docs" / "images" / "results.png"
+PAGE = ROOT / "docs" / "results.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # the share by which a time may grow
 CHANGED = 0.1  # the share from which a change is reported
@@ -211,14 +211,14 @@ def page(folder: Path = RESULTS) -> str:
     """Return the documentation's page of results: every run, and the tables of those that `keep` made."""
     parts = [
         "# Results over time\n",
-        "What the benchmarks printed, kept by `scripts/bench.py keep NAME`, a file a run and version in\n"
-        "`benchmarks/results`. Times of different machines are compared as multiples of a yardstick, a fixed piece of\n"
-        "work that is measured before and after; `make bench-compare` tells what changed since the version before,\n"
-        "and fails where a time grew, or a speed fell, by more than a tenth. The tables of a run without a yardstick\n"
-        "were taken from the page that is named, where they are.\n",
+        "This page lists every run of the benchmarks, with its command and date, and the tables of the runs that\n"
+        "`scripts/bench.py keep NAME` made. The other tables are on the page in the last column.\n"
+        "[Benchmarks](benchmarks.md) explains all tables.\n",
+        "A file in `benchmarks/results` keeps each run and version. The yardstick is the time of a fixed piece of\n"
+        "work before and after the run. Times of different machines are compared as multiples of it.\n"
+        "`make bench-compare` reports the changes since the previous version. It fails if a time grew, or a speed\n"
+        "fell, by more than a tenth.\n",
     ]
-    if len(versions(folder)) > 1:
-        parts.append("![Times by version, as multiples of the first version's](images/results.png)\n")
     runs = latest(folder)
     rows = [
         [name, f"`{command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or kept.source.partition(",")[0])]
@@ -244,32 +244,6 @@ def command(kept: Kept) -> str:
     )
 
 
-def draw(path: Path, folder: Path = RESULTS) -> bool:
-    """Draw the times of each run by version, as multiples of the first. Return False where there is one version."""
-    known = versions(folder)
-    if len(known) < 2:
-        return False
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    axes = figure.subplots()
-    for name in sorted({file.stem for file in folder.glob("*/*.json")}):
-        having = [version for version in known if (folder / version / f"{name}.json").exists()]
-        first, means = Kept.read(folder / having[0] / f"{name}.json"), []
-        for version in having:
-            changes = compared(first, Kept.read(folder / version / f"{name}.json"))
-            ratios = [c.ratio for c in changes if c.wanted == -1 and c.before > 0 and c.now > 0]
-            means.append(geometric_mean(ratios) if ratios else math.nan)
-        if not all(map(math.isnan, means)):
-            axes.plot([known.index(version) for version in having], means, marker="o", label=name)
-    axes.set_xticks(range(len(known)), known)
-    axes.set(xlabel="version", ylabel="time, multiple of the first version's", yscale="log")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.savefig(path, dpi=120)
-    return True
-
-
 def keep_all() -> int:
     """Repeat every run of a benchmark, and run every benchmark that has none. Return how many failed."""
     runs = {name: kept.benchmark for name, kept in latest().items() if kept.benchmark in names()}
@@ -293,7 +267,7 @@ def main() -> int:
     kept.add_argument("name", nargs="?")
     kept.add_argument("arguments", nargs=argparse.REMAINDER)
     commands.add_parser("compare", help="report the changes since the version before")
-    commands.add_parser("page", help="write the documentation's page, figure and figures")
+    commands.add_parser("page", help="write the documentation's page and figures")
     bound = commands.add_parser("bind", help="say that the text about a run was looked over, and is true of it")
     bound.add_argument("name")
     chosen = parser.parse_args()
@@ -310,7 +284,6 @@ def main() -> int:
     elif chosen.command == "keep":
         parser.error(f"name a benchmark, or say --all; there are {', '.join(names())}")
     PAGE.write_text(page(), encoding="utf-8")
-    draw(FIGURE)
     for path in figures.renew():
         print(f"bench: wrote {path}")
     for problem in figures.problems():

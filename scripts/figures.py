@@ -20,8 +20,8 @@ from pathlib import Path
 from quotes import QUOTES, SETTINGS, Values
 from results import RESULTS, ROOT, Results, latest
 
-MARKED = "docs/benchmarks.md"  # the page on which every table is of a run
-WHOLE = ("README.md", "docs/index.md", MARKED)  # pages on which every figure has its results
+MARKED = "docs/benchmarks/"  # the folder of pages on which every table is of a run
+WHOLE = ("README.md", "docs/index.md", "docs/benchmarks")  # pages whose figures all have results
 NOBODYS = "none"  # the run of what nobody here measured
 MARKER = re.compile(r"<!-- results: (?P<run>[\w-]+)(?: (?P<number>\d+))?(?P<columns>(?: \| [^|\n]+)*) -->\n")
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
@@ -152,7 +152,7 @@ def checked(page: str, text: str, results: Results, quotes: Sequence[Quote]) -> 
         if old != now:
             problems.append(f"{page} differs from the results; run scripts/bench.py page:\n  {old}\n  {now}")
             break
-    if page == MARKED:
+    if page.startswith(MARKED):
         problems += [f"{page}: this table follows no marker of its results: {line}" for line in unmarked(text)]
     for run, told in groupby(sentences(text, quotes), key=lambda one: one.run):
         known = results[run].beside if run in results else ()
@@ -160,14 +160,14 @@ def checked(page: str, text: str, results: Results, quotes: Sequence[Quote]) -> 
         if new_ones and run in results:
             problems.append(f"{page} tells of {run} what its results do not have; see if it is true, "
                             f"then run scripts/bench.py bind {run}:{new_ones}")  # fmt: skip
-        elif new_ones and run != NOBODYS and page in WHOLE:
+        elif new_ones and run != NOBODYS and page.startswith(WHOLE):
             problems.append(f"{page} has figures of no results; quote them in scripts/quotes.py:{new_ones}")
     return problems
 
 
 def pages(root: Path = ROOT) -> dict[str, str]:
     """Return the texts of the pages that may have figures."""
-    paths = [root / "README.md", *sorted((root / "docs").glob("*.md"))]
+    paths = [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
     return {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in paths if path.exists()}
 
 

@@ -150,95 +150,92 @@ def worse_found(r: Results) -> list[float]:
 
 
 SETTINGS = {
-    "README.md": ("Python 3.11 or newer", "the median is below 0.01 mm on most parts"),
+    "README.md": ("Python 3.11 or newer", "The median is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
-        "without a GPU, Python 3.11; the date",
-        "are of 2026-11-21, when objects were drawn where they just touch; a pressed object's outline is up to 8 % "
-        "larger to the GelSlim's pinhole camera",
+        "without a GPU, Python 3.11.",
+        "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, "
+        "the outline of a pressed object is up to 8 % larger",
     ),
 }
 QUOTES: dict[str, dict[str, Values]] = {
     "README.md": {
-        "median error on the hook falls from {} to {} mm": second_contact,
-        "the 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
-        "Of what two, three and five clean touches determine, {}, {} and {} % is located within 0.5 mm; of all "
-        "examples of three and five touches {} and {} %": five_located,
-        "leaves {} % of three touches and {} % of five within 1 mm":
+        "a second contact reduces the median error from {} to {} mm before refinement": second_contact,
+        "the 95 % sets contain the true pose in {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
+        "| within 0.5 mm, clean touches, determined cases | {} % | {} % | {} % |": lambda r: five_located(r)[:3],
+        "| within 0.5 mm, clean touches, all cases | {} % | {} % | {} % |":
+            lambda r: [r.at("contacts-clean", 1, touches, "all 14")[0] for touches in "235"],
+        "| within 1 mm, strong noise, all cases | | {} % | {} % |":
             lambda r: [r.at("contacts-strong", 1, place, "all 14")[0] for place in (2, 6)],
-        "a grid of 10 000 poses: on seven of nine the pose that `run` answers is {} to {} mm off": one_touch,
-        "With strong noise it is at {} to {} mm on the six demo objects":
+        "10 000 poses, one touch). Without noise the answer is {} to {} mm off (medians) on seven of nine": one_touch,
+        "Strong noise makes it {} to {} mm on the six demo objects":
             lambda r: ends(r.column("evaluate", 1, "chosen")[:6]),
-        "A part that is 0.1 mm off its mesh costs single touches: of three demo objects with a small sensor {} to {} % "
-        "instead of {} % are located within 1 mm": lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
-        "of three touches from any direction {} to {} % instead of {} %":
+        "from its mesh by 0.1 mm** (three demo objects, GelSight Mini). One touch of a known face locates {} to "
+        "{} % within 1 mm, instead of {} % with an exact mesh":
+            lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
+        "Three touches from any direction locate {} to {} % instead of {} %":
             lambda r: outside(r, 5, DRAWN[2], DRAWN[3], DRAWN[0]),
-        "an object is built in {} to {} s": range_of("search", 1, "build, s"),
-        "its probabilities are fitted in {} to {} s, once": range_of("search", 1, "fit, s"),
-        "one touch takes {} to {} s (medians)":
+        "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
+        "| fit its probabilities, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
+        "| locate: whole object, ten refined hypotheses | {} to {} s |":
             lambda r: [ms / 1000 for ms in ends(r.column("search", 1, "median, ms"))],
-        "{} to {} ms of one face, {} to {} ms with one pose refined":
+        "| locate: one face, ten refined hypotheses | {} to {} ms |\n"
+        "| locate: one face, one refined pose | {} to {} ms |":
             lambda r: [value for row, *_ in r["first-second"].table(1).rows if row.startswith(ONE_FACE)
                        for value in r.at("first-second", 1, "time", row)],
         "draws {} to {} contact shapes a second": lambda r: renderer(r, -3, 0),
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
-    "docs/contacts.md": {"the median error falls from {} to {} mm with the second contact": second_contact},
-    "docs/method.md": {
-        "{} (a round part) to {} places do for":
+    "docs/contacts.md": {"a second contact reduces the median error from {} to {} mm": second_contact},
+    "docs/method-search.md": {
+        "has {} (a round part) to {} places":
             lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },
-    "docs/next-touch.md": {"falls short by so many nats: {} of one touch, {} of each of several":
-                           lambda r: [NullEvidence().alone, NullEvidence().together]},
+    "docs/identify.md": {"a fixed misfit: {} nats for one touch, {} nats for each of several":
+                         lambda r: [NullEvidence().alone, NullEvidence().together]},
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
-    "docs/benchmarks.md": {
+    "docs/benchmarks/one-touch.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),
-        "encoding, matching and refining one pose take {} to {} ms":
+        "Encoding, matching and refining one pose take {} to {} ms":
             lambda r: ends([sum(r.at("single_touch", 1, "ms: encode, match, refine", row[0]))
                             for row in r["single_touch"].table(1).rows]),
-        "explains the touch best is at {} to {} mm on seven of the nine": one_touch,
-        "The ten most probable come within {} and {} times closest":
+        "(*chosen*) is {} to {} mm off on seven of the nine": one_touch,
+        "Their ten most probable poses come within {} and {} times *closest*":
             lambda r: [r.at("single_touch", 1, "best-10", name)[0] / r.at("single_touch", 1, "closest", name)[0]
                        for name in ("AutoMate 00308_plug", "pulley (MBRFA30)")],
-        "most probable pose is nearer on {} of {} objects, in geometric mean at {} times the error": learned,
-        "within {} times the nearest grid pose's error on nine, {} times on the ambiguous 00308": learned_over_closest,
-        "Training takes {} to {} s an object": range_of("encoders", 1, "training"),
+    },
+    "docs/benchmarks/several-touches.md": {
         "**Of what two, three and five touches determine, {}, {} and {} % is located within 0.5 mm**; {} % of all "
         "examples of three touches and {} % of five": five_located,
-        "{} to {} % of the truths, not 5, are outside the 95 % ellipsoid":
-            lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
-        "ends at a median of {} mm at most": lambda r: [max(r.column("joint", 1, "error, mm"))],
+    },
+    "docs/benchmarks/outliers-mount.md": {
         "A right touch is named in {} of {} examples without a wrong one, and in none of {} with one": wrongly,
         "the wrong one is named in {} of {} examples, of sensors that are a little off in {} of {}": named,
-        "ten touches tell the place to {} mm and the turn to {} degrees":
+        "ten touches tell the place to {} mm and the rotation to {} degrees":
             lambda r: [r.at("mount", 1, place, "mild", "10")[0] for place in (3, 4)],
-        "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
-        "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
-        "After the first touch the chosen ones need {} more, random ones {}: hardly fewer, and {} instead of {} % are "
-        "known within three": more_touches,
-        "{} % of the left-out parts are taken for another":
-            lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
+    },
+    "docs/benchmarks/outside-the-model.md": {
         "within 1 mm in {} % of the examples with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 5, *DRAWN),
-        "Their median grows from {} mm to what the mesh is off, and more": lambda r: medians_outside(r, DRAWN[0])[1:],
+        "Their median grows from {} mm to the error of the mesh and more": lambda r: medians_outside(r, DRAWN[0])[1:],
         "{} to {} mm with scans, {} to {} mm decimated":
             lambda r: [*medians_outside(r, *DRAWN[1:3]), *medians_outside(r, DRAWN[3])],
-        "One touch suffers: {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the unseen "
-        "noise": lambda r: outside(r, 3, *DRAWN),
-        "but for the 50 % sets of one touch, which hold {} %":
-            lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
-        "Five presses that are spread come to {}, {}, {} and {} times the error of all": presses("5", 1),
-        "ten to {}, {}, {} and {}; five at random": presses("10", 1),
-        "five at random to {}, {}, {} and {}": presses("5", 0),
-        "On the others they are worse by {} and {} % as long": worse_found,
-        "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
-        "the 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
-        "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
-        "Located alone, a frame takes {} to {} times as long as tracking it":
-            lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
+        "One touch is within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
+        "unseen noise": lambda r: outside(r, 3, *DRAWN),
     },
-    "docs/evaluation.md": {
+    "docs/benchmarks/evaluation-results.md": {
+        "on the hook the median falls from {} to {} mm": second_contact,
         "Contact alone stays at {} to {} of a random pose's error with seven contacts; best-1 is {} to {} times nearer":
             seven_contacts,
+    },
+    "docs/benchmarks/probabilities.md": {
+        "The worst are the 50 % sets of one touch, which hold {} %":
+            lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
+        "The 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
+        "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
+        "{} to {} % of the truths, not 5, are outside the 95 % ellipsoid":
+            lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
+    },
+    "docs/benchmarks/encoders.md": {
         "The learned encoder's best-1 is below that of pixels on {} of {} objects, in geometric mean {} of it": learned,
         "Its ten most probable poses come within {} times the nearest grid pose's error on all objects but the "
         "ambiguous 00308 ({})": learned_over_closest,
@@ -246,5 +243,29 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),
         **{f"| {name}, {line} | {paper} | {{}} | {{}} |": beside_the_paper(name, line) for name, line, paper in PAPER},
+    },
+    "docs/benchmarks/tracking.md": {
+        "Located alone, a frame takes {} to {} times as long as tracking it":
+            lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
+        "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
+        "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
+    },
+    "docs/benchmarks/next-touch.md": {
+        "After the first touch the chosen ones need {} more, random ones {}: hardly fewer, and {} instead of {} % are "
+        "known within three": more_touches,
+        "{} % of the left-out parts are taken for another":
+            lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
+    },
+    "docs/benchmarks/presses-labels.md": {
+        "Five presses that are spread come to {}, {}, {} and {} times the error of all": presses("5", 1),
+        "ten to {}, {}, {} and {}; five at random": presses("10", 1),
+        "five at random to {}, {}, {} and {}": presses("5", 0),
+        "On the others they are worse by {} and {} %": worse_found,
+    },
+    "docs/benchmarks/simulated-images.md": {
+        "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
+    },
+    "docs/benchmarks/speed.md": {
+        "ends at a median of {} mm at most": lambda r: [max(r.column("joint", 1, "error, mm"))],
     },
 }  # fmt: skip

@@ -1,18 +1,56 @@
-"""What a long program has done with a seed, in a JSON file; and the commands that it runs."""
+"""What long programs share: arguments, a JSON file of what they have done with a seed, and how commands are run."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
 import sys
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tactile_loc.store.files import write_json
 
+ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = (sys.executable, "-m", "tactile_loc_cli.main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+PATHS = os.pathsep.join(str(ROOT / name) for name in (".", "cli", "scripts", "tests"))  # tests write results
+OURS = {"PYTHONPATH": PATHS, "TACTILE_LOC_PLUGINS": "", **ONE_THREAD}  # variables of a command
+
+
+def make_parser(about: str | None, what: str, known: Iterable[str], out: str, **numbers: tuple[int, str]) -> Any:
+    """Return a parser of names of `what` to do, by default all that are `known`, of numbers, of a seed and a folder.
+
+    Each number has a default, and a text that says what it is.
+    """
+    known = list(known)
+
+    def name_of(word: str) -> str:
+        if word not in known:
+            raise argparse.ArgumentTypeError(f"there is no {what} {word!r}; there are {', '.join(known)}")
+        return word
+
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = f"of {', '.join(known)}; all by default"
+    parser.add_argument("names", nargs="*", type=name_of, default=known, metavar=what.upper(), help=names)
+    for name, (number, text) in numbers.items():
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", type=int, default=number, metavar="N", help=f"{text} ({number})"
+        )
+    parser.add_argument("--seed", type=int, default=0, help="another seed draws others (0)")
+    folder = ROOT / "out" / out
+    parser.add_argument(
+        "--out", type=lambda path: Path(path).absolute(), default=folder, help=f"where all is kept (out/{out})"
+    )
+    return parser
+
+
+def limited(option: str, amount: int) -> tuple[str, ...]:
+    """Return what stands before a command whose processes have a limit, such as ("-v", kilobytes of memory)."""
+    return "bash", "-c", f'ulimit {option} {amount}; exec "$@"', "-"
 
 
 @dataclass

@@ -1,6 +1,6 @@
-"""Touch an object once; know where it is.
+"""Locate known objects from touch.
 
-The public API. Names are imported when they are first used, so that `import tactile_loc` costs nothing.
+This is the public API. Names are imported at their first use, so `import tactile_loc` costs nothing.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,9 +43,11 @@ MakeObject = Callable[..., ObjectModel]
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests of the store come first, for they fork, which takes long once a process has grown; then files with slow
-    tests: what comes last must not keep one process at work alone."""
+    tests, then those with many: what comes last must not keep one process at work alone."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path.parent != STORE, item.path not in slow))
+    size = Counter(item.path for item in items)
+    rank = {path: number for number, path in enumerate(sorted(size, key=lambda path: -size[path]))}
+    items.sort(key=lambda item: (item.path.parent != STORE, item.path not in slow, rank[item.path]))
 
 
 def pytest_collection_finish() -> None:

@@ -116,14 +116,6 @@ def test_one_version_has_nothing_to_compare_with(tmp_path, capsys):
     kept("0.1.0").write(tmp_path)
     assert bench.compare(tmp_path) == 0
     assert "only 0.1.0" in capsys.readouterr().out
-    assert not bench.draw(tmp_path / "figure.png", tmp_path)
-
-
-def test_times_are_drawn_by_version(tmp_path):
-    for version, unit in (("0.1.0", 10.0), ("0.2.0", 20.0)):
-        kept(version, unit).write(tmp_path)
-    assert bench.draw(tmp_path / "figure.png", tmp_path)
-    assert (tmp_path / "figure.png").stat().st_size > 5000
 
 
 def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):

@@ -25,7 +25,7 @@ from tactile_loc.store.store import StageStore
 
 ROOT = Path(__file__).parents[1]
 OUTLINE = ROOT / "plugins_contrib" / "tactile-loc-outline"
-MOCO = ("encoder", "moco")
+HOPF, FACE, MOCO = ("grid", "hopf"), ("grid", "face"), ("encoder", "moco")
 Pair = frozenset[tuple[str, str]]
 
 
@@ -123,12 +123,23 @@ def test_the_options_are_all_that_are_built_in_and_one_that_is_contributed():
     assert names == {slot: set(some) for slot, some in OPTIONS.items()}
 
 
+def make_smaller(row: Mapping[str, str], patch: pytest.MonkeyPatch) -> None:
+    """Coarser grids and less learning than the benchmark's: just enough for its limits."""
+    coarser = {FACE: {"spacing_mm": 3.0}, HOPF: {"spacing_mm": 3.5}}
+    if row["renderer"] == "pyrender":  # it draws each pose by itself
+        coarser[HOPF]["spacing_mm"] = 5.0
+    learning = {"queries": 128} if row["grid"] == "hopf" else {"epochs": 1, "queries": 64}  # all rotations take more
+    for key, options in {**coarser, MOCO: learning}.items():
+        patch.setitem(bench.SMALL, key, {**bench.SMALL[key], **options})
+    if row["encoder"] == "moco":
+        patch.setattr("tactile_loc.plugins.encoders.moco.training.VALIDATION_TOUCHES", 32)
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: "-".join(row.values()))
 def test_a_combination_locates_a_touch(row, box, shared_store, monkeypatch):
-    if row["grid"] != "hopf":  # a face or places take less learning
-        monkeypatch.setitem(bench.SMALL, MOCO, {**bench.SMALL[MOCO], "epochs": 1, "queries": 64})
+    make_smaller(row, monkeypatch)
     found = bench.try_combination(row, box, shared_store)
     assert not found["refused"]
     assert not found["failed"], found
@@ -141,6 +152,7 @@ def test_the_least_alike_poses_are_not_the_right_ones(grid, box, shared_store, m
     scores = DenseMatcher.scores
     monkeypatch.setattr(DenseMatcher, "scores", lambda *words: -scores(*words))
     turned_round = {**ROWS[0], "grid": grid, "encoder": "pixel", "matcher": "dense", "refiner": "none"}
+    make_smaller(turned_round, monkeypatch)
     assert "mm off" in bench.try_combination(turned_round, box, shared_store)["failed"]
 
 

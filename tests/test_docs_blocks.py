@@ -36,11 +36,16 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated
-    "conventions.md": "test_docs_conventions.py",
+    "files.md": "test_docs_files.py",
     "plugins.md": "test_docs_plugins.py",
+    "plugin-checks.md": "test_docs_plugins.py",
+    "plugin-examples.md": "test_docs_examples.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",
+    "sweeps-cluster.md": "test_docs_sweeps.py",
+    "sweeps-results.md": "test_docs_sweeps.py",
     "reports.md": "test_docs_reports.py",
+    "tuning.md": "test_docs_tuning.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by how the file begins
@@ -92,7 +97,7 @@ def test_pages_that_are_tried_elsewhere_are(page):
 
 
 def test_the_table_of_presses_is_read():
-    ((_, text),) = [block for block in blocks("sensors.md") if block[0] == "csv"]
+    ((_, text),) = [block for block in blocks("sensor-labels.md") if block[0] == "csv"]
     rows = list(csv.DictReader(text.splitlines()))
     assert set(rows[0]) <= set(COLUMNS)
     assert [row["kind"] for row in rows] == ["background", "ball", "ball"]
@@ -144,6 +149,7 @@ def furnished(tmp_path_factory, store) -> Path:
     balls.write(folder / "FOLDER")
     for name in ("presses.csv", "sensor.toml"):  # which the first command of the guide writes
         (folder / "FOLDER" / name).unlink()
+    balls.write(folder / "presses")  # with its labels
     (folder / "SET").mkdir()
     write_image(folder / "SET" / "background.png", balls.background)
     for number, (image, circle) in enumerate(zip(balls.images, balls.circles, strict=True)):
@@ -205,7 +211,7 @@ def test_python_runs(page, workplace, monkeypatch, store):
     original = Localizer.create.__func__
     grid = (
         SEARCHED
-        if page == "next-touch.md" or page.startswith("story-")
+        if page in ("next-touch.md", "identify.md") or page.startswith("story-")
         else {"grid": {"name": "face", "spacing_mm": 8.0}}
     )
     coarse = {"store": store, **grid}

@@ -1,9 +1,9 @@
-"""docs/plugins.md says what is so: its files, its table of slots, its errors."""
+"""The pages on plugins say what is so: their files, their tables of slots, their errors."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +14,7 @@ from message_helpers import missing
 
 from tactile_loc import plugin
 from tactile_loc.core.errors import MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError
+from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.interface import INTERFACE_VERSION
 from tactile_loc.core.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
 from tactile_loc.plugins.matchers.dense import DenseMatcher
@@ -21,7 +22,9 @@ from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "plugin"
-PAGE = (ROOT / "docs" / "plugins.md").read_text()
+PAGE, INTERFACES, CHECKS = (
+    (ROOT / "docs" / name).read_text() for name in ("plugins.md", "plugin-interfaces.md", "plugin-checks.md")
+)
 KINDS = {
     kind.slot: kind
     for kind in (
@@ -39,17 +42,17 @@ def files() -> list[str]:
 
 @pytest.mark.parametrize("name", files())
 def test_file_is_shown_as_it_is(name):
-    shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    assert shown, f"docs/plugins.md does not show {name}"
+    shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE + CHECKS, re.MULTILINE | re.DOTALL)
+    assert shown, f"neither docs/plugins.md nor docs/plugin-checks.md shows {name}"
     assert shown[1] == (EXAMPLE / name).read_text()
 
 
 def test_no_other_file_is_shown():
-    assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE, re.MULTILINE)) == files()
+    assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE + CHECKS, re.MULTILINE)) == files()
 
 
 def test_a_property_of_your_own_holds_and_can_fail():
-    code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", CHECKS, re.MULTILINE | re.DOTALL)
     assert code
     exec(code[1], {})
     with pytest.raises(ContractError, match=r"\boff=Place\("):
@@ -58,7 +61,7 @@ def test_a_property_of_your_own_holds_and_can_fail():
 
 @pytest.mark.parametrize("slot", SLOTS)
 def test_every_slot_has_checks_and_properties_in_the_tables(slot):
-    assert len(re.findall(rf"^\| {slot} \| ", PAGE, re.MULTILINE)) == 2
+    assert len(re.findall(rf"^\| {slot} \| ", CHECKS, re.MULTILINE)) == 2
 
 
 @pytest.mark.parametrize("slot", SLOTS)
@@ -125,12 +128,18 @@ def test_versions_of_the_interface_are_listed_up_to_this_one():
 
 
 def test_the_formula_of_weighted_scores_is_that_of_dense():
-    (line,) = re.findall(r"^    scores = (.*)$", PAGE, re.MULTILINE)
+    (line,) = re.findall(r"^    scores = (.*)$", INTERFACES, re.MULTILINE)
     rng = np.random.default_rng(0)
     q, w, bank = (rng.uniform(size=(rows, 6)).astype(np.float32) for rows in (3, 3, 9))
     dense = DenseMatcher()
     dense.index(bank)
     np.testing.assert_allclose(eval(line, {"q": q, "w": w, "bank": bank}), dense.scores(q, w), atol=1e-5)
+
+
+def test_every_capability_is_in_the_table():
+    section = PAGE.partition("## Capabilities")[2].partition("\n## ")[0]
+    shown = dict(re.findall(r"^\| `(\w+)` \| (true|false) \|", section, re.MULTILINE))
+    assert shown == {field.name: str(field.default).lower() for field in fields(Capabilities)}
 
 
 def test_failure_row_reads_as_documented():

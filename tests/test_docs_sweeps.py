@@ -1,4 +1,4 @@
-"""docs/sweeps.md: its plans can be read, its commands are understood, its Python runs, its columns are there."""
+"""The pages on sweeps: plans can be read, commands are understood, Python runs, columns are there."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from tactile_loc.sweeps.plan import Plan, find_varied_options, split_all
 from tactile_loc.sweeps.sweep import IDENTITY, MOMENTARY, list_columns
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "sweeps.md").read_text()
+PAGES = ("sweeps.md", "sweeps-cluster.md", "sweeps-results.md")
+PAGE = "\n".join((ROOT / "docs" / page).read_text() for page in PAGES)
 CLUSTERS = ("dask_jobqueue", "dask_kubernetes")
 
 

@@ -88,14 +88,13 @@ def test_what_is_written_beside_the_input(judge):
 
 
 def test_a_process_that_dies_is_a_finding_and_the_next_input_follows(tmp_path, monkeypatch):
-    def worked(seed, jobs):
-        ((name, _, first, last),) = jobs
-        if first == 0:
-            yield {"reader": name, "number": 0, "outcome": "dies (-9)", "details": ""}
+    def verdicts(jobs, seed, out):
+        if jobs[0] == ("mount", 0):
+            yield "dies (-9)", ""
             return
-        yield from ({"reader": name, "number": n, "outcome": trial.READ, "details": ""} for n in range(first, last))
+        yield from ((trial.READ, "") for _ in jobs)
 
-    monkeypatch.setattr(fuzz, "_worked", worked)
+    monkeypatch.setattr(fuzz, "_verdicts", verdicts)
     state = Record(tmp_path / "state.json", 3)
     fuzz.fuzz(["mount"], state, 5, 0, tmp_path)
     assert state.of("mount") == {"inputs": 5, "dies (-9)": 1, trial.READ: 4}

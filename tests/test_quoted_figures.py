@@ -26,6 +26,7 @@ A touch takes 56 to
 101 ms. It was 200 ms before.
 """
 TIMES = Quote("A touch takes {} to {} ms", lambda r: r.column("slides", 1, "median, ms"))
+NAME = f"{figures.MARKED}tracking.md"
 BESIDE = ["Touches of a pin, 30 to 90 % deep.", "It was 200 ms before."]
 
 
@@ -33,8 +34,8 @@ def kept(table=TABLE, beside=BESIDE):
     return Kept("sequences", [], "1", "2026-01-01", 1.0, 10.0, {}, {}, [table], "slides", beside=list(beside))
 
 
-def told(text, run=None, page=figures.MARKED):
-    return checked(page, text, Results(slides=run or kept()), [TIMES] if page == figures.MARKED else [])
+def told(text, run=None):
+    return checked(NAME, text, Results(slides=run or kept()), [TIMES])
 
 
 def test_every_figure_of_the_documentation_is_that_of_its_results():
@@ -53,10 +54,10 @@ def test_whichever_figure_is_changed_is_told(page):
 
 
 def test_whichever_table_is_changed_is_told():
-    results, page = latest(), (ROOT / figures.MARKED).read_text()
-    tables = [marker.end() for marker in figures.MARKER.finditer(page) if marker["number"]]
+    results, pages = latest(), [text for name, text in figures.pages().items() if name.startswith(figures.MARKED)]
+    tables = [(page, found.end()) for page in pages for found in figures.MARKER.finditer(page) if found["number"]]
     assert len(tables) > 40
-    for end in tables:
+    for page, end in tables:
         place = re.compile(r"(?<=\|---\|\n)\| [^\n]*\d").search(page, end).end() - 1  # the last digit of its first row
         text = page[:place] + str((int(page[place]) + 1) % 10) + page[place + 1 :]
         assert with_tables(text, results) == page
@@ -88,7 +89,7 @@ def test_what_drifts_is_told(before, after, said):
 
 def test_a_measurement_renews_tables_and_quotes_and_leaves_the_text_to_be_looked_over():
     anew = kept(replace(TABLE, rows=[["pin", "60", "0.003 (0.1)"], ["hook", "1203", "0.016 (0.2)"]]), beside=[])
-    text, failed = figures.renewed(figures.MARKED, PAGE, Results(slides=anew), [TIMES])
+    text, failed = figures.renewed(NAME, PAGE, Results(slides=anew), [TIMES])
     assert failed == []
     assert "| pin | 60 | 0.003 (0.1) |\n| hook | 1203 | 0.016 (0.2) |\n\nA touch takes 60 to\n1203 ms." in text
     (problem,) = told(text, anew)
@@ -97,8 +98,8 @@ def test_a_measurement_renews_tables_and_quotes_and_leaves_the_text_to_be_looked
 
 
 def test_what_was_looked_over_is_bound(tmp_path, monkeypatch):
-    page = tmp_path / figures.MARKED
-    page.parent.mkdir()
+    page = tmp_path / NAME
+    page.parent.mkdir(parents=True)
     page.write_text(PAGE)
     kept(beside=[]).write(tmp_path)
     monkeypatch.setattr(figures, "quotes_of", lambda page: [TIMES])
@@ -167,4 +168,4 @@ def test_a_quote_of_too_few_values_and_a_table_without_the_row_are_told():
     few = replace(TIMES, values=lambda r: [1.0])
     lost = replace(TIMES, values=lambda r: [*r.at("slides", 1, "median, ms", "head"), 1.0])
     for quote, said in ((few, "1 values are given"), (lost, "no row of the table begins with ('head',)")):
-        assert said in "\n".join(checked(figures.MARKED, PAGE, Results(slides=kept()), [quote]))
+        assert said in "\n".join(checked(NAME, PAGE, Results(slides=kept()), [quote]))

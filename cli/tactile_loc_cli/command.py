@@ -1,4 +1,4 @@
-"""What all commands have in common: --json, -v, -q, completion of names, and failures told in one line."""
+"""The frame of every command: --json, -v, -q, completion of names, and failures in one line."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ logger = logging.getLogger(__name__)
 Verbose = Annotated[
     int,
     typer.Option(
-        "-v", "--verbose", count=True, metavar="", show_default=False, help="Say what is being done; -vv: all details."
+        "-v", "--verbose", count=True, metavar="", show_default=False, help="Log each step; -vv logs all details."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No warnings, no progress bars: errors only.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show errors only: no warnings, no progress bars.")]
 Json = Annotated[bool, typer.Option("--json", help="Write the result as one JSON document, in SI units.")]
 
 SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, False)}
 
 
 def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[..., None]:
-    """Make a command of a function that writes for people and returns what it found or wrote, as JSON values.
+    """Make a command of a function that prints its result and returns it as JSON values.
 
-    Each option of a parameter of type RunOptions becomes one of the command's; `options.takes` says which.
+    A parameter of type RunOptions becomes several options of the command; `options.Takes` names them.
     """
     name = function.__name__.replace("_", "-")
     own = list(inspect.signature(function, eval_str=True).parameters.values())
@@ -63,7 +63,7 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
 def _call(
     function: Callable[..., dict[str, Any] | None], options: dict[str, Any], as_json: bool
 ) -> tuple[dict[str, Any], int]:
-    """What the function found, and the exit code."""
+    """Return the function's result and the exit code."""
     try:
         with hide_results() if as_json else nullcontext():
             return function(**options) or {}, 0
@@ -72,15 +72,14 @@ def _call(
 
 
 def _read_taken(annotation: Any) -> tuple[str, ...]:
-    """The names of the shared options that a parameter stands for; empty if it is an option itself."""
-    found = [extra.names for extra in getattr(annotation, "__metadata__", ()) if isinstance(extra, Takes)]
-    return found[0] if found else ()
+    """Return the names of the shared options that a parameter stands for; empty if it is an option itself."""
+    return next((extra.names for extra in getattr(annotation, "__metadata__", ()) if isinstance(extra, Takes)), ())
 
 
 def _list_parameters(
     own: Sequence[inspect.Parameter], taken: Mapping[str, Sequence[str]]
 ) -> Iterator[inspect.Parameter]:
-    """The command's parameters: the function's, those that name components completed, and those of all commands."""
+    """Yield the parameters of the command: the function's, with completion of names, and those of all commands."""
     keyword = inspect.Parameter.KEYWORD_ONLY
     declared, defaults = get_type_hints(RunOptions, include_extras=True), RunOptions()
     yield inspect.Parameter("context_", keyword, annotation=typer.Context)
@@ -94,30 +93,24 @@ def _list_parameters(
         yield inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
-LONGEST = 60  # characters of an explanation: a longer one could be broken into lines, which shells take for names
+LONGEST = 60  # characters of an explanation: some shells take the second line of a longer one for a name
 
-Offers = Iterator[tuple[str, str]]  # names, and what they mean
-Completer = Callable[[typer.Context, str], list[tuple[str, str]]]
+Offers = Iterator[tuple[str, str]]  # names and their explanations
 
 
 def complete_parameter(parameter: str, annotation: Any) -> Any:
-    """Return the annotation of a command's parameter, completed if its name is one of those that name something."""
-    offers = OFFERS.get(parameter)
-    if offers is None or get_origin(annotation) is not Annotated:
+    """Return the annotation of a command's parameter, with completion if OFFERS has the parameter."""
+    if parameter not in OFFERS or get_origin(annotation) is not Annotated:
         return annotation
     base, *extras = get_args(annotation)
-    return Annotated[(base, *(_attach_completer(extra, offers) for extra in extras))]
+    completed = [copy.copy(extra) for extra in extras]
+    for info in completed:
+        if isinstance(info, ParameterInfo):
+            info.autocompletion = _make_completer(OFFERS[parameter])
+    return Annotated[(base, *completed)]
 
 
-def _attach_completer(extra: Any, offers: Callable[[typer.Context], Offers]) -> Any:
-    if not isinstance(extra, ParameterInfo) or extra.autocompletion is not None:
-        return extra
-    info = copy.copy(extra)
-    info.autocompletion = _make_completer(offers)
-    return info
-
-
-def _make_completer(offers: Callable[[typer.Context], Offers]) -> Completer:
+def _make_completer(offers: Callable[[typer.Context], Offers]) -> Callable[..., list[tuple[str, str]]]:
     def complete(ctx: typer.Context, incomplete: str) -> list[tuple[str, str]]:
         found = [(name, about) for name, about in offers(ctx) if name.startswith(incomplete)]
         return [(name, textwrap.shorten(about, LONGEST, placeholder=" ...")) for name, about in found]
@@ -140,7 +133,7 @@ def _offer_slots(_: typer.Context) -> Offers:
 
 
 def _offer_components_of_slot(context: typer.Context) -> Offers:
-    """The components of the slot that was named before."""
+    """Offer the components of the slot that stands before the name."""
     slot = context.params.get("slot")
     yield from _offer_components(slot, context) if slot in SLOTS and context.info_name == "plugins" else ()
 

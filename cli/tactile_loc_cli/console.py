@@ -1,4 +1,4 @@
-"""What people see on the terminal: results on stdout; errors, warnings and progress on stderr."""
+"""Output on the terminal: results on stdout; errors, warnings and progress on stderr."""
 
 from __future__ import annotations
 
@@ -20,37 +20,43 @@ from tactile_loc.core.progress import Progress, rank
 
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
-REASONS = 5  # why frames were refused, that are written
-UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of a window that is none, and of a folded column
+REASONS = 5  # shown why frames were refused
+UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of output that is no terminal, and of a folded column at least
 
 
 def say(text: str = "") -> None:
-    """Write a line of results as it is, never wrapped; of processes that work together, the first does."""
+    """Write a line of results, never wrapped. Of processes that work together, only the first writes."""
     if rank() == 0:
         sys.stdout.write(text + "\n")
 
 
 def say_written(paths: Iterable[Path]) -> list[str]:
-    """Write which files were written, if any, and return their paths as JSON values."""
+    """List the written files, if any, and return their paths as JSON values."""
     written = [str(path) for path in paths]
     if written:
         say(f"written: {', '.join(written)}")
     return written
 
 
+def format_count(number: int, noun: str) -> str:
+    """Write a number with its noun: 1 touch, 2 touches, 3 entries."""
+    plural = f"{noun}es" if noun.endswith("ch") else f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
+
+
 def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
-    """Write why frames were refused, the most frequent reasons, and return how many more there are."""
+    """Write the first few reasons why frames were refused, and return the number of other reasons."""
     for reason, count in reasons[:REASONS]:
         say(f"refused {count}: {reason}")
     return max(0, len(reasons) - REASONS)
 
 
 def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap: int = 1, fold: bool = False) -> None:
-    """Write rows of cells, the first one the header; never cut to the window.
+    """Write rows of cells, the header first; they are never cut to the window.
 
-    The first `left` columns, or those of these numbers, are set to the left, the others to the right, `gap` blanks
-    apart. Of a row with fewer cells than the header the last runs on. With `fold` the last column is broken into lines
-    where the window is too narrow.
+    `left` is the number of left-aligned columns, or their indices; the others are right-aligned. Columns are `gap`
+    blanks apart. In a row with fewer cells than the header, the last cell may be longer than its column. With `fold`,
+    the last column is broken into lines if the window is too narrow.
     """
     to_left = range(left) if isinstance(left, int) else left
     whole = [row for row in rows if len(row) == len(rows[0])]
@@ -66,7 +72,7 @@ def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap
 
 
 def _fold_line(line: str, indent: int) -> list[str]:
-    """A line, broken between words after the column where its last cell begins, if it is wider than the window."""
+    """Break a line between words if it is wider than the window; further lines begin at the column `indent`."""
     width = shutil.get_terminal_size((UNKNOWN_WIDTH, 1)).columns if sys.stdout.isatty() else UNKNOWN_WIDTH
     parts = textwrap.wrap(line[indent:], max(width - indent, NARROWEST)) or [""]
     return [line[:indent] + parts[0], *(" " * indent + part for part in parts[1:])]
@@ -79,7 +85,7 @@ def complain(kind: str, text: str) -> None:
 
 
 class OneLineHandler(logging.Handler):
-    """Shows the library's log, one line a record; warnings as they are, the rest with the seconds since it began."""
+    """Shows the library's log, one line for each record; below the level of warnings, with the seconds since start."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -87,7 +93,7 @@ class OneLineHandler(logging.Handler):
         self._warned: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write the record to the stderr of the moment; a warning that was given already is not repeated."""
+        """Write the record to stderr; skip a repeated warning."""
         text = record.getMessage()
         if record.levelno < logging.WARNING:
             text = f"[{time.perf_counter() - self._start_s:.1f} s] {text}"
@@ -99,9 +105,9 @@ class OneLineHandler(logging.Handler):
 
 @contextmanager
 def show_log(verbosity: int = 0) -> Iterator[None]:
-    """Show the library's log, and hush what other libraries say to their developers.
+    """Show the library's log, and hide Python warnings of other libraries.
 
-    `verbosity` -1 shows errors, 0 warnings, 1 what is being done, 2 all details.
+    `verbosity` -1 shows errors, 0 warnings, 1 each step, 2 all details.
     """
     handler = OneLineHandler()
     loggers = [logging.getLogger(name) for name in PACKAGES]
@@ -127,18 +133,18 @@ def is_shown(level: int) -> bool:
 
 @contextmanager
 def hide_results() -> Iterator[None]:
-    """Let nothing that the block writes reach stdout, whoever writes it."""
+    """Discard everything that the block writes to stdout."""
     with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
         yield
 
 
 def say_json(value: Mapping[str, Any]) -> None:
-    """Write a value as the one JSON document of a command; numbers that are not finite are null."""
+    """Write a value as a JSON document; numbers that are not finite are null."""
     say(json.dumps(_make_plain(value), indent=1, allow_nan=False))
 
 
 def _make_plain(value: Any) -> Any:
-    """A deep copy made of JSON's own types; what it does not know, such as a path, as text."""
+    """Copy a value with JSON's own types; other types, such as paths, become text."""
     if isinstance(value, Mapping):
         return {str(key): _make_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -150,19 +156,15 @@ def _make_plain(value: Any) -> Any:
     return value if value is None or isinstance(value, str | int) else str(value)
 
 
-def _ignore_note(text: str) -> None:
-    """Take a note that no bar can show."""
-
-
 class Bars(Progress):
     """Progress bars on stderr that vanish when their task ends."""
 
     def __init__(self) -> None:
-        self._note: Callable[[str], None] = _ignore_note
+        self._note: Callable[[str], None] | None = None
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a bar of `total` steps; call what is yielded with the number of steps just done."""
+        """Open a bar of `total` steps; yield the function to call with the number of steps just done."""
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as RichProgress
@@ -174,13 +176,14 @@ class Bars(Progress):
             try:
                 yield lambda steps: bars.advance(number, steps)
             finally:
-                self._note = _ignore_note
+                self._note = None
 
     def note(self, text: str) -> None:
-        """Show a line beside the bar that is open."""
-        self._note(text)
+        """Show a text beside the open bar, if there is one."""
+        if self._note is not None:
+            self._note(text)
 
 
 def make_progress() -> Progress:
-    """Return progress bars where somebody watches and did not ask for quiet, and the null watcher otherwise."""
+    """Return progress bars if stderr is a terminal and -q was not given, and otherwise a watcher that shows nothing."""
     return Bars() if sys.stderr.isatty() and rank() == 0 and is_shown(logging.WARNING) else Progress()

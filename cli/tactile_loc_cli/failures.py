@@ -1,4 +1,7 @@
-"""What goes wrong: one line on stderr, an exit code and, with --json, a document on stdout; no traceback unasked."""
+"""Failures of commands: one line on stderr, an exit code and, with --json, a document on stdout.
+
+A traceback appears only with -vv.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,11 @@ from tactile_loc_cli.console import complain, is_shown, say_json
 UNEXPECTED, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 UsageError: Any = typer.BadParameter.__mro__[1]  # typer brings its own click or uses the installed one
-TO_BE_RESUMED = "what was finished is kept, run the same command again to resume"
+TO_BE_RESUMED = "finished parts are kept; run the same command again to resume"
 
 
 class Finding(typer.Exit):
-    """Ends a command that found what a script should notice: its exit code, beside its result."""
+    """Ends a command with a result and an exit code that a script should notice."""
 
     def __init__(self, code: int, result: dict[str, Any]) -> None:
         super().__init__(code)
@@ -51,28 +54,28 @@ def report_failures(command: str, as_json: bool) -> Iterator[None]:
 
 
 def end(code: int, kind: str, text: str, as_json: bool, prefix: str = "error") -> NoReturn:
-    """Say what went wrong and end the program. Raises typer.Exit."""
+    """Report a failure and end the program. Raises typer.Exit."""
     tell(kind, text, as_json, prefix)
     raise typer.Exit(code)
 
 
 def tell(kind: str, text: str, as_json: bool, prefix: str = "error") -> None:
-    """Say what went wrong: a line on stderr and, with --json, a document on stdout."""
+    """Report a failure: a line on stderr and, with --json, a document on stdout."""
     complain(prefix, text)
     if as_json:
         say_json({"error": {"kind": kind, "message": " ".join(text.split())}})
 
 
 def _show_traceback() -> None:
-    """Show where the exception that is being handled came from, to those who asked for all details."""
+    """Write the traceback of the exception being handled, if -vv was given."""
     if is_shown(logging.DEBUG):
         sys.stderr.write(traceback.format_exc())
 
 
 def _describe_full_disk(error: OSError) -> str:
-    """What becomes of caches and temporary files; for results and the store more is said, and in their own place."""
+    """Describe a full disk under caches and temporary files. Results and the store raise their own errors."""
     where = f" for {error.filename}" if error.filename else ""
-    return f"no space is left on the disk{where}; free some, `tactile-loc store prune` may help, then run this again"
+    return f"the disk has no space{where}; free some, for instance with `tactile-loc store prune`, and run this again"
 
 
 def _describe_unexpected(error: Exception, command: str) -> str:
@@ -82,7 +85,7 @@ def _describe_unexpected(error: Exception, command: str) -> str:
 
 
 def _find_component(trace: TracebackType | None) -> str | None:
-    """The component whose method raised, the innermost; None if it was none's."""
+    """Return the innermost component whose method raised; None if no component's did."""
     from tactile_loc.core.slots.component import Component
 
     for frame, _ in reversed(list(traceback.walk_tb(trace))):
@@ -93,7 +96,7 @@ def _find_component(trace: TracebackType | None) -> str | None:
 
 
 def _find_name(component: Any) -> str:
-    """The name a component is chosen by; that of its class if it is registered by none."""
+    """Return the name that selects a component, or that of its class if it is not registered."""
     kind = type(component)
     target = f"{kind.__module__}:{kind.__qualname__}"
     names = (c.spec.name for c in registry().components if c.spec.target == target)

@@ -1,4 +1,4 @@
-"""A folder of presses, or a video, becomes one with a table of labels and a description of the sensor."""
+"""Labels for a folder or a video of presses: a table of the presses and a description of the sensor."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SAME_SCALE = 1e-6
 def label_presses(
     source: Path, sensor: str | None, ball_radius_mm: float | None, mm_per_px: float | None
 ) -> tuple[Path, Path, dict[str, Any]]:
-    """Return the folder whose `presses.csv` lists the presses, the sensor's file, and what was found, for the result.
+    """Return the folder with `presses.csv`, the sensor's file, and the labels' part of the command's result.
 
-    A table that is there is taken as it is; otherwise the ball is looked for, the table is written, and the sheet
-    `labels.png` beside it. Raises CalibrationError, ConfigError or SensorError.
+    An existing table is used unchanged. Otherwise the ball is detected in the images, and the table and the sheet
+    `labels.png` are written. Raises CalibrationError, ConfigError or SensorError.
     """
     from tactile_loc.calibration.frames import name_frames_folder, read_frames
     from tactile_loc.calibration.presses import TABLE
@@ -35,23 +35,19 @@ def label_presses(
         return folder, find_sensor_file(folder, sensor, mm_per_px, None), {}
     if ball_radius_mm is None:
         raise CalibrationError(
-            f"there is no table {folder / TABLE}; give --ball-radius and it is written from what the images show, "
-            "or write it yourself (docs/sensors.md)"
+            f"there is no table {folder / TABLE}; give --ball-radius to have it written from the images, or write it "
+            "yourself (docs/sensors.md)"
         )
     if not os.access(source if source.is_dir() else source.parent, os.W_OK):
-        raise CalibrationError(f"labels cannot be written beside {source}; copy it to where you may write")
-    if not _has_scale(folder, sensor, mm_per_px):
-        raise CalibrationError(
-            f"the size of a pixel is not known; press something of known length flat on the gel, divide its mm by its "
-            f"pixels, and give that as --mm-per-px, or describe the sensor in {folder / 'sensor.toml'}"
-        )
+        raise CalibrationError(f"labels cannot be written beside {source}; copy it to a folder that you may write to")
+    scale = _find_scale(folder, sensor, mm_per_px)
     folder, frames = read_frames(source)
-    found = _find_labels(folder, frames, _find_scale(folder, sensor, mm_per_px), ball_radius_mm)
+    found = _find_labels(folder, frames, scale, ball_radius_mm)
     return folder, find_sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), found
 
 
 def _use_table(folder: Path, ball_radius_mm: float) -> None:
-    """Say that the table is used, and what it lacks. Raises ConfigError when it is of balls of another radius."""
+    """Report that the table is used, and which images it lacks. Raises ConfigError if its balls have another radius."""
     from tactile_loc.calibration.frames import list_pictures
     from tactile_loc.calibration.presses import TABLE, summarize_table
 
@@ -60,43 +56,48 @@ def _use_table(folder: Path, ball_radius_mm: float) -> None:
     if other is not None:
         raise ConfigError(
             f"--ball-radius is {ball_radius_mm:g}, but {folder / TABLE} has a ball of {other:g} mm; correct one, or "
-            "remove the table to have the balls looked for again"
+            "remove the table to detect the balls again"
         )
     new = len(list_pictures(folder) - names)
-    more = f"; {new} other images are not in it: remove it to have the balls looked for again" if new else ""
-    say(f"the labels in {folder / TABLE} are used as they are{more}")
+    more = f"; {new} images are not in it: remove the table to detect the balls again" if new else ""
+    say(f"using the labels in {folder / TABLE}{more}")
 
 
 def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
-    """The size of a pixel, mm, given or of the sensor's file. Raises ConfigError, SensorError; writes nothing."""
+    """Return the given pixel size or the sensor file's, mm. Raises CalibrationError, ConfigError or SensorError."""
     from tactile_loc.calibration.presses import SENSOR
 
     file = folder / SENSOR if sensor is None else Path(sensor)
-    if mm_per_px is not None and sensor is None and not file.exists():
-        return mm_per_px
+    if sensor is None and not file.exists():
+        if mm_per_px is not None:
+            return mm_per_px
+        raise CalibrationError(
+            "the pixel size is not known; press something of known length flat on the gel and give its mm divided by "
+            f"its pixels as --mm-per-px, or describe the sensor in {file}"
+        )
     if not file.is_file():
         raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
     return _read_scale(file, mm_per_px)
 
 
 def _read_scale(file: Path, mm_per_px: float | None) -> float:
-    """The size of a pixel of the sensor's file, mm. Raises ConfigError when another is given."""
+    """Return the pixel size in the sensor's file, mm. Raises ConfigError if `mm_per_px` is another."""
     from tactile_loc.io.sensor_files import read_sensor_file
 
     scale = 1e3 * read_sensor_file(file).pixel_pitch_m
     if mm_per_px is not None and not math.isclose(scale, mm_per_px, rel_tol=SAME_SCALE):
         raise ConfigError(
             f"--mm-per-px is {mm_per_px:g}, but {file} says {scale:.6g}; correct one, or remove the file to have it "
-            "written anew"
+            "written again"
         )
     return scale
 
 
 def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
-    """Return the file that describes the sensor: the one given, the folder's, or one written to it from the scale.
+    """Return the sensor's description: the given file, the folder's, or one that this function writes from the scale.
 
-    `shape` is the images' (rows, columns); it is read from the table's first image when it is None. Raises ConfigError
-    when the scale is given twice, differently.
+    `shape` is the images' (rows, columns), by default read from the first image. Raises ConfigError when file and
+    `mm_per_px` disagree.
     """
     from tactile_loc.calibration.frames import read_frames
     from tactile_loc.calibration.presses import SENSOR, write_scale
@@ -118,12 +119,6 @@ def _require_lengths(ball_radius_mm: float | None, mm_per_px: float | None) -> N
             raise ConfigError(f"{flag} is {value:g}; it must be a positive number of mm")
 
 
-def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> bool:
-    from tactile_loc.calibration.presses import SENSOR
-
-    return mm_per_px is not None or sensor is not None or (folder / SENSOR).exists()
-
-
 def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
     from tactile_loc.calibration.unlabelled import estimate_depths_mm, find_presses, write_labels
@@ -136,16 +131,16 @@ def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_
     title = f"{len(found.used)} of {len(found.presses)} presses are used"
     sheet = save_figure(folder / SHEET, draw_labels(found, title))
     _report(found)
-    say(f"by their circles they were pressed {least_mm:.2f} to {most_mm:.2f} mm deep: is that so?")
-    say(f"written: {table} (look at {sheet}; correct the table if need be, and give the command again)")
+    say(f"press depths by the circles: {least_mm:.2f} to {most_mm:.2f} mm; check that this is plausible")
+    say(f"written: {table} (look at {sheet}; if a circle is wrong, edit its row and run the command again)")
     dropped = {press.name: press.dropped for press in found.presses if press.dropped}
     return {"labels": {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}}
 
 
 def _report(found: FoundPresses) -> None:
     untouched = len(found.untouched_names)
-    gel = f"{untouched} of the untouched gel" if untouched else "none of the untouched gel, which was pieced together"
+    gel = f"{untouched} of the untouched gel" if untouched else "none of the untouched gel; it was composed from others"
     say(f"images: {len(found.used)} with a ball, {gel}")
     for press in found.presses:
         if press.dropped:
-            say(f"  {press.name} is not used: {press.dropped}")
+            say(f"  not used: {press.name}: {press.dropped}")

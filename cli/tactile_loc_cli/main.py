@@ -12,25 +12,24 @@ from tactile_loc_cli.command import Quiet, Verbose, make_command
 from tactile_loc_cli.commands import store as store_commands
 from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
-from tactile_loc_cli.commands.doctor import doctor
 from tactile_loc_cli.commands.evaluate import evaluate
 from tactile_loc_cli.commands.identify import identify
 from tactile_loc_cli.commands.live import live
 from tactile_loc_cli.commands.mount import mount
-from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.commands.next_touch import next_touch
-from tactile_loc_cli.commands.objects import objects
-from tactile_loc_cli.commands.plugins import plugins
+from tactile_loc_cli.commands.plugins import objects, plugins
 from tactile_loc_cli.commands.replay import replay
 from tactile_loc_cli.commands.report import report
 from tactile_loc_cli.commands.run import run
 from tactile_loc_cli.commands.simulate import simulate
 from tactile_loc_cli.commands.sweep import sweep
+from tactile_loc_cli.doctor.command import doctor
 from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, tell
+from tactile_loc_cli.scaffold.command import new_plugin
 
 
 class PlainErrors(TyperGroup):
-    """Turns a wrong command line into one line on stderr and an exit code; make_command does so for all else."""
+    """Turns a wrong command line into one line on stderr and an exit code; make_command handles all other failures."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command line and end the process."""
@@ -60,7 +59,7 @@ def _make_app(**settings: Any) -> typer.Typer:
 
 
 app = _make_app(cls=PlainErrors, invoke_without_command=True)
-store = _make_app(help="List, measure or prune what was built and kept.")
+store = _make_app(help="List, measure or prune the built models.")
 
 
 def _show_version(asked: bool) -> None:
@@ -80,9 +79,9 @@ def begin(
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Touch an object once; know where it is.
+    """Locate a known object by touch.
 
-    A CAD model and a tactile image in, a distribution over 6-DoF poses out. Lengths in mm, angles in degrees.
+    From a CAD model and tactile images to a distribution over 6-DoF poses. Lengths are in mm, angles in degrees.
     """
     context.obj = verbose - quiet
     if context.invoked_subcommand is None:

@@ -1,4 +1,4 @@
-"""The options that several commands share, and how they become a RunConfig together with a configuration file."""
+"""Options that several commands share, and their merging with a configuration file into a RunConfig."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, did_you_mean
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
@@ -24,34 +24,13 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-class Units(StrEnum):
-    """Units of a mesh file."""
-
-    AUTO = "auto"
-    M = "m"
-    MM = "mm"
-    CM = "cm"
-    INCH = "inch"
-
-
-class TouchUnit(StrEnum):
-    """Units of a touch file."""
-
-    M = "m"
-    MM = "mm"
-    UM = "um"
-
-
-class Noise(StrEnum):
-    """Noise of simulated touches."""
-
-    NONE = "none"
-    MILD = "mild"
-    STRONG = "strong"
+Units = StrEnum("Units", "AUTO M MM CM INCH")  # of a mesh file
+TouchUnit = StrEnum("TouchUnit", "M MM UM")
+Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
 
 
 def declare(flag: str, metavar: str | None, about: str, **limits: Any) -> Any:
-    """Return the declaration of an option with its help; a flag, or an option of few values, has no `metavar`."""
+    """Return the declaration of an option with its help. A flag or an option of few values has no `metavar`."""
     return typer.Option(flag, metavar=metavar, help=about, **limits)
 
 
@@ -64,121 +43,108 @@ def set_option(about: str, metavar: str = "SLOT.OPTION=VALUE") -> Any:
 class RunOptions:
     """The options that decide a run, each with its declaration; None where it was not given.
 
-    A command takes some of them by a parameter of this type: see `takes`.
+    A command takes some of them through a parameter of this type: see `Takes`.
     """
 
     object: Annotated[
-        str | None,
-        declare(
-            "--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or the name of a demo object; by default hook."
-        ),
+        str | None, declare("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or demo object. Default: hook.")
     ] = None
     units: Annotated[
-        Units | None, declare("--units", None, "Unit of the mesh file; by default auto, a guess from its size.")
+        Units | None, declare("--units", None, "Unit of the mesh file. Default: auto, guessed from its size.")
     ] = None
     symmetry: Annotated[
         str | None,
-        declare(
-            "--symmetry", "GROUP", "Rotations onto itself: none, z2, z6*x2, zinf, ...; by default auto finds them."
-        ),
+        declare("--symmetry", "GROUP", "Rotational symmetry: none, z2, z6*x2, zinf, ... Default: auto, detected."),
     ] = None
     touch: Annotated[
         str | None,
         declare(
             "--touch", "FILE|FOLDER|LIST",
-            "The touch: a contact shape (npz, npy, 16-bit png), an image; a folder or '*.png' for many, each for "
-            "itself; a list (.toml) for several of one object, fused; by default simulated.",
+            "A contact shape (npz, npy, 16-bit png) or an image. A folder or '*.png' locates each touch separately. "
+            "A list (.toml) fuses several touches of one object. Default: a simulated touch.",
         ),
     ] = None  # fmt: skip
     touch_unit: Annotated[
-        TouchUnit | None, declare("--touch-unit", None, "Unit of the touch's depths, if its file does not say.")
+        TouchUnit | None, declare("--touch-unit", None, "Unit of the touch's depths, if its file does not state it.")
     ] = None
     press_depth: Annotated[
         float | None,
-        declare("--press-depth", "MM", "How deep the press was, in mm; by default as the file says, or the deepest."),
-    ] = None
-    noise: Annotated[
-        Noise | None, declare("--noise", None, "How far simulated touches are from clean renders; by default none.")
-    ] = None
+        declare(
+            "--press-depth", "MM",
+            "Press depth in mm. Default: from the touch file, or estimated; for simulated touches the maximal depth.",
+        ),
+    ] = None  # fmt: skip
+    noise: Annotated[Noise | None, declare("--noise", None, "Noise of simulated touches. Default: none.")] = None
     sensor: Annotated[
         str | None,
         declare(
             "--sensor", "NAME|FILE.toml|FOLDER",
-            "A sensor, its description, or its calibration's folder (./NAME if it is called as a sensor is); by "
-            "default gelslim.",
+            "Sensor, its description file, or its calibration folder (write ./NAME if a sensor has the same name). "
+            "Default: gelslim.",
         ),
     ] = None  # fmt: skip
     zero: Annotated[
-        Path | None, declare("--zero", "IMAGE", "A newer image of the calibrated sensor's untouched gel.")
+        Path | None, declare("--zero", "IMAGE", "A newer image of the untouched gel, for a calibrated sensor.")
     ] = None
-    grid: Annotated[str | None, declare("--grid", "NAME", "Which poses are searched; by default whole.")] = None
+    grid: Annotated[str | None, declare("--grid", "NAME", "Poses to search. Default: whole.")] = None
     renderer: Annotated[
-        str | None, declare("--renderer", "NAME", "What renders contact shapes; by default heightmap.")
+        str | None, declare("--renderer", "NAME", "Renderer of contact shapes. Default: heightmap.")
     ] = None
-    encoder: Annotated[str | None, declare("--encoder", "NAME", "What makes vectors of them; by default pixel.")] = None
-    matcher: Annotated[str | None, declare("--matcher", "NAME", "What compares the vectors; by default dense.")] = None
-    refiner: Annotated[str | None, declare("--refiner", "NAME", "What refines the best poses; by default joint.")] = (
-        None
-    )
-    fuser: Annotated[str | None, declare("--fuser", "NAME", "What combines touches and prior; by default product.")] = (
-        None
-    )
+    encoder: Annotated[
+        str | None, declare("--encoder", "NAME", "Encoder of contact shapes as vectors. Default: pixel.")
+    ] = None
+    matcher: Annotated[str | None, declare("--matcher", "NAME", "Comparison of vectors. Default: dense.")] = None
+    refiner: Annotated[str | None, declare("--refiner", "NAME", "Refiner of the best poses. Default: joint.")] = None
+    fuser: Annotated[str | None, declare("--fuser", "NAME", "Fuser of touches and prior. Default: product.")] = None
     option: Annotated[
         list[str] | None,
         set_option(
-            "A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them. Or a number "
-            "to tune, of search, hypotheses or tracker, as search.registered=500. Or a plain setting, as drawing=paper."
+            "Set an option of a component, such as grid.spacing_mm=3; may be repeated. `plugins SLOT NAME` lists them. "
+            "Also sets numbers of search, hypotheses and tracker (search.registered=500) and plain settings "
+            "(drawing=paper)."
         ),
     ] = None
     config: Annotated[
         Path | None,
-        declare("--config", "FILE.toml", "Settings from a TOML file; options on the command line override it."),
+        declare("--config", "FILE.toml", "Read settings from a TOML file. Options on the command line override it."),
     ] = None
     drop_outliers: Annotated[
-        bool,
-        declare("--drop-outliers", None, "With a list of touches: leave out those that contradict all others."),
+        bool, declare("--drop-outliers", None, "With a list of touches: leave out those that contradict all others.")
     ] = False
-    top: Annotated[int | None, declare("--top", "N", "How many poses to list; by default 10.")] = None
+    top: Annotated[int | None, declare("--top", "N", "Number of poses to list. Default: 10.")] = None
     coverage: Annotated[
         float | None,
         declare(
-            "--coverage", "P",
-            "List all modes of a set of poses that holds the true one with this probability, as 0.95.",
+            "--coverage", "P", "List all modes of a set that holds the true pose with probability P, such as 0.95."
         ),
-    ] = None  # fmt: skip
-    seed: Annotated[int | None, declare("--seed", "N", "Seed of everything random; by default 0.")] = None
+    ] = None
+    seed: Annotated[int | None, declare("--seed", "N", "Seed of everything random. Default: 0.")] = None
 
 
-@dataclass(frozen=True)
 class Takes:
-    """The names of the options that a command takes, in the order of RunOptions."""
+    """Marks a command's parameter of type RunOptions: `names` are the options that it takes, by default all.
 
-    names: tuple[str, ...]
-
-
-def takes(*names: str) -> Takes:
-    """Return what marks a command's parameter of type RunOptions; without names it takes all options.
-
-    Annotated[RunOptions, takes("object", "seed")] becomes --object and --seed on the command line.
+    Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line.
     """
-    known = tuple(field.name for field in fields(RunOptions))
-    if unknown := set(names) - {*known}:
-        raise ValueError(f"there are no options {', '.join(sorted(unknown))}; declare them as fields of RunOptions")
-    return Takes(tuple(name for name in known if name in names) if names else known)
+
+    def __init__(self, *names: str) -> None:
+        known = tuple(field.name for field in fields(RunOptions))
+        if unknown := set(names) - {*known}:
+            raise ValueError(f"there are no options {', '.join(sorted(unknown))}; declare them as fields of RunOptions")
+        self.names = tuple(name for name in known if name in names) if names else known
 
 
 Rerun = Annotated[
-    Path | None,
-    declare("--rerun", "FILE.rrd", "Write touches and poses as a file for the Rerun viewer, too; none is started."),
+    Path | None, declare("--rerun", "FILE.rrd", "Also write touches and poses to a file for the Rerun viewer.")
 ]
 Store = Annotated[
     Path | None,
-    declare("--store", "FOLDER", "Where models are kept; by default $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
+    declare("--store", "FOLDER", "Folder of built models. Default: $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
 ]
 
 
 def make_config(given: RunOptions) -> RunConfig:
-    """Merge options over the configuration file that they name, if any. Raises ConfigError for unknown settings."""
+    """Merge options over their configuration file, if they name one. Raises ConfigError for unknown settings."""
     from tactile_loc.io.config import WHOLE, RunConfig, parse_overrides, parse_settings
     from tactile_loc.io.options import TUNABLE
     from tactile_loc.io.toml import read_toml
@@ -197,7 +163,7 @@ def make_config(given: RunOptions) -> RunConfig:
     for name in TUNABLE:
         settings[name] = {**_require_table(settings.get(name, {}), name), **overrides.get(name, {})}
     grid = WHOLE.name
-    for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # what suits it is known then
+    for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # the other defaults depend on the grid
         settings[slot] = _merge_component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}), grid)
         grid = settings["grid"]["name"]
     chosen = {"top": given.top, "coverage": given.coverage, "seed": given.seed}
@@ -211,16 +177,14 @@ def _drop_none(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _require_table(value: Any, section: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigError(
-            f"the configuration's {section} is {value!r}; it must be a table, as [{section}] with path = ..."
-        )
+        raise ConfigError(f"{section} of the configuration is {value!r}; write a table [{section}]")
     return value
 
 
 def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any], grid: str) -> Any:
-    """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top.
+    """Return the name and options of one slot: the file's, unless the flag names another component, then `overrides`.
 
-    What neither gives is the default with the `grid` of that name.
+    Without either, it is the default component for this `grid`.
     """
     from tactile_loc.io.config import choose_component, find_sensor_kind
 
@@ -241,15 +205,15 @@ def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[
 
 
 def _warn_of_namesake(name: str) -> None:
-    """Say so when a sensor is chosen whose name a calibration's folder bears, too."""
+    """Warn when the chosen sensor and a calibration folder have the same name."""
     from tactile_loc.io.sensor_files import is_calibrated_sensor
 
     if name in registry().names("sensor") and is_calibrated_sensor(Path(name)):
-        logger.warning("the sensor %s is used, not what is in the folder of this name: for that write ./%s", name, name)
+        logger.warning("using the sensor %s, not the calibration folder of this name; for that, write ./%s", name, name)
 
 
 def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | None = None) -> Localizer:
-    """Make a localizer of the object, which is loaded if it is not given. Raises TactileLocError for bad input."""
+    """Make a localizer; load the object if it is not given. Raises TactileLocError for bad input."""
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.locate.stored_object import load_stored_object
     from tactile_loc.store.store import StageStore
@@ -263,7 +227,7 @@ def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | Non
 
 
 def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
-    """Read the touch of a file, or all of a list, each with its localizer. Raises TactileLocError for bad input."""
+    """Read one touch file or a list of touches, each with its localizer. Raises TactileLocError for bad input."""
     from tactile_loc.locate.touch_files import is_list, read_observations
 
     if is_list(path):
@@ -272,8 +236,22 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
     return [(localizer, localizer.read_touch(path, asked.unit, asked.press_depth_m))]
 
 
+def require_slot(slot: str) -> None:
+    """Raise UnknownPluginError when there is no such slot."""
+    if slot not in SLOTS:
+        raise UnknownPluginError(
+            f"there is no slot {slot!r}.{did_you_mean(slot, SLOTS)} The slots are {', '.join(SLOTS)}"
+        )
+
+
+def require_mcap(flag: str, path: Path) -> None:
+    """Raise OutputError when a recording to be written is not called .mcap."""
+    if path.suffix.lower() != ".mcap":
+        raise OutputError(f"{flag} {path.name} must end in .mcap; choose another name")
+
+
 def require_rerun(path: Path | None) -> None:
-    """Check that a Rerun file can be written, if one is asked for. Raises OutputError or MissingLibraryError."""
+    """Raise OutputError or MissingLibraryError when a Rerun file is asked for and cannot be written."""
     if path is not None:
         from tactile_loc.drawing import rerun_log
 

@@ -1,4 +1,4 @@
-"""Results as people read them: millimetres, degrees, per cent."""
+"""Results in print: millimetres, degrees, per cent."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm
 from tactile_loc.core.geometry.rigid import format_pose
-from tactile_loc_cli.console import say, say_table
+from tactile_loc_cli.console import format_count, say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
@@ -29,7 +29,7 @@ def make_title(record: ResultRecord) -> str:
 
 
 def say_result(record: ResultRecord) -> None:
-    """Write the hypotheses, the object's pose in the sensor frame, and what else is to be said of a result."""
+    """Write a table of the hypotheses, with the object's pose in the sensor frame, and a summary below it."""
     touch = "simulated touch" if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     say(f"{record.object.name} in the frame of {record.sensor_name}, {touch}")
@@ -39,7 +39,7 @@ def say_result(record: ResultRecord) -> None:
 
 
 def _summarise(record: ResultRecord) -> Iterator[str]:
-    """The lines below the table."""
+    """Yield the lines below the table."""
     if record.verdict is not None:
         yield f"verdict: {record.verdict}"
     yield (
@@ -49,47 +49,39 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     if (found := record.pose_set) is not None:
         yield (
             f"{found.coverage:.1%} set: {found.grid_poses} of these poses, {len(record.hypotheses)} hypotheses; it "
-            f"holds the pose nearest to the truth so often, as judged by {found.examples} simulated examples"
+            f"holds the pose nearest to the truth this often, by {found.examples} simulated examples"
         )
     grid = record.configuration["grid"]
     if grid["name"] == "whole":
-        yield (
-            "the whole object was searched, every direction; if you know that it is its face +z that touches: "
-            "--grid face -o grid.face=+z"
-        )
+        yield "searched: the whole object; if you know that it touches with its face +z: --grid face -o grid.face=+z"
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
-            f"side searched: {_describe_side(record)}, on which it rests lowest; another: -o grid.face=+z, "
-            "all: --grid whole"
+            f"searched: {_describe_side(record)}, on which it rests lowest; another side: -o grid.face=+z; "
+            "the whole object: --grid whole"
         )
-    errors = record.errors
-    if errors is not None:
+    if (errors := record.errors) is not None:
         yield (
-            f"error: {format_mm(errors.best_m)} mm the best, {format_mm(errors.best_listed_m)} mm the nearest of those "
-            f"listed, {format_mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, "
-            "symmetry regarded)"
+            f"error: {format_mm(errors.best_m)} mm (best pose), {format_mm(errors.best_listed_m)} mm (nearest listed "
+            f"pose), {format_mm(errors.closest_in_grid_m)} mm (nearest grid pose); RMS surface distance, symmetric "
+            "poses equal"
         )
     yield "time: " + ", ".join(f"{stage} {format_duration(s)}" for stage, s in record.seconds.items())
 
 
 def _describe_side(record: ResultRecord) -> str:
-    """The object's side that touches, as the outward direction in its own frame that points into the sensor."""
+    """Name the searched side by its outward direction, which points into the sensor, in the object's frame."""
     x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
     return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def _list_cells(h: HypothesisRecord) -> list[str]:
-    cells = [
-        str(h.rank),
-        f"{100 * h.probability:.1f}",
-        *format_pose(np.array(h.T_sensor_object)),
-        f"{100 * h.imprint_iou:.0f}",
-    ]
+    pose = format_pose(np.array(h.T_sensor_object))
+    cells = [str(h.rank), f"{100 * h.probability:.1f}", *pose, f"{100 * h.imprint_iou:.0f}"]
     return cells if h.error_m is None else [*cells, format_mm(h.error_m)]
 
 
 def say_mount(record: MountRecord) -> None:
-    """Write where a sensor is mounted, how exactly that is known, and how far each touch is off."""
+    """Write the mount, its standard deviations, and the residual of each touch."""
     T, C = np.array(record.T_flange_sensor), np.array(record.covariance)
     std = np.sqrt(np.diag(C))
     say(f"{record.sensor} in the frame of the flange, from {len(record.touch)} touches of {record.object}")
@@ -108,20 +100,20 @@ def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
 
 
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
-    """Write the best approaches, what cannot be reached, and which poses none of them tells apart."""
+    """Write the best approaches, those out of reach, and the poses that no approach distinguishes."""
     say(f"{record.object}: {len(record.modes)} possible poses, doubt {record.entropy_nats:.2f} nats")
     header = ["rank", "approach", "information nats", "doubt left nats", "meets %", "travel mm", "cost"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
     for one in record.out_of_reach:
         say(f"out of reach: {one.name} {one.reason}")
     if record.unlisted > 0.01:
-        say(f"{record.unlisted:.0%} of the probability is of poses that the result does not list; run --top lists more")
+        say(f"{record.unlisted:.0%} of the probability belongs to poses not listed in the result; run --top lists more")
     if record.symmetry != "none":
-        say(f"poses that differ by the object's symmetry, {record.symmetry}, are one: no touch tells them apart")
+        say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
     for group in record.alike:
-        say(f"no approach tells poses {', '.join(map(str, group))} apart")
+        say(f"no approach distinguishes poses {', '.join(map(str, group))}")
     if record.alike:
-        say(f"so a doubt of {record.doubt_left:.0%} remains whichever is made")
+        say(f"a doubt of {record.doubt_left:.0%} remains with any approach")
 
 
 def _list_rated_cells(one: RatedRecord) -> list[str]:
@@ -132,13 +124,13 @@ def _list_rated_cells(one: RatedRecord) -> list[str]:
 
 
 def say_identification(record: IdentificationRecord) -> None:
-    """Write the objects that were located, the most probable first, and what was touched."""
+    """Write the located objects, the most probable first, and the object that was touched."""
     header = ["object", "prob. %", "misfit nats", IMPRINT, *POSE]
     located = [one for one in record.objects if one.poses]
     say_table([header, *map(_list_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
     if others := len(record.objects) - len(located):
-        say(f"not located, because others explain more, or nowhere: {others} more")
-    say(f"touched: {record.identified or 'none of these'}, as {len(record.touches)} touches say")
+        say(f"not located, because others explain the touches better or no pose does: {others} more")
+    say(f"touched: {record.identified or 'none of these'}, by {format_count(len(record.touches), 'touch')}")
 
 
 def _list_known_cells(one: KnownObjectRecord) -> list[str]:
@@ -148,7 +140,7 @@ def _list_known_cells(one: KnownObjectRecord) -> list[str]:
 
 
 def say_located(files: Sequence[LocatedFile]) -> None:
-    """Write a line for each of many touches: its best pose, or what is wrong with it."""
+    """Write a line for each of many touches: its best pose, or why it has none."""
     header = ["touch", "verdict", "prob. %", IMPRINT, *POSE]
     say_table([header, *([one.path.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
 

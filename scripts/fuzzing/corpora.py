@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 from press_sets import ball_set, write_calibrated, write_table
+from public_sets import PUBLIC_SETS
 from report_helpers import sweep_rows, write_run, write_sweep
 
 from tactile_loc.io.config import RunConfig
@@ -35,12 +36,8 @@ def mesh(suffix: str, folder: Path, **options: object) -> None:
     """Write a wedge on a plate, 24 faces without symmetry, in mm."""
     plate = trimesh.creation.box((30.0, 20.0, 4.0))
     wedge = trimesh.convex.convex_hull([[0, 0, 2], [9, 0, 2], [0, 5, 2], [0, 0, 8], [9, 0, 3], [0, 5, 5]])
-    exported = trimesh.util.concatenate([plate, wedge]).export(file_type=suffix, **options)
-    if not isinstance(exported, dict):
-        exported = {f"model.{suffix.removesuffix('_ascii')}": exported}
-    for name, content in exported.items():  # a glTF has its buffers beside it
-        content = content.encode() if isinstance(content, str) else content
-        (folder / name.replace("model", "part")).write_bytes(content)
+    part = trimesh.util.concatenate([plate, wedge])
+    part.export(folder / f"part.{suffix.removesuffix('_ascii')}", file_type=suffix, **options)
 
 
 def sensor(folder: Path) -> None:
@@ -146,29 +143,11 @@ def mcap(folder: Path) -> None:
     write_recording(folder / "drive.mcap", fill)
 
 
-def bag1(folder: Path) -> None:
-    """Write a bag of ROS 1."""
-    from rosbags import rosbag1, typesys
+def bag(kind: str, name: str, folder: Path) -> None:
+    """Write a bag of ROS 1 or the folder of one of ROS 2."""
+    from recording_helpers import write_bag
 
-    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
-    with rosbag1.Writer(folder / "drive.bag") as writer:
-        connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
-        for k, image in enumerate(IMAGES):
-            message = make_image(image, "rgb8", k, "gel")
-            stamp = store.types["builtin_interfaces/msg/Time"](k, 7)
-            message.header = store.types["std_msgs/msg/Header"](k, stamp, "gel")
-            writer.write(connection, k, store.serialize_ros1(message, IMAGE))
-
-
-def bag2(folder: Path) -> None:
-    """Write the folder of a bag of ROS 2."""
-    from rosbags import rosbag2, typesys
-
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    with rosbag2.Writer(folder / "drive", version=9) as writer:
-        connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
-        for k, image in enumerate(IMAGES):
-            writer.write(connection, k, store.serialize_cdr(make_image(image, "rgb8", k, "gel"), IMAGE))
+    write_bag(folder / name, IMAGES, kind)
 
 
 def video(folder: Path) -> None:
@@ -181,13 +160,5 @@ def video(folder: Path) -> None:
 
 def public_sets(folder: Path) -> None:
     """Write presses in each of the public formats that are converted."""
-    for name in ("gs_sdk/background", "gs_sdk/1/gelsight", "fots/gelsight/a", "circles/background", "circles/b"):
-        path = folder / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(IMAGES[0]).save(path)
-    np.savez(folder / "gs_sdk" / "1" / "label.npz", center=np.array([3.0, 4.0]), radius=np.array(2.0))
-    centres, radii = np.full((3, 2), 3.0), np.full(3, 2.0)
-    np.savez(folder / "taxim.npz", imgs=IMAGES, f0=IMAGES[0], touch_center=centres, touch_radius=radii)
-    (folder / "fots" / "csv").mkdir()
-    (folder / "fots" / "csv" / "annotate.csv").write_text("img_names,center_x,center_y,radius\na.png,3,4,2\n")
-    (folder / "circles" / "labels.txt").write_text("b.png (3.0, 4.0) 2.0\n")
+    for kind, write in PUBLIC_SETS.items():
+        write(folder / kind, IMAGES, IMAGES[0])

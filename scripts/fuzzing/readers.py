@@ -36,7 +36,7 @@ from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
 
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
-SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim.npz", "fots": "fots", "circles": "circles"}
+SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim/pack.npz", "fots": "fots", "circles": "circles"}
 KEPT = "--out FOLDER/out --store STORE"
 RUN = f"run --object pin --grid face -o grid.spacing_mm=8 {KEPT}"
 REPORT = "report FOLDER --out FOLDER/out/page.html"
@@ -241,8 +241,8 @@ _ALL = (
     Reader("sweep", corpora.sweep, _reported, REPORT),
     Reader("sweeps-compared", corpora.sweep, _compared, "sweep --compare FOLDER --out FOLDER"),
     _recorded("mcap", corpora.mcap, "drive.mcap"),
-    _recorded("bag-ros1", corpora.bag1, "drive.bag"),
-    _recorded("bag-ros2", corpora.bag2, "drive"),
+    _recorded("bag-ros1", partial(corpora.bag, "ros1", "drive.bag"), "drive.bag"),
+    _recorded("bag-ros2", partial(corpora.bag, "sqlite", "drive"), "drive"),
     Reader("video", corpora.video, lambda folder: read_frames(folder / "film.gif"), "", ("film.gif",)),
 )  # fmt: skip
 READERS = {one.name: one for one in _ALL}

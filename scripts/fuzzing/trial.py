@@ -1,13 +1,7 @@
-"""Damaged inputs, and what their readers make of them: an answer, a refusal in one sentence, or a finding.
-
-As a program it reads the inputs of JOBS with SEED in the folder SANDBOX, and prints a line of JSON for each. A job is a
-reader's name, the folder of its files as they should be, and the first and the last number but one of its inputs. The
-process may die of an input.
-"""
+"""Damaged inputs, and what their readers make of them: an answer, a refusal in one sentence, or a finding."""
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import re
@@ -17,6 +11,7 @@ import signal
 import sys
 import traceback
 import warnings
+from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 
@@ -24,7 +19,7 @@ from fuzzing.damage import damaged
 from fuzzing.readers import READERS, Reader
 from tactile_loc.core.errors import TactileLocError
 
-Job = tuple[str, str, int, int]
+Job = tuple[str, int | None]  # a reader, and the number of its input; none: the files as they should be
 Verdict = tuple[str, str]  # READ, REFUSED or the kind of a finding; and the details
 
 SECONDS = 60
@@ -116,33 +111,26 @@ def watch_writes() -> None:
     sys.addaudithook(note)
 
 
-def main(seed: int, sandbox: Path, jobs: list[Job]) -> None:
-    """Read the files as they should be, which imports and compiles, then the inputs of all jobs."""
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print to nowhere
-    os.dup2(1, 2)
+def read_all(jobs: list[Job], seed: int, whole: Path, folder: Path, said: Connection) -> None:
+    """Read one input after another, each in `folder`, and send the verdicts; the process may die of one.
+
+    Those without damage come first: they import and compile.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)  # where libraries print to
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
     logging.disable()
     warnings.simplefilter("ignore")
-    folder = sandbox / "input"
-
-    def say(name: str, number: int | None) -> None:
-        outcome, details = judged(READERS[name], folder)
+    is_limited = False
+    for name, number in jobs:
+        if number is None:
+            shutil.copytree(whole / name, folder)
+        else:
+            if not is_limited:
+                watch_writes()
+                taken = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
+                resource.setrlimit(resource.RLIMIT_AS, (taken + MOST_BYTES,) * 2)
+                is_limited = True
+            make_input(READERS[name], whole / name, folder, seed, number)
+        said.send(judged(READERS[name], folder))
         shutil.rmtree(folder)
-        print(
-            json.dumps({"reader": name, "number": number, "outcome": outcome, "details": details}), file=out, flush=True
-        )
-
-    for name, pristine, _, _ in jobs:
-        shutil.copytree(pristine, folder)
-        say(name, None)
-    watch_writes()
-    taken = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (taken + MOST_BYTES,) * 2)
-    for name, pristine, first, last in jobs:
-        for number in range(first, last):
-            make_input(READERS[name], Path(pristine), folder, seed, number)
-            say(name, number)
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), Path(sys.argv[2]), json.loads(sys.argv[3]))

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from record import ONE_THREAD, PROGRAM, Done
+from record import OURS, PROGRAM, Done
 
-ROOT = Path(__file__).resolve().parents[2]
 FLAT = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 SMALL = 'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
 GRID = "--sensor flat.toml --grid face -o grid.spacing_mm=8"
@@ -94,14 +93,13 @@ class Place:
         """Return the files of the command's output and of its errors."""
         return self.said / "out.txt", self.said / "err.txt"
 
-    def begin(self, line: str, prefix: tuple[str, ...] = (), **more: str) -> subprocess.Popen[str]:
-        """Start a command in a group of processes of its own. `prefix` stands before it, `more` are variables."""
-        own = {"TACTILE_LOC_STORE": str(self.store), "TACTILE_LOC_PLUGINS": "", "TMPDIR": str(self.temporary),
-               "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "cli")])}  # fmt: skip
+    def begin(self, line: str) -> subprocess.Popen[str]:
+        """Start a command in a group of processes of its own."""
+        own = {"TACTILE_LOC_STORE": str(self.store), "TMPDIR": str(self.temporary)}
         said, complained = self.outputs()
         with said.open("w") as out, complained.open("w") as err:
             return subprocess.Popen(
-                [*prefix, *PROGRAM, *line.split()], cwd=self.work, env={**os.environ, **own, **ONE_THREAD, **more},
+                [*PROGRAM, *line.split()], cwd=self.work, env={**os.environ, **OURS, **own},
                 stdout=out, stderr=err, text=True, start_new_session=True,
             )  # fmt: skip
 
@@ -110,9 +108,9 @@ class Place:
         code = process.wait(timeout=HANGS_S)
         return Done(code, *(path.read_text(encoding="utf-8", errors="replace") for path in self.outputs()))
 
-    def whole(self, line: str, prefix: tuple[str, ...] = ()) -> Done:
+    def whole(self, line: str) -> Done:
         """Run a command to its end."""
-        return self.ended(self.begin(line, prefix))
+        return self.ended(self.begin(line))
 
     def lived(self, line: str) -> tuple[Done, Life]:
         """Run a command to its end, and watch it."""

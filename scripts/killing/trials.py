@@ -1,7 +1,4 @@
-"""The kinds of trials: commands killed, on full disks, with read-only stores, and several at once; and their judgement.
-
-A kind yields the number of trials that it has done since it was asked last.
-"""
+"""Kinds of trials: commands killed, on full disks, with read-only stores, and several at once; and their judgement."""
 
 from __future__ import annotations
 
@@ -12,9 +9,10 @@ import shutil
 import subprocess
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +24,7 @@ from killing.commands import COMMANDS, Life, Moment, Place, end_group
 KILL = -9
 FINISHED = 0.2  # the share of runs after a kill that are let finish
 PAGE, ROOMY = 4096, 2**30  # bytes of a disk
-LARGEST = 400_000  # bytes of a file, where a limit of that stands for a full disk
+UNMOUNTABLE = "left out: no disk may be mounted"
 UNWRITABLE = 0.5  # the share of stages that are not stored, where some are to be built
 PROCESSES, KILLED = 8, 3  # at once, and how many of them are killed
 BEGINS = re.compile(r"stage (\S+ \S+) is being built(?! by)")
@@ -59,10 +57,10 @@ class Plan:
     commands: Sequence[str]
     wanted: dict[str, int]
 
-    def share(self, kind: str, name: str) -> int:
-        """Return how many of a kind's trials are of one command."""
+    def shares(self, kind: str) -> dict[str, int]:
+        """Return how many of a kind's trials are of each command."""
         every, more = divmod(self.wanted[kind], len(self.commands))
-        return every + (self.commands.index(name) < more)
+        return {name: every + (k < more) for k, name in enumerate(self.commands)}
 
     def calm(self, name: str) -> Calm:
         """Return what a command comes to, found once and kept. Raises RuntimeError when it fails."""
@@ -98,6 +96,11 @@ class Trials:
     def number(self) -> int:
         """The number of the present trial: how many were done before."""
         return self.counts["trials"]
+
+    @property
+    def folder(self) -> Path:
+        """Where the trials are done."""
+        return self.plan.out / self.kind / re.sub(r"\W+", "-", self.name)
 
     def draw(self) -> np.random.Generator:
         """Return the randomness of the present trial."""
@@ -152,52 +155,63 @@ class Trials:
         self.expect(remains.locks(place) <= calm.locks, "more locks than stages")
 
 
+def repeat(
+    plan: Plan, kind: str, shares: Mapping[str, int], once: Callable[[Trials], str], counted: str = "trials"
+) -> Iterator[int]:
+    """Do so many trials of each name. Yield how many of what is `counted` were done since it was asked last.
+
+    A trial is done by `once`, which returns what became of it.
+    """
+    for name, wanted in shares.items():
+        trials, before = Trials(plan, kind, name), 0
+        while trials.counts[counted] < wanted:
+            yield trials.counts[counted] - before
+            before = trials.counts[counted]
+            trials.count(once(trials))
+        yield trials.counts[counted] - before
+
+
 def kill(plan: Plan) -> Iterator[int]:
     """Kill each command and begin it again, judge what it leaves, and now and then let it finish."""
-    for name in plan.commands:
-        trials, wanted = Trials(plan, "kill", name), plan.share("kill", name)
-        yield min(wanted, trials.counts["killed"])
-        if trials.counts["killed"] < wanted:
-            yield from kill_one(trials, wanted, Place(plan.out / "kill" / name).make(plan.inputs))
+    return repeat(plan, "kill", plan.shares("kill"), _kill, "killed")
 
 
-def kill_one(trials: Trials, wanted: int, place: Place) -> Iterator[int]:
-    """Kill a command so many times."""
-    calm, line, counts = trials.plan.calm(trials.name), COMMANDS[trials.name], trials.counts
-    before: set[str] = set()
-    streak, stored = 0, True
-    while counts["killed"] < wanted or streak:
-        draw = trials.draw()
-        let = counts["killed"] >= wanted or (streak > 0 and draw.random() < FINISHED)
+def _kill(trials: Trials) -> str:
+    """Kill a command once or several times, with what it has left each time, until it is let finish or is faster."""
+    draw, place, line = trials.draw(), Place(trials.folder), COMMANDS[trials.name]
+    calm, stored, before = trials.plan.calm(trials.name), _begin_anew(place, trials.plan.inputs, draw), set[str]()
+    while True:
         life = calm.cold if draw.random() < 0.7 else calm.warm
-        done = place.whole(line) if let else place.killed(line, Moment.drawn(life, draw))
-        before = trials.find_lost(before, place)
+        done = place.killed(line, Moment.drawn(life, draw))
+        before, came = trials.find_lost(before, place), "faster"
         beside = len(remains.leftovers(place)) - len(calm.leftovers)
-        counts["most left beside"] = max(counts["most left beside"], beside)
-        if done.code == KILL and not let:
+        trials.counts["most left beside"] = max(trials.counts["most left beside"], beside)
+        if done.code == KILL:
             trials.find(*remains.broken(place, ended=False))
-            trials.count("killed")
-            streak += 1
-            yield 1
-        else:
-            trials.judge(done, place, trials.name, stored)
-            trials.count("let finish" if let else "faster")
-            stored = _begin_anew(place, trials.plan.inputs, draw)
-            before, streak = set(), 0
+            trials.counts["killed"] += 1
+            if draw.random() > FINISHED:
+                continue
+            done, came = place.whole(line), "let finish"
+            trials.find_lost(before, place)
+        trials.judge(done, place, trials.name, stored)
+        return came
 
 
 def _begin_anew(place: Place, inputs: Path, draw: np.random.Generator) -> bool:
     """Keep nothing, the old results alone, or the store alone. Return whether all is to be stored."""
-    what = draw.integers(3)
+    what = draw.integers(3) if place.work.is_dir() else 0
     if what == 0:
         place.make(inputs)
     elif what == 1:
         shutil.rmtree(place.store, ignore_errors=True)
     else:
         place.renew_work(inputs)
+    shutil.rmtree(place.temporary)
+    place.temporary.mkdir()
     return bool(what != 1)
 
 
+@cache
 def can_mount() -> bool:
     """Whether this process may mount disks."""
     words = ["unshare", "-m", "mount", "-t", "tmpfs", "none", "/mnt"]
@@ -220,37 +234,27 @@ def remount(disk: Path, option: str) -> None:
     subprocess.run(["mount", "-o", f"remount,{option}", str(disk)], check=True)
 
 
-@contextmanager
-def _too_little(folder: Path, trials: Trials) -> Iterator[tuple[Place, tuple[str, ...], Path | None]]:
-    """Yield a place whose disk holds the inputs and a random share of the need, or a prefix that limits all files."""
-    share, inputs = float(trials.draw().uniform(0.01, 1)), trials.plan.inputs
-    if not can_mount():
-        limit = f'ulimit -f {max(1, int(share**2 * LARGEST) // 1024)}; exec "$@"'
-        yield Place(folder).make(inputs), ("bash", "-c", limit, "-"), None
-        return
-    with mounted(folder / "disk") as disk:
-        place, nbytes = Place(disk, said=folder).make(inputs), trials.plan.calm(trials.name).nbytes
-        remount(disk, f"size={-(-(taken(place) + int(share * nbytes)) // PAGE) * PAGE}")
-        yield place, (), disk
-
-
 def full(plan: Plan) -> Iterator[int]:
     """Run each command on a disk with too little room, then with enough."""
-    for name in plan.commands:
-        trials = Trials(plan, "full", name)
-        yield trials.number
-        while trials.number < plan.share("full", name):
-            plan.calm(name)
-            with _too_little(plan.out / "full" / name, trials) as (place, prefix, disk):
-                done = place.whole(COMMANDS[name], prefix)
-                trials.expect(_is_refused(name, done) or done.code == 0, "no sentence", done)
-                trials.find(*remains.broken(place, ended=True))
-                before = remains.finished(place)
-                if disk is not None:
-                    remount(disk, f"size={ROOMY}")
-                trials.go_on(name, place, before)
-            trials.count("refused" if done.code else "had room")
-            yield 1
+    return repeat(plan, "full", plan.shares("full"), _starve)
+
+
+def _starve(trials: Trials) -> str:
+    """Run a command on a disk that holds the inputs and a random share of what it needs."""
+    if not can_mount():
+        return UNMOUNTABLE
+    line, share, folder = COMMANDS[trials.name], float(trials.draw().uniform(0.01, 1)), trials.folder
+    need = share * trials.plan.calm(trials.name).nbytes
+    with mounted(folder / "disk") as disk:
+        place = Place(disk, said=folder).make(trials.plan.inputs)
+        remount(disk, f"size={-(-(taken(place) + int(need)) // PAGE) * PAGE}")
+        done = place.whole(line)
+        trials.expect(_is_refused(trials.name, done) or done.code == 0, "no sentence", done)
+        trials.find(*remains.broken(place, ended=True))
+        before = remains.finished(place)
+        remount(disk, f"size={ROOMY}")
+        trials.go_on(trials.name, place, before)
+    return "refused" if done.code else "had room"
 
 
 def _is_refused(name: str, done: Done) -> bool:
@@ -261,26 +265,26 @@ def _is_refused(name: str, done: Done) -> bool:
 
 def read_only(plan: Plan) -> Iterator[int]:
     """Run commands with a store that can only be read: with all that they need, with half of it, and on the store."""
-    trials, names, folder = Trials(plan, "read-only", "stores"), sorted(plan.commands), plan.out / "read-only"
-    yield trials.number
+    return repeat(plan, "read-only", {"stores": plan.wanted["read-only"]}, _lock_store)
+
+
+def _lock_store(trials: Trials) -> str:
     if not can_mount():
-        trials.counts["left out: no disk may be mounted"] = 1
-        return
-    shutil.rmtree(folder, ignore_errors=True)
-    while trials.number < plan.wanted["read-only"]:
-        draw, (round_, which) = trials.draw(), divmod(trials.number, len(names))
-        with mounted(folder / "disk") as disk:
-            place = Place(folder, disk / "store").make(plan.inputs)
-            place.whole(COMMANDS[names[which]])
-            for path in sorted(place.store.glob("*/*")) if round_ == 1 else []:
-                if path.is_dir() and draw.random() < UNWRITABLE:
-                    shutil.rmtree(path)
-            before = remains.finished(Place(disk))
-            remount(disk, "ro")
-            came = _on_the_store(place, trials) if round_ > 1 else _with_the_store(names[which], round_, place, trials)
-            trials.expect(before == remains.finished(Place(disk)), "the store has changed")
-            trials.count(came)
-        yield 1
+        return UNMOUNTABLE
+    names = sorted(trials.plan.commands)
+    draw, (round_, which) = trials.draw(), divmod(trials.number, len(names))
+    shutil.rmtree(trials.folder, ignore_errors=True)
+    with mounted(trials.folder / "disk") as disk:
+        place = Place(trials.folder, disk / "store").make(trials.plan.inputs)
+        place.whole(COMMANDS[names[which]])
+        for path in sorted(place.store.glob("*/*")) if round_ == 1 else []:
+            if path.is_dir() and draw.random() < UNWRITABLE:
+                shutil.rmtree(path)
+        before = remains.finished(Place(disk))
+        remount(disk, "ro")
+        came = _on_the_store(place, trials) if round_ > 1 else _with_the_store(names[which], round_, place, trials)
+        trials.expect(before == remains.finished(Place(disk)), "the store has changed")
+    return came
 
 
 def _with_the_store(name: str, round_: int, place: Place, trials: Trials) -> str:
@@ -306,29 +310,29 @@ def _on_the_store(place: Place, trials: Trials) -> str:
 
 def at_once(plan: Plan) -> Iterator[int]:
     """Run a command several times at once: undisturbed, with some of them killed, and all into one folder."""
-    for name in ("build", "run"):
-        trials, folder, calm = Trials(plan, "at-once", name), plan.out / "at-once" / name, plan.calm(name)
-        yield trials.number
-        for kind in ("undisturbed", "some killed", "one folder"):
-            while trials.counts[f"done, {kind}"] < plan.wanted["at-once"] // 6:
-                draw, store, left = trials.draw(), folder / "store", range(PROCESSES)
-                roots = [folder / f"{0 if kind == 'one folder' else k}" for k in range(PROCESSES)]
-                places = [Place(root, store, folder / f"said-{k}").make(plan.inputs) for k, root in enumerate(roots)]
-                processes = [place.begin(f"{COMMANDS[name]} -v") for place in places]
-                if kind == "some killed":
-                    order = [int(k) for k in draw.permutation(PROCESSES)]
-                    left = order[KILLED:]
-                    for k in order[:KILLED]:
-                        with suppress(subprocess.TimeoutExpired):
-                            processes[k].wait(timeout=float(draw.uniform(0, calm.cold.whole_s)))
-                        end_group(processes[k])
-                done = {k: places[k].ended(processes[k]) for k in left}
-                for k, came in done.items():
-                    trials.judge(came, places[k], name)
-                if kind != "some killed":
-                    begun = Counter(stage for one in done.values() for stage in BEGINS.findall(one.err))
-                    trials.expect(bool(begun), "nobody built anything")
-                    twice = [stage for stage, count in begun.items() if count > 1]
-                    trials.expect(not twice, f"built more than once: {', '.join(twice)}")
-                trials.count(f"done, {kind}")
-                yield 1
+    names = [f"{name}, {how}" for name in ("build", "run") for how in ("undisturbed", "some killed", "one folder")]
+    return repeat(plan, "at-once", dict.fromkeys(names, plan.wanted["at-once"] // len(names)), _begin_together)
+
+
+def _begin_together(trials: Trials) -> str:
+    name, _, how = trials.name.partition(", ")
+    draw, folder, left = trials.draw(), trials.folder, list(range(PROCESSES))
+    roots = [folder / f"{0 if how == 'one folder' else k}" for k in left]
+    places = [Place(roots[k], folder / "store", folder / f"said-{k}").make(trials.plan.inputs) for k in left]
+    processes = [place.begin(f"{COMMANDS[name]} -v") for place in places]
+    if how == "some killed":
+        order = [int(k) for k in draw.permutation(PROCESSES)]
+        left = order[KILLED:]
+        for k in order[:KILLED]:
+            with suppress(subprocess.TimeoutExpired):
+                processes[k].wait(timeout=float(draw.uniform(0, trials.plan.calm(name).cold.whole_s)))
+            end_group(processes[k])
+    done = {k: places[k].ended(processes[k]) for k in left}
+    for k, came in done.items():
+        trials.judge(came, places[k], name)
+    if how != "some killed":
+        begun = Counter(stage for one in done.values() for stage in BEGINS.findall(one.err))
+        trials.expect(bool(begun), "nobody built anything")
+        twice = [stage for stage, count in begun.items() if count > 1]
+        trials.expect(not twice, f"built more than once: {', '.join(twice)}")
+    return "done"

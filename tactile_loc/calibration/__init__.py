@@ -1,1 +1,1 @@
-"""Calibrating a sensor: from presses of known shape to a network that turns images of the gel into its indentation."""
+"""Sensor calibration: from presses of known shape to a network that estimates the indentation from images."""

@@ -1,4 +1,4 @@
-"""Calibrates a sensor: learn from most presses, measure on those held out, and keep both as a stage of the store."""
+"""Calibrates a sensor: trains on most presses, measures the errors on the rest, and stores both."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from tactile_loc.calibration.estimator import (
     validate_estimator_options,
 )
 from tactile_loc.calibration.folder import WEIGHTS
-from tactile_loc.calibration.health import Health, find_worst, measure_health
 from tactile_loc.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.calibration.presses import TABLE, PressFolder
+from tactile_loc.calibration.reading import Health, find_worst, measure_health
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -28,20 +28,20 @@ from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
-HELD_OUT = 0.2  # of the presses
-FEWEST = 5  # presses, of which one is held out
+HELD_OUT = 0.2  # share of the presses
+FEWEST = 5  # presses, including one that is held out
 STAGE_VERSION, RECORD = 4, "held-out"
-LOOKED_AT = 60  # presses, at most, whose health is measured
+LOOKED_AT = 60  # most presses for which the health is measured
 
 
 @dataclass(frozen=True)
 class PressErrors:
-    """What an estimator makes of one press. Lengths in metres; NaN what cannot be said.
+    """An estimator's errors for one press. Lengths are in metres; unknown errors are NaN.
 
-    `slope_deg` is the mean absolute error of the surface's angles along x and along y, in degrees, in the contact (NaN
-    for an estimator without slopes); `shape_m` the RMS error of the indentation in the contact when all of it is moved
-    by the mean error, `depth_m` when it is not (NaN where the label is not absolute), `untouched_m` the RMS indentation
-    where the gel is untouched.
+    `slope_deg` is the mean absolute error of the surface's angles along x and y in the contact, degrees (NaN for an
+    estimator without slopes). `depth_m` is the RMS error of the indentation in the contact (NaN if the label is not
+    absolute), and `shape_m` is the same after subtracting the mean error. `untouched_m` is the RMS indentation where
+    the gel is untouched.
     """
 
     slope_deg: float
@@ -51,15 +51,15 @@ class PressErrors:
 
 
 def average_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
-    """Return the mean of each error over the presses of which it can be said; none is left out silently otherwise."""
-    found = {name: [getattr(e, name) for e in errors] for name in (f.name for f in fields(PressErrors))}
-    said = {name: [v for v in values if np.isfinite(v)] for name, values in found.items()}
-    return {name: float(np.mean(values)) for name, values in said.items() if values}
+    """Return the mean of each error over the presses for which it is known; an error that is never known is omitted."""
+    found = {f.name: [getattr(e, f.name) for e in errors] for f in fields(PressErrors)}
+    known = {name: [v for v in values if np.isfinite(v)] for name, values in found.items()}
+    return {name: float(np.mean(values)) for name, values in known.items() if values}
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """An estimator, the numbers of the presses that it did not learn from, and its errors on them."""
+    """An estimator, the numbers of the held-out presses, its errors on them, and the usual health."""
 
     estimator: GelEstimator
     held_out: tuple[int, ...]
@@ -67,7 +67,7 @@ class Calibrated:
     usual: Health
 
     def record(self) -> dict[str, Any]:
-        """Return the errors as JSON values, the noise of the untouched gel, metres, and the usual health."""
+        """Return the errors, the noise of the untouched gel (metres), and the usual health, as JSON values."""
         mean = average_errors(self.errors)
         held_out = {"presses": list(self.held_out), "mean": mean}
         return {"noise_m": mean.get("untouched_m", 0.0), "held_out": held_out, "health": self.usual.record()}
@@ -78,12 +78,12 @@ def calibrate(
     options: dict[str, Any] | None = None, seed: int = 0, progress: Progress | None = None,
     checkpoints: Checkpoints | None = None,
 ) -> Calibrated:  # fmt: skip
-    """Train the estimator of this name on four fifths of the presses, drawn by `seed`, and measure it on the rest.
+    """Train the named estimator on four fifths of the presses, drawn by `seed`, and measure its errors on the rest.
 
     `background` (H, W, 3) is the image of the untouched gel. Raises CalibrationError when there are too few presses.
     """
     if len(presses) < FEWEST:
-        raise CalibrationError(f"there are {len(presses)} presses; a calibration needs {FEWEST} at least, better 30")
+        raise CalibrationError(f"there are {len(presses)} presses; a calibration needs at least {FEWEST}, better 30")
     kind = load_estimator(estimator)
     made = kind(geometry, background, validate_estimator_options(kind, options or {}))
     learned, held_out = split(len(presses), seed)
@@ -96,21 +96,21 @@ def calibrate(
 
 
 def _measure_usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
-    """The worst health of the presses that were learned from, or of some of many."""
+    """Return the worst health of the presses that were learned from, or of a sample of them."""
     some = learned[:: -(-len(learned) // LOOKED_AT)]
     images = (presses.read_press(number)[0] for number in some)
     return find_worst(measure_health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
 
 
 def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return which of `count` presses are learned from and which are held out, by number, in order."""
+    """Split `count` presses into numbers to learn from and numbers to hold out, both in order."""
     drawn = np.random.default_rng(seed).permutation(count)
     few = max(1, round(HELD_OUT * count))
     return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))
 
 
 def measure_press(estimator: GelEstimator, image: Image, label: PressLabel) -> PressErrors:
-    """Measure an estimator on one press."""
+    """Return the errors of an estimator for one press."""
     indentation, slopes = estimator.read(image)
     off = indentation - label.indentation_m
     inside = off[label.contact]
@@ -132,7 +132,7 @@ def calibrate_stage(
     presses: PressFolder, folder: Path, estimator: str, options: dict[str, Any], seed: int, store: StageStore,
     progress: Progress,
 ) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate with a folder of presses, or find what was; return the estimator and the record of its errors."""
+    """Calibrate with a folder of presses, or load the stored result. Return the estimator and its error record."""
     inputs = {
         "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
         "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
@@ -146,7 +146,7 @@ def learn_stage(
     presses: LabelledPresses, geometry: SensorGeometry, background: Image, inputs: dict[str, Any], estimator: str,
     options: dict[str, Any], seed: int, store: StageStore, progress: Progress,
 ) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate with presses, or find what was; `inputs` (JSON values) identifies them and the sensor."""
+    """Calibrate with presses, or load the stored result. `inputs` (JSON values) identifies presses and sensor."""
     kind = load_estimator(estimator)
     chosen = validate_estimator_options(kind, options)
     described: dict[str, Any] = {"estimator": estimator, "options": chosen.model_dump(mode="json"), "seed": seed}

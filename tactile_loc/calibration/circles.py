@@ -1,12 +1,12 @@
 """The visible circle of a ball in an image of the gel, found without knowing the light.
 
-Three steps, from robust to exact. A matched filter of coloured ramps finds where and about how large: in a ball's
-imprint the colour changes with the offset from its middle, whatever the lights, and falls off around it. A fit of that
-model over sub-pixel places and sizes follows. Last comes what a person would draw: on each of many rays the place where
-the colour falls most steeply, and the circle that most of them agree on. That circle needs no model of the light.
+There are three steps, from robust to exact. First, a matched filter of coloured ramps finds the position and the
+approximate size: in a ball's imprint, the colour changes with the offset from its middle for any light. Then a fit of
+this model refines position and size. Last, each of many rays finds the steepest fall of the colour, and a circle is
+fitted robustly to these points. This circle does not depend on a model of the light.
 
 Pixels count from the image's upper left corner, so the first pixel's centre is (0.5, 0.5). A `change` is an image's
-difference from the untouched gel, (H, W, 3) float32 counts, of zero median.
+difference from the untouched gel, (H, W, 3) float32 counts, with zero median.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from tactile_loc.calibration.labels import Float32, Image, Mask
 
 Array = NDArray[np.float64]
 
-COARSE_PX, COARSER_PX = 80, 40  # longer side of the image in which a ball is looked for, or only judged
-SMALLEST_PX, SIZES = 2.5, 12  # radii of the filters, pixels of the coarse image, and how many
-LARGEST = 0.5  # of the image's shorter side
-FALL = 6  # the ramp is u / (1 + u^FALL) of the distance u, in radii
-REACH = 2.0  # radii that the ramp is fitted over
-FITTED = 1500  # pixels, at most
+COARSE_PX, COARSER_PX = 80, 40  # longer image side for finding a ball, and for measuring concentration
+SMALLEST_PX, SIZES = 2.5, 12  # smallest radius of the filters in coarse pixels, and number of radii
+LARGEST = 0.5  # largest radius, share of the image's shorter side
+FALL = 6  # the ramp is u / (1 + u^FALL) with the distance u in radii
+REACH = 2.0  # radii over which the ramp is fitted
+FITTED = 1500  # most pixels in a fit
 RAYS = 90
-BAND, STEP = (0.75, 1.25), 0.01  # radii between which the rim is looked for at a time
+BAND, STEP = (0.75, 1.25), 0.01  # range and step of the search for the rim, radii
 FINE, SKIRT = 0.04, 0.3  # radii: features of the rim are larger than the first and smaller than the second
 TUKEY = 4.0  # deviations from the circle beyond which a ray does not count
 ROUNDS = 15
@@ -43,13 +43,13 @@ class Circle:
     radius_px: float
 
     def measure_distance_px(self, shape: tuple[int, int]) -> Array:
-        """Return how far each pixel's centre is from the circle's (H, W), pixels."""
+        """Return the distance (H, W) of each pixel's centre from the circle's centre, pixels."""
         height, width = shape
         y, x = np.ogrid[:height, :width]
         return np.asarray(np.hypot(x + 0.5 - self.x_px, y + 0.5 - self.y_px))
 
     def measure_overhang_px(self, shape: tuple[int, int]) -> float:
-        """Return by how much the circle reaches over the border of an image (H, W), pixels; negative within it."""
+        """Return how far the circle extends beyond the border of an image (H, W), pixels; negative inside it."""
         height, width = shape
         nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
         return self.radius_px - nearest
@@ -57,10 +57,10 @@ class Circle:
 
 @dataclass(frozen=True)
 class Imprint:
-    """What may be a ball's imprint: its circle, and how much speaks for it.
+    """A possible imprint of a ball.
 
-    `likeness` is the share of the colour's variance within REACH radii that a ball's imprint explains, `contrast` the
-    root mean square of the colour's change in the circle, counts.
+    `likeness` is the share of the colour's variance within REACH radii that a ball's imprint explains. `contrast` is
+    the root mean square of the colour's change in the circle, counts.
     """
 
     circle: Circle
@@ -69,21 +69,23 @@ class Imprint:
 
 
 def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float32:
-    """Return how the colours (H, W, 3) differ from the untouched gel's, counts, less what differs everywhere alike."""
+    """Return the difference of colours (H, W, 3) from the untouched gel's, counts, minus its median."""
     change = np.asarray(image, np.float32) - np.asarray(untouched, np.float32)
     return np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
 
 
 def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint | None:
-    """Return roughly where the strongest imprint of a colour change (H, W, 3) is, or None where nothing changes.
+    """Return the approximate strongest imprint of a colour change (H, W, 3), or None without a change.
 
-    Pixels that are `hidden` (H, W) are taken for untouched. Whether it is a ball's is for the caller to decide; its
-    visible circle is what `find_rim` finds near it.
+    Pixels that are `hidden` (H, W) count as untouched. The imprint may not be a ball's: the caller decides. `find_rim`
+    finds the visible circle near it.
     """
     seen = change if hidden is None else np.where(hidden[..., None], np.float32(0), change)
-    start = _find_strongest(seen)
-    if start is None:
+    coarse, step = _coarsen(seen, COARSE_PX)
+    best = _match_filters(coarse)
+    if best is None:
         return None
+    start = Circle((best[1] + 0.5) * step, (best[2] + 0.5) * step, best[3] * step)
     circle, likeness = _fit_circle(seen, start)
     return Imprint(circle, likeness, measure_contrast(seen, circle))
 
@@ -95,7 +97,7 @@ def measure_contrast(change: Float32, circle: Circle) -> float:
 
 
 def measure_concentration(change: Float32) -> float:
-    """Return the share (0 ... 1) of all of a colour change (H, W, 3) that one imprint explains; 0 where none is."""
+    """Return the share (0 ... 1) of a colour change (H, W, 3) that one imprint explains; 0 without a change."""
     coarse, _ = _coarsen(change, COARSER_PX)
     energy = float((coarse**2).sum())
     best = _match_filters(coarse)
@@ -103,21 +105,15 @@ def measure_concentration(change: Float32) -> float:
 
 
 def _coarsen(change: Float32, side: int) -> tuple[Float32, int]:
-    """The change as blocks' means, and the block's side in pixels."""
+    """Return the change averaged over blocks, and the block's side in pixels."""
     step = max(1, round(max(change.shape) / side))
     rows, columns = (n // step for n in change.shape[:2])
     blocks = change[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
     return np.asarray(blocks.mean(axis=(1, 3)), np.float32), step
 
 
-def _find_strongest(change: Float32) -> Circle | None:
-    coarse, step = _coarsen(change, COARSE_PX)
-    best = _match_filters(coarse)
-    return None if best is None else Circle((best[1] + 0.5) * step, (best[2] + 0.5) * step, best[3] * step)
-
-
 def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
-    """The energy that the best of all filters explains, and its place (x, y) and radius in blocks."""
+    """Return the energy that the best filter explains, and its position (x, y) and radius in blocks."""
     height, width = coarse.shape[:2]
     margin = min(height, width) // 2
     padded = np.pad(coarse, [(margin, margin), (margin, margin), (0, 0)])
@@ -136,7 +132,7 @@ def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
 
 @lru_cache(maxsize=64)
 def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex128], ...]:
-    """The spectra of the two ramps, along x and along y, of unit energy."""
+    """Return the spectra of the two ramps, along x and along y, of unit energy."""
     y, x = (np.fft.fftfreq(n, 1 / n) for n in shape)
     u = np.hypot(*np.meshgrid(x, y)) / radius
     falls = np.where(u < REACH, 1 / (1 + u**FALL), 0)
@@ -145,7 +141,7 @@ def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.com
 
 
 def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
-    """The circle whose ramps, their products and a slant explain most of the change around it, and what share.
+    """Fit a circle with its ramps, their products and a plane to the change around it. Return it with its share.
 
     The amplitudes of each colour follow from the circle by linear least squares (variable projection).
     """
@@ -168,7 +164,7 @@ def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
 
 
 def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
-    """Some pixels within REACH radii: x (P,), y (P,), and their colours' change (P, 3)."""
+    """Return a sample of pixels within REACH radii: x (P,), y (P,), and their colours' change (P, 3)."""
     rows, columns = np.nonzero(circle.measure_distance_px(change.shape[:2]) < REACH * circle.radius_px)
     chosen = np.s_[:: max(1, len(rows) // FITTED)]
     rows, columns = rows[chosen], columns[chosen]
@@ -177,36 +173,34 @@ def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
 
 
 def _build_ramps(x: Array, y: Array, values: Array) -> Array:
-    """What the change around a circle (x, y, radius) is made of (P, 8)."""
+    """Return the basis functions (P, 8) of the change around a circle (x, y, radius)."""
     dx, dy = (x - values[0]) / values[2], (y - values[1]) / values[2]
     falls = 1 / (1 + np.hypot(dx, dy) ** FALL)
     a, b = dx * falls, dy * falls
     return np.stack([a, b, a * a, a * b, b * b, np.ones_like(a), dx, dy], axis=1)
 
 
-def find_rim(change: Float32, near: Circle) -> tuple[Circle, float]:
-    """Return the circle near another on which the colour falls off most steeply outwards, and its scatter, pixels.
+def find_rim(change: Float32, near: Circle) -> Circle:
+    """Return the circle near another on which the colour falls most steeply outwards.
 
-    The fall is that of features narrower than SKIRT radii: the gel around a contact fades slowly and says nothing of
-    its edge.
+    Only features narrower than SKIRT radii count: the slow fading of the gel around a contact does not show its edge.
     """
     relief = _find_relief(change, near)
     angle = np.arange(RAYS) * 2 * np.pi / RAYS
     directions = np.stack([np.cos(angle), np.sin(angle), np.ones(RAYS)], axis=1)
-    circle, scatter_px = near, 0.0
+    circle = near
     for _ in range(ROUNDS):
-        off, weight = _find_steepest(relief, circle, directions)
-        move, scatter_px = _fit_move(directions, off, weight)
+        move = _fit_move(directions, *_find_steepest(relief, circle, directions))
         most = 0.15 * circle.radius_px
         dx, dy, dr = np.clip(move, -most, most).tolist()
         circle = Circle(circle.x_px + dx, circle.y_px + dy, circle.radius_px + dr)
         if np.abs(move).max() < 0.02:
             break
-    return circle, scatter_px
+    return circle
 
 
 def _find_relief(change: Float32, circle: Circle) -> Float32:
-    """How strong the change is (H, W), along its own colour, without what is much larger or smaller than a rim."""
+    """Return the strength (H, W) of the change along its own colour, filtered to the size of a rim."""
     from scipy.ndimage import gaussian_filter
 
     fine, wide = max(1.0, FINE * circle.radius_px), SKIRT * circle.radius_px
@@ -217,7 +211,7 @@ def _find_relief(change: Float32, circle: Circle) -> Float32:
 
 
 def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array, Array]:
-    """Where on each ray the relief falls most steeply: pixels from the circle (RAYS,), and weights (RAYS,)."""
+    """Find the relief's steepest fall on each ray: offsets from the circle (RAYS,), pixels, and weights (RAYS,)."""
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     u = np.arange(BAND[0], BAND[1] + STEP / 2, STEP)
@@ -233,12 +227,12 @@ def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[
     return circle.radius_px * (u[place] - 1), weight
 
 
-def _fit_move(directions: Array, off: Array, weight: Array) -> tuple[Array, float]:
-    """How a circle moves and grows (3,) to pass through places `off` (RAYS,) from it, and what they scatter by.
+def _fit_move(directions: Array, off: Array, weight: Array) -> Array:
+    """Return the shift and growth (3,) of a circle to pass through points at offsets `off` (RAYS,) from it.
 
-    Least squares with Tukey's weights, so that rays on which something else is steeper do not count.
+    Least squares with Tukey's weights exclude rays on which something else is steeper.
     """
-    robust, scale = weight, 1.0
+    robust = weight
     move: Array = np.zeros(3)
     for _ in range(10):
         weighted = directions * robust[:, None]
@@ -246,4 +240,4 @@ def _fit_move(directions: Array, off: Array, weight: Array) -> tuple[Array, floa
         missed = off - directions @ move
         scale = max(0.3, 1.48 * float(np.median(np.abs(missed[weight > 0])))) if (weight > 0).any() else np.inf
         robust = weight * np.clip(1 - (missed / (TUKEY * scale)) ** 2, 0, None) ** 2
-    return move, scale
+    return move

@@ -1,7 +1,7 @@
 """Depth from the whole image: six convolutions, as in Bauza et al. (CoRL 2020), learned from many simulated presses.
 
-Trained by Adam on random crops. To the paper's loss, the RMS error of the indentation, comes that of its root: where a
-rounded rim rises slowly, the first hardly says where the contact ends.
+Adam trains the network on random crops. The paper's loss is the RMS error of the indentation. Here the RMS error of
+its square root is added, which locates the border of a contact whose rounded rim rises slowly.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ Dilation = Annotated[int, Field(ge=1, le=256)]
 
 log = logging.getLogger(__name__)
 
-ON_CONTACT = 0.75  # of the crops: most of an image is untouched, and learned from soon
-EDGE_WEIGHT = 0.9  # of the error of the root of the indentation, in which a contact's shallow rim counts
-EDGE_SHARE = 5e-3  # of the deepest press, below which that root is nearly linear
-LEAST_STD = 1e-3  # of an input plane: one that never changes is not blown up
+ON_CONTACT = 0.75  # share of crops with contact: most of an image is untouched, and easy to learn
+EDGE_WEIGHT = 0.9  # weight of the error of the indentation's root, in which a contact's shallow rim counts
+EDGE_SHARE = 5e-3  # share of the deepest press below which that root is nearly linear
+LEAST_STD = 1e-3  # least standard deviation of an input plane: constant planes are not amplified
 
 
 class GelNetwork(nn.Module):
     """From features (N, PLANES, H, W) to indentation (N, H, W), both normalised by the statistics in its buffers.
 
-    The paper's network: five convolutions of 3 x 3 pixels with ReLU, dropout, one of 1 x 1. Plain ones would see 11 px:
-    in the middle of a flat contact nothing of its edge, which alone tells it from untouched gel. The dilated ones that
-    are the default see 63 px at the same cost.
+    The paper's network: five convolutions of 3 x 3 pixels with ReLU, dropout, one of 1 x 1. Plain convolutions see
+    11 px. That is too little in the middle of a flat contact, which only its edge distinguishes from untouched gel. The
+    default dilated convolutions see 63 px at the same cost.
     """
 
     input_mean: torch.Tensor
@@ -70,7 +70,7 @@ class GelNetwork(nn.Module):
         return found[:, 0]
 
     def predict_m(self, features: torch.Tensor) -> torch.Tensor:
-        """Return indentations (N, H, W) in metres, at least 0."""
+        """Return indentations (N, H, W) in metres, not below 0."""
         return (self(features) * self.output_std + self.output_mean).clamp(min=0)
 
 
@@ -78,8 +78,8 @@ class GelNetwork(nn.Module):
 class Samples:
     """The presses in memory: images (N, H, W, 3), and indentations (N, H, W) as float16 shares of `deepest_m`, metres.
 
-    `background` (H, W, 3) is the untouched gel, `fixed` (H, W, F) the features that no touch changes, `observed` (H, W)
-    which pixels count.
+    `background` (H, W, 3) is the untouched gel. `fixed` (H, W, F) are features that no touch changes. `observed` (H, W)
+    marks the pixels that count.
     """
 
     images: NDArray[np.uint8]
@@ -91,7 +91,7 @@ class Samples:
 
     @classmethod
     def of(cls, problem: CalibrationProblem, fixed: NDArray[np.float32]) -> Samples:
-        """Collect a problem's presses. Raises CalibrationError when none shows contact."""
+        """Collect the presses of a problem. Raises CalibrationError when no press shows contact."""
         geometry, deepest_m = problem.geometry, problem.geometry.max_depth_m
         images = np.empty((len(problem.presses), *geometry.shape, 3), np.uint8)
         shares = np.empty(images.shape[:3], np.float16)
@@ -100,22 +100,22 @@ class Samples:
                 images[number], shares[number] = image, label.indentation_m / np.float32(deepest_m)
                 advance(1)
         if not shares[:, geometry.observed_mask].any():
-            raise CalibrationError("no press shows any contact; a calibration needs presses of known shape")
+            raise CalibrationError("no press shows contact; a calibration needs presses of known shape")
         return cls(images, shares, problem.background, fixed, geometry.observed_mask, deepest_m)
 
     def draw_crops(
         self, chosen: NDArray[np.int64], rng: np.random.Generator, crop_px: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Features (B, F, h, w), indentations in metres and observed pixels (B, h, w) of a random crop of each press.
+        """Return features (B, F, h, w), indentations, metres, and observed pixels (B, h, w) of a crop of each press.
 
-        No crop is turned or mirrored: the lamps are not.
+        Crops are neither rotated nor mirrored, because the lamps are not.
         """
         parts = [self._cut(press, *self._draw_window(press, rng, crop_px)) for press in chosen]
         seen, indentation_m, observed = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
         return seen.permute(0, 3, 1, 2), indentation_m, observed
 
     def _draw_window(self, press: int, rng: np.random.Generator, crop_px: int) -> tuple[slice, slice]:
-        """Rows and columns of a random crop: ON_CONTACT of them with a pixel of the contact somewhere in it."""
+        """Return the rows and columns of a random crop; a share ON_CONTACT of crops contains a pixel in contact."""
         sides = np.minimum(crop_px, self.observed.shape)
         last = self.observed.shape - sides
         start = rng.integers(last + 1)
@@ -126,7 +126,7 @@ class Samples:
         return slice(top, bottom), slice(left, right)
 
     def _cut(self, press: int, rows: slice, columns: slice) -> tuple[NDArray[np.float32], ...]:
-        """Features (h, w, F), indentation in metres and observed pixels (h, w) of a part of a press."""
+        """Return features (h, w, F), indentation in metres and observed pixels (h, w) of a part of a press."""
         place = rows, columns
         seen = stack_features(self.images[press][place], self.background[place], self.fixed[place])
         indentation_m = self.shares[press][place].astype(np.float32) * np.float32(self.deepest_m)
@@ -149,8 +149,8 @@ class Samples:
 
 
 class CnnTrainer:
-    """Trains a network on a problem. All that is drawn comes from the seed and the epoch, so that a training that was
-    interrupted goes on as if it had not been."""
+    """Trains a network on a problem. Each epoch has its own random stream from the seed, so a resumed training gives
+    the same result as an uninterrupted one."""
 
     def __init__(
         self, recipe: CnnEstimator.Options, problem: CalibrationProblem, network: GelNetwork, fixed: NDArray[np.float32]
@@ -177,7 +177,7 @@ class CnnTrainer:
         self.network.eval()
 
     def _train_epoch(self) -> float:
-        """One epoch of steps; returns the RMS error, normalised. Raises TrainingError when it is no number."""
+        """Train one epoch. Return the normalised RMS error. Raises TrainingError when it becomes NaN."""
         self.network.train()
         rng = np.random.default_rng([self.recipe.seed, self.epoch])
         losses = []
@@ -205,11 +205,11 @@ class CnnTrainer:
         return float(rms.detach())
 
     def _take_root(self, indentation_m: torch.Tensor) -> torch.Tensor:
-        """The root of an indentation's share of the deepest press: steep where the indentation is shallow."""
+        """Return the root of an indentation's share of the deepest press."""
         return (indentation_m.clamp(min=0) / self.samples.deepest_m + EDGE_SHARE).sqrt()
 
     def _schedule_rate(self, epochs_done: float) -> float:
-        """Learning rate: a cosine down to a hundredth; dropout and crops leave a constant one unsteady to the end."""
+        """Return the learning rate: a cosine down to a hundredth."""
         return self.recipe.rate * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
     def _save_checkpoint(self) -> None:
@@ -237,38 +237,36 @@ class CnnTrainer:
                 _, number, key = name.split(".")
                 state.setdefault(int(number), {})[key] = tensor
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
-        log.info("training goes on from epoch %d", self.epoch)
+        log.info("resumed training after epoch %d", self.epoch)
 
 
 def _rms(off: torch.Tensor, observed: torch.Tensor) -> torch.Tensor:
-    """Root mean square of what (B, h, w) is off at the observed pixels (B, h, w)."""
-    return ((observed * off.square()).sum() / observed.sum().clamp(min=1) + 1e-12).sqrt()  # a root has no slope at zero
+    """Return the root mean square of errors (B, h, w) at the observed pixels (B, h, w)."""
+    return ((observed * off.square()).sum() / observed.sum().clamp(min=1) + 1e-12).sqrt()  # keeps the gradient finite
 
 
 class CnnEstimator(GelEstimator):
-    """A convolutional network: from colour difference, background and place to the indentation of the contact.
+    """A convolutional network from colour difference, background and place to the indentation of the contact.
 
-    It is 0 where nothing touches, also where the gel hangs down around the contact.
+    The indentation is 0 outside the contact, also where the gel slopes down around it.
     """
 
     name = "cnn"
     sees_skirt: ClassVar[bool] = False
 
     class Options(ComponentOptions):
-        """How the network is made and trained."""
+        """The network and its training."""
 
         channels: int = Field(default=32, ge=1, le=512, description="channels of each of the five convolutions")
         dilations: tuple[Dilation, Dilation, Dilation, Dilation, Dilation] = Field(
-            default=(1, 2, 4, 8, 16), description="of the five convolutions, in pixels"
+            default=(1, 2, 4, 8, 16), description="dilations of the five convolutions, pixels"
         )
-        dropout: float = Field(default=0.5, ge=0, lt=1, description="share of the fifth convolution that is dropped")
-        epochs: int = Field(default=30, ge=1, description="how often every press is learned from")
-        batch: int = Field(default=8, ge=1, description="presses a training step")
-        crop_px: int = Field(default=96, ge=8, description="side of the part of an image that is learned from, pixels")
-        rate: float = Field(
-            default=2e-3, gt=0, description="learning rate of Adam, at its highest; the paper's is 1e-4"
-        )
-        seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
+        dropout: float = Field(default=0.5, ge=0, lt=1, description="dropout after the fifth convolution, share")
+        epochs: int = Field(default=30, ge=1, description="epochs, each over all presses")
+        batch: int = Field(default=8, ge=1, description="presses in each training step")
+        crop_px: int = Field(default=96, ge=8, description="side of the crops to train on, pixels")
+        rate: float = Field(default=2e-3, gt=0, description="highest learning rate of Adam; the paper's is 1e-4")
+        seed: int = Field(default=0, ge=0, description="seed of the training")
 
     def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
         super().__init__(geometry, background, options)
@@ -282,7 +280,7 @@ class CnnEstimator(GelEstimator):
         CnnTrainer(self.options, problem, self._network, self._fixed).run()
 
     def read(self, image: Image) -> tuple[Float32, None]:
-        """Return how far the gel is pressed in by the contact (H, W), metres, 0 outside of it; and no slopes."""
+        """Return the contact's indentation (H, W), metres, 0 outside of the contact; and no slopes."""
         planes = stack_features(image, self.untouched, self._fixed)
         with torch.inference_mode():
             found = self._network.predict_m(torch.from_numpy(planes).permute(2, 0, 1)[None])

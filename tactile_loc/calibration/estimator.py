@@ -1,6 +1,6 @@
-"""What turns an image of the gel into its indentation: what it sees, learns and keeps.
+"""Estimators of the gel's indentation from its image: their input, training and storage.
 
-`photometric` and `cnn` are the two that there are.
+There are two: `photometric` and `cnn`.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 
 _HERE = "tactile_loc.calibration"
 ESTIMATORS = {"photometric": f"{_HERE}.photometric:PhotometricEstimator", "cnn": f"{_HERE}.cnn:CnnEstimator"}
-DIFFERENCE, FIXED = 3, 5  # planes that a touch changes, and that none does
+DIFFERENCE, FIXED = 3, 5  # planes that a touch changes, and constant planes
 PLANES = DIFFERENCE + FIXED
-COLOUR_STEP = 64.0  # counts of 255: a difference of this size is one
-BACKGROUND_M = 2e-4  # the background's own grain is not looked at: standard deviation of its smoothing
+COLOUR_STEP = 64.0  # counts of 255 that scale a colour difference to one
+BACKGROUND_M = 2e-4  # standard deviation of the smoothing that removes the background's grain
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationProblem:
-    """What an estimator learns from: presses on a sensor of `geometry`; `background` (H, W, 3) is its untouched gel."""
+    """An estimator's training data: presses on a sensor of `geometry`; `background` (H, W, 3) is its untouched gel."""
 
     geometry: SensorGeometry
     background: Image
@@ -45,11 +45,11 @@ class CalibrationProblem:
 
 
 class GelEstimator(ABC):
-    """Estimates how far the gel is pressed in, from its image and that of the untouched gel.
+    """Estimates the indentation of the gel from its image and an image of the untouched gel.
 
-    `background` (H, W, 3) is the untouched gel that it learned with; images are compared with `untouched`, which may be
-    a newer image of it.
-    `sees_skirt` says whether that includes the gel that hangs down around the contact, or is of the contact alone.
+    `background` (H, W, 3) is the untouched gel during training. Images are compared with `untouched`, which may be a
+    newer image of it. `sees_skirt` states whether the indentation includes the skirt, the gel that slopes down around
+    the contact.
     """
 
     name: ClassVar[str]
@@ -66,28 +66,28 @@ class GelEstimator(ABC):
 
     @abstractmethod
     def fit(self, problem: CalibrationProblem) -> None:
-        """Learn from labelled presses. Raises TrainingError when that goes wrong."""
+        """Learn from labelled presses. Raises TrainingError when the training fails."""
 
     @abstractmethod
     def read(self, image: Image) -> tuple[Float32, Float32 | None]:
-        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that it comes from, if any.
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, from which it follows, if any.
 
-        Where the gel is untouched the indentation is about 0.
+        The indentation is about 0 where the gel is untouched.
         """
 
     def read_indentation(self, image: Image) -> Float32:
-        """Return how far the gel is pressed in (H, W), metres, about 0 where it is untouched."""
+        """Return the indentation (H, W), metres, which is about 0 where the gel is untouched."""
         return self.read(image)[0]
 
     def save(self, path: Path) -> None:
-        """Write the network that was learned to a safetensors file."""
+        """Write the trained network to a safetensors file."""
         from safetensors.torch import save_file
 
         tensors = self._network.state_dict().items()
         save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors}, path)
 
     def load(self, path: Path) -> None:
-        """Read the network. Raises WeightsError when the file is damaged or of another estimator."""
+        """Read the network. Raises WeightsError for a file that is damaged or of another estimator."""
         from safetensors import SafetensorError
         from safetensors.torch import load_file
 
@@ -96,49 +96,47 @@ class GelEstimator(ABC):
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise WeightsError(
-                f"{path} cannot be read as the weights of a {self.name} estimator ({reason}); calibrate the sensor "
-                "again"
+                f"cannot read {path} as the weights of a {self.name} estimator ({reason}); calibrate the sensor again"
             ) from error
 
 
 def load_estimator(name: str) -> type[GelEstimator]:
-    """Return the estimator called `name`. Raises CalibrationError for another, MissingLibraryError without torch."""
+    """Return the estimator named `name`. Raises CalibrationError for another, MissingLibraryError without torch."""
     if name not in ESTIMATORS:
         raise CalibrationError(
-            f"there is no estimator {name!r}; give one of {', '.join(ESTIMATORS)}.{did_you_mean(name, ESTIMATORS)}"
+            f"there is no estimator {name!r}; choose one of {', '.join(ESTIMATORS)}.{did_you_mean(name, ESTIMATORS)}"
         )
     module, _, attribute = ESTIMATORS[name].partition(":")
     try:
         found: type[GelEstimator] = getattr(importlib.import_module(module), attribute)
     except ImportError as error:
         raise MissingLibraryError(
-            f"a sensor that is calibrated for images needs {error.name}; install it with pip install "
-            "'tactile-loc[learned]'"
+            f"a calibrated sensor needs {error.name}; install it with pip install 'tactile-loc[learned]'"
         ) from error
     return found
 
 
 def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> ComponentOptions:
-    """Return an estimator's options. Raises ConfigError for unknown or ill-typed ones."""
+    """Return an estimator's options. Raises ConfigError for unknown or ill-typed options."""
     chosen: ComponentOptions = validate_options(kind.Options, options, f"estimator {kind.name!r}")
     return chosen
 
 
 def scale_difference(image: Image, background: Image) -> Float32:
-    """Return how an image (H, W, 3), or a part of it, differs from the untouched gel's (H, W, 3): about -1 to 1."""
+    """Return the difference of an image (H, W, 3), or a part, from the untouched gel's (H, W, 3): about -1 to 1."""
     return (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
 
 
 def stack_features(image: Image, background: Image, fixed: Float32) -> Float32:
-    """Return what an estimator sees of an image (H, W, 3), or of a part of it: (H, W, PLANES), about -1 to 1.
+    """Return an estimator's input (H, W, PLANES), about -1 to 1, for an image (H, W, 3) or a part of it.
 
-    The colour's difference from the `background` (H, W, 3), and what no touch changes, `fixed` (H, W, 5).
+    It holds the colour's difference from the `background` (H, W, 3), and the constant planes `fixed` (H, W, 5).
     """
     return np.concatenate([scale_difference(image, background), fixed], axis=-1)
 
 
 def stack_fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
-    """Return what no touch changes, (H, W, 5): the smoothed background's colour, and the place; about -1 to 1."""
+    """Return the constant planes (H, W, 5): the smoothed background's colour, and the place; about -1 to 1."""
     from scipy.ndimage import gaussian_filter
 
     sigma = BACKGROUND_M / geometry.pixel_pitch_m

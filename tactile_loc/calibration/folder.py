@@ -1,4 +1,4 @@
-"""A calibrated sensor as a folder: geometry, untouched gel, what was learned, and how well that held."""
+"""The calibration folder: a sensor's geometry, its untouched gel, the trained estimator, and its errors."""
 
 from __future__ import annotations
 
@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.calibration.estimator import GelEstimator, load_estimator, validate_estimator_options
-from tactile_loc.calibration.health import Health, measure_health, require_healthy
 from tactile_loc.calibration.labels import Image
-from tactile_loc.calibration.reading import measure_press_m, read_zero, require_image
+from tactile_loc.calibration.reading import (
+    Health,
+    measure_health,
+    measure_press_m,
+    read_zero,
+    require_healthy,
+    require_image,
+)
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, name_source
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
@@ -37,7 +43,7 @@ class _HealthRecord(BaseModel):
 
 
 class _Record(BaseModel):
-    """What of a calibration's record reading an image takes."""
+    """The parts of a calibration's record that are needed to read an image."""
 
     model_config = ConfigDict(strict=True)
 
@@ -50,10 +56,10 @@ class _Record(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated sensor: `record` is what calibration.json says; `folder` holds the weights.
+    """A calibrated sensor: `record` is the content of calibration.json; `folder` holds the weights.
 
-    `untouched` (H, W, 3) is the image of the untouched gel that others are compared with: `background`, that of the
-    calibration, or a newer one.
+    Images are compared with `untouched` (H, W, 3), an image of the untouched gel. It is the calibration's `background`
+    or a newer image.
     """
 
     geometry: SensorGeometry
@@ -64,29 +70,29 @@ class Calibration:
 
     @property
     def noise_m(self) -> float:
-        """How deep the untouched gel seems to be pressed, metres, by error: standard deviation."""
+        """Standard deviation of the estimated indentation of the untouched gel, metres."""
         return float(self.record["noise_m"])
 
     @cached_property
     def false_press_m(self) -> float:
-        """How deep the untouched gel seems to be pressed in its own image, metres: as a touch would be, by error."""
+        """Press depth that is measured, wrongly, in the image of the untouched gel, metres."""
         return max(0.0, measure_press_m(self.estimator.read(self.untouched)[0], self.geometry))
 
     @property
     def camera_px(self) -> tuple[int, int]:
-        """The size (rows, columns) of the camera's own images, which are reduced to the sensor's."""
+        """Size (rows, columns) of the camera's own images, which are reduced to the sensor's size."""
         rows, columns = self.record.get("camera_px", self.geometry.shape)
         return int(rows), int(columns)
 
     @property
     def usual_health(self) -> Health | None:
-        """The worst health of the presses that it learned from; None if it is not known."""
+        """The worst health of the training presses; None if it is unknown."""
         found = self.record.get("health")
         return None if found is None else Health.of_record(found)
 
     @cached_property
     def estimator(self) -> GelEstimator:
-        """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
+        """The trained estimator. Raises WeightsError, MissingLibraryError."""
         with name_source(self.folder / CALIBRATION):
             kind = load_estimator(self.record["estimator"])
             options = validate_estimator_options(kind, self.record["options"])
@@ -96,9 +102,9 @@ class Calibration:
         return estimator
 
     def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """Return how far the gel is pressed in (H, W), metres, of an image (H, W, 3) of the camera's or sensor's size.
+        """Return the indentation (H, W), metres, of an image (H, W, 3) of the camera's or the sensor's size.
 
-        Raises TouchError for an image of another sensor, or of one that has changed; logs a warning if it has a little.
+        Raises TouchError for an image of another sensor, or of a changed sensor. Logs a warning for a small change.
         """
         image = require_image(image, self.untouched, self.camera_px)
         indentation, slopes = self.estimator.read(image)
@@ -108,13 +114,13 @@ class Calibration:
 
     @property
     def optics(self) -> Optics:
-        """The lamps and the camera of the simulated images that it learned from. Raises CalibrationError for others."""
+        """The optics of the simulated training images. Raises CalibrationError if the images were not simulated."""
         try:
             return Optics.parse(self.record["simulated"]["optics"])
         except (KeyError, TypeError) as error:
             raise CalibrationError(
-                f"{self.folder} was not calibrated on simulated images, so none can be made for it; use one of "
-                "tactile-loc calibrate --simulated"
+                f"{self.folder} was not calibrated on simulated images, so no images can be simulated for it; use a "
+                "folder of tactile-loc calibrate --simulated"
             ) from error
 
     def describe(self) -> dict[str, Any]:
@@ -127,26 +133,26 @@ class Calibration:
 def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     """Read a calibrated sensor; `zero` is a newer image of its untouched gel.
 
-    Raises CalibrationError when something is missing, damaged, or of another sensor, TouchError for a `zero` that is.
+    Raises CalibrationError when a file is missing, damaged, or of another sensor; TouchError for such a `zero`.
     """
     recover_folder(folder)
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; make it with tactile-loc calibrate")
     for name in (SENSOR, BACKGROUND, CALIBRATION, WEIGHTS):
         if not (folder / name).is_file():
-            raise CalibrationError(f"{folder} is no calibrated sensor: {name} is missing; calibrate it again")
+            raise CalibrationError(f"{folder} is no calibrated sensor: it has no {name}; calibrate the sensor again")
     try:
         record = read_json(folder / CALIBRATION)
         geometry = read_sensor_file(folder / SENSOR)
         background = read_colour_image(folder / BACKGROUND)
     except (OSError, ValueError, SensorError, TouchError) as error:
         raise CalibrationError(
-            f"{folder} cannot be read as a calibrated sensor ({error}); calibrate it again"
+            f"cannot read {folder} as a calibrated sensor ({error}); calibrate the sensor again"
         ) from error
     if not isinstance(record, dict) or record.get("schema_version") != SCHEMA_VERSION:
         raise CalibrationError(
-            f"{folder / CALIBRATION} is of another version of tactile-loc; calibrate the sensor again with tactile-loc "
-            "calibrate"
+            f"{folder / CALIBRATION} is from another version of tactile-loc; calibrate the sensor again with "
+            "tactile-loc calibrate"
         )
     try:
         _Record(**record)
@@ -157,7 +163,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         ) from error
     if background is None or background.shape[:2] != geometry.shape:
         raise CalibrationError(
-            f"{folder}: {BACKGROUND} does not have the size that {SENSOR} says; they belong to two sensors"
+            f"{folder}: {BACKGROUND} and {SENSOR} have different image sizes; calibrate the sensor again"
         )
     found = Calibration(geometry, background, background, record, folder)
     if zero is None:
@@ -166,17 +172,17 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
 
 
 def require_replaceable(folder: Path) -> None:
-    """Check that a calibrated sensor may be written to `folder`. Raises OutputError when it holds something else."""
+    """Check that a calibrated sensor may be written to `folder`. Raises OutputError when it holds other files."""
     if folder.exists() and not (folder.is_dir() and all(p.name in OURS or is_unfinished(p) for p in folder.iterdir())):
-        raise OutputError(f"{folder} holds something else than a calibrated sensor; choose another --out")
+        raise OutputError(f"{folder} holds files other than a calibrated sensor's; choose another --out")
 
 
 def write_calibration(
     folder: Path, geometry: SensorGeometry, background: Image, estimator: GelEstimator, record: dict[str, Any]
 ) -> Path:
-    """Write a calibrated sensor as a folder, whole or not at all; one that is there already is replaced.
+    """Write a calibrated sensor as a folder, atomically; an existing calibrated sensor is replaced.
 
-    Raises OutputError when the folder holds something else or the disk refuses.
+    Raises OutputError when the folder holds other files or cannot be written.
     """
     require_replaceable(folder)
     options = estimator.options.model_dump(mode="json")

@@ -1,7 +1,7 @@
-"""Images of presses that nobody has listed: those of a folder, and those that are worth taking out of a video.
+"""Images of presses without a table: the pictures of a folder, and chosen frames of a video.
 
-Of a video the untouched gel is taken, and of each touch the frame in which it is deepest; they become pictures in a
-folder beside it, so that a table can name them.
+Chosen frames show the untouched gel, and each touch at its deepest. They are written to a folder beside the video, so a
+table can name them.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
-QUIET = 0.1  # of a video's frames: those that are nearest to what it mostly shows
-TOUCHED = 0.3  # of the way from the quietest to the strongest change: what is beyond is a touch
-MOST_UNTOUCHED = 5  # frames of a video
+QUIET = 0.1  # share of a video's frames, those nearest to its median, that show the untouched gel
+TOUCHED = 0.3  # threshold of a touch, between the smallest change (0) and the largest (1)
+MOST_UNTOUCHED = 5  # chosen frames of the untouched gel
 
 Frames = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """An image (H, W, 3) of the gel, and its path relative to the folder in which its label will be written."""
+    """An image (H, W, 3) of the gel, and its path relative to the folder of the table."""
 
     name: str
     image: Image
 
 
 def read_frames(source: Path) -> tuple[Path, list[Frame]]:
-    """Return the folder of a source's pictures, and these as frames in the order of their names.
+    """Return the folder of a source's pictures, and the pictures as frames in the order of their names.
 
-    The source is a folder of pictures and videos, or a video; a video's chosen frames are written to the folder
-    NAME-frames beside it. Raises CalibrationError when there are none, one cannot be read, or they differ in size.
+    The source is a folder of pictures and videos, or a video. A video's chosen frames are written to the folder
+    NAME-frames beside it. Raises CalibrationError when there are no pictures, when one cannot be read, or when they
+    differ in size.
     """
     if not os.path.exists(source):
         raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
@@ -56,7 +57,7 @@ def read_frames(source: Path) -> tuple[Path, list[Frame]]:
 
 
 def list_pictures(folder: Path) -> set[str]:
-    """Return the names of the pictures in a folder, but for the sheet of labels."""
+    """Return the names of the pictures in a folder, except the sheet of labels."""
     return {path.name for path in _list_files(folder, IMAGE_SUFFIXES)}
 
 
@@ -72,7 +73,7 @@ def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:
         except TactileLocError as error:
             raise CalibrationError(str(error)) from error
         if image is None:
-            raise CalibrationError(f"{path} is no colour image; give PNG or JPEG with three channels, or take it away")
+            raise CalibrationError(f"{path} is no colour image; give PNG or JPEG with three channels, or remove it")
         yield Frame(path.relative_to(root).as_posix(), image)
 
 
@@ -84,15 +85,16 @@ def _require_one_size(frames: Iterable[Frame], folder: Path) -> list[Frame]:
     for frame in found:
         if frame.image.shape != first.image.shape:
             one, other = (f"{f.name} ({f.image.shape[1]} x {f.image.shape[0]} px)" for f in (first, frame))
-            raise CalibrationError(f"{folder} holds images of different sizes, {one} and {other}; give one camera's")
+            raise CalibrationError(
+                f"{folder} holds images of different sizes, {one} and {other}; give images of one camera"
+            )
     return found
 
 
 def take_frames(video: Path) -> Path:
-    """Write what is worth labelling of a video to the folder NAME-frames beside it, and return that.
+    """Write the chosen frames of a video to the folder NAME-frames beside it, and return the folder.
 
-    A folder of that name that is there already is left as it is. Raises CalibrationError when the video cannot be read,
-    or never changes.
+    An existing folder is kept unchanged. Raises CalibrationError when the video cannot be read or shows no change.
     """
     folder = name_frames_folder(video)
     if folder.is_dir():
@@ -100,7 +102,7 @@ def take_frames(video: Path) -> Path:
     thumbnails = np.stack([_shrink(image) for image in read_video(video)])
     chosen = set(choose_frames(thumbnails))
     if not chosen:
-        raise CalibrationError(f"{video} shows no touch: its frames hardly differ; film the ball while it is pressed")
+        raise CalibrationError(f"{video} shows no touch: its frames hardly differ; record the ball while it is pressed")
     digits = len(str(len(thumbnails)))
     with replace_folder(folder, fresh=True) as temporary:
         for number, image in enumerate(read_video(video)):
@@ -110,7 +112,7 @@ def take_frames(video: Path) -> Path:
 
 
 def name_frames_folder(video: Path) -> Path:
-    """Return the folder that the chosen frames of a video are kept in."""
+    """Return the folder for the chosen frames of a video."""
     return video.with_name(f"{video.stem}-frames")
 
 
@@ -121,10 +123,10 @@ def _shrink(image: Image) -> Frames:
 
 
 def choose_frames(thumbnails: Frames) -> list[int]:
-    """Return which frames (N, h, w, 3) of a video show the untouched gel, and which a touch at its deepest.
+    """Return the numbers of the frames (N, h, w, 3) of a video that show the untouched gel, or a touch at its deepest.
 
-    A touch is a run of frames in which the gel has changed by more than TOUCHED of the most it ever does; its deepest
-    frame is that of the most change. Nothing is chosen when no frame stands out from the rest.
+    A touch is a sequence of frames with a change above TOUCHED. Its deepest frame has the largest change. The result is
+    empty when no frame stands out.
     """
     typical = np.median(thumbnails[:: max(1, len(thumbnails) // 200)], axis=0)
     nearest = np.argsort(_measure_changes(thumbnails, typical))[: max(1, round(QUIET * len(thumbnails)))]
@@ -140,5 +142,5 @@ def choose_frames(thumbnails: Frames) -> list[int]:
 
 
 def _measure_changes(thumbnails: Frames, reference: Frames) -> NDArray[np.float64]:
-    """How much each frame (N, h, w, 3) differs from an image (h, w, 3): root mean square, counts."""
+    """Return the root mean square difference (N,) of frames (N, h, w, 3) from an image (h, w, 3), counts."""
     return np.sqrt(((thumbnails - reference) ** 2).mean(axis=(1, 2, 3), dtype=np.float64))

@@ -1,7 +1,7 @@
-"""Labelled presses: what the gel's surface is under a press of known shape, its indentation and slope at each pixel.
+"""Labelled presses: the gel's indentation and slope at each pixel, under a press of known shape.
 
-Indentation is how far the surface lies below the untouched gel, metres. Slope is its derivative along x and y of the
-sensor frame, unitless. Labels are approximate for a pinhole camera: they are laid on the untouched surface.
+The indentation is the depth of the surface below the untouched gel, metres. The slope is its derivative along x and y
+of the sensor frame, unitless. Labels are approximate for a pinhole camera: they refer to the untouched surface.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SKIRT = 2.5  # contact radii: from there on the gel is untouched
+SKIRT = 2.5  # contact radii beyond which the gel is untouched
 LARGEST_BALL_M = 1.0
-STEEPEST = 0.98  # of the ball's radius: beyond, its surface stands upright
-SKIRT_M = 3e-3  # from a mesh's contact
+STEEPEST = 0.98  # largest radius of a contact, share of the ball's radius
+SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouched
 
 
 @dataclass(frozen=True, eq=False)
 class PressLabel:
     """One press: `indentation_m` (H, W) float32 and `slope` (H, W, 2) float32, `contact` (H, W) bool.
 
-    `known` (H, W) marks the pixels at which this holds: between the contact and the untouched gel, the gel hangs down
-    nobody knows how. Nor is it known how deep a ball's visible circle lies: then `absolute` is False, and all of the
-    contact is deeper than the label says, by the same.
+    `known` (H, W) marks the pixels at which the label holds. The skirt between contact and untouched gel is unknown.
+    The depth of a ball's visible circle is unknown, too. Then `absolute` is False, and the whole contact is deeper than
+    the label by a constant.
     """
 
     indentation_m: Float32
@@ -47,11 +47,11 @@ class PressLabel:
 def label_ball(
     geometry: SensorGeometry, centre_px: tuple[float, float], radius_px: float, ball_radius_m: float
 ) -> PressLabel:
-    """Return the label of a ball whose visible circle has its centre (x, y) and radius in pixels of the image.
+    """Return the label of a ball, given the centre (x, y) and radius of its visible circle in pixels of the image.
 
     With rho the distance from the centre on the surface, r the circle's radius and R the ball's, the indentation is
-    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. Where the gel is curved, the ball's own middle is beside
-    the circle's: in that the ball is as steep as the gel was; the rim's indentation is 0 on the mean. Raises
+    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. On a curved gel, the ball's centre is shifted so that the
+    ball is parallel to the gel at the circle's centre, and the mean indentation of the rim is 0. Raises
     CalibrationError when the circle is larger than the ball or its centre is outside the image.
     """
     height, width = geometry.shape
@@ -62,13 +62,13 @@ def label_ball(
     r, R = radius_px * geometry.pixel_pitch_m, ball_radius_m
     if not (r > 0 and 0 < R <= LARGEST_BALL_M):
         raise CalibrationError(
-            f"the circle's radius is {radius_px:g} px and the ball's {1e3 * R:.3g} mm; both must be positive, and the "
-            f"ball's at most {1e3 * LARGEST_BALL_M:g} mm"
+            f"the circle's radius is {radius_px:g} px and the ball's is {1e3 * R:.3g} mm; both must be positive, and "
+            f"the ball's at most {1e3 * LARGEST_BALL_M:g} mm"
         )
     if not r <= STEEPEST * R:
         raise CalibrationError(
-            f"the circle's radius of {radius_px:g} px is {1e3 * r:.3g} mm, but the ball's is {1e3 * R:.3g} mm: a "
-            f"contact is at most {STEEPEST:g} of the ball; check the radius, the ball, and the sensor's scale"
+            f"the circle's radius is {radius_px:g} px or {1e3 * r:.3g} mm, more than {STEEPEST:g} of the ball's "
+            f"{1e3 * R:.3g} mm; check the radius, the ball, and the sensor's scale"
         )
     sx, sy = geometry.scale_at_surface
     x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
@@ -80,7 +80,7 @@ def label_ball(
     tilt_x, tilt_y = gel[contact].mean(axis=0) if contact.any() else np.zeros(2)
     length = np.sqrt(1 + tilt_x**2 + tilt_y**2)
     x, y = x + R * tilt_x / length, y + R * tilt_y / length
-    below = _measure_below(x**2 + y**2, R)
+    below = np.sqrt(np.maximum(R**2 - (x**2 + y**2), (R * (1 - STEEPEST)) ** 2))
     pushed = below if geometry.relief_m is None else below + geometry.relief_m
     rim = np.sqrt(R**2 - r**2) if geometry.relief_m is None else _average_rim(pushed, rho2, r, geometry.pixel_pitch_m)
     indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
@@ -89,41 +89,36 @@ def label_ball(
 
 
 def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
-    """The mean (metres) of what is pushed in (H, W) along a circle of radius r, `width_m` to either side of it."""
+    """Return the mean depth (H, W), metres, within `width_m` of a circle of radius r."""
     along = np.abs(np.sqrt(rho2) - r) < width_m
     return float(pushed_m[along].mean()) if along.any() else 0.0
-
-
-def _measure_below(rho2: NDArray[np.float64], R: float) -> NDArray[np.float64]:
-    """How far a ball's surface is below its middle where that is rho away; nowhere upright. Metres."""
-    return np.asarray(np.sqrt(np.maximum(R**2 - rho2, (R * (1 - STEEPEST)) ** 2)))
 
 
 def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
     """Return the label of the scene's object at a pose (4, 4), brought to contact and pressed `press_depth_m` metres.
 
-    Raises CalibrationError when the object does not touch the sensor there, or is not pressed in.
+    Raises CalibrationError when the object does not touch the sensor at this pose, or the press depth is not positive.
     """
     if not press_depth_m > 0:
         raise CalibrationError(f"the press depth is {1e3 * press_depth_m:g} mm; it must be positive")
     shape = scene.contact_shape(T_sensor_object, press_depth_m)
     if not shape.contact.any():
-        raise CalibrationError(f"{scene.object.name} does not touch the sensor at this pose; check it")
+        raise CalibrationError(f"{scene.object.name} does not touch the sensor at this pose; check the pose")
     return label_surface(np.where(shape.contact, press_depth_m - shape.depth_m, 0.0), shape.contact, scene.geometry)
 
 
 def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
-    """Return the label of an indentation (H, W), metres, that is known where there is contact (H, W)."""
+    """Return the label of an indentation (H, W), metres, that is known in the contact (H, W)."""
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
     slope = differentiate(indentation_m, geometry).astype(np.float32)
     away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
-    inside = binary_erosion(contact)  # where the slope is not half that of the step at the border
+    inside = binary_erosion(contact)  # without the border, where the slope is half that of the step
     return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))
 
 
 class LabelledPresses(ABC):
-    """Images of known presses, as many as `len` says: small sets in memory, large ones rendered when asked for."""
+    """Images of known presses. Small sets are in memory; large sets may be read or rendered on demand."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -131,10 +126,10 @@ class LabelledPresses(ABC):
 
     @abstractmethod
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and what is known of the gel in it."""
+        """Return an image (H, W, 3) and its label."""
 
     def name(self, number: int) -> str:
-        """Return what people know a press by."""
+        """Return the name of a press for messages and pictures."""
         return f"press {number}"
 
     def read_presses(self) -> Iterator[tuple[Image, PressLabel]]:
@@ -144,19 +139,18 @@ class LabelledPresses(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Chosen(LabelledPresses):
-    """Some presses of a set, by number."""
+    """A subset of presses, by number."""
 
     whole: LabelledPresses
     numbers: Sequence[int]
 
     def __len__(self) -> int:
-        """Return the number of presses."""
         return len(self.numbers)
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and what is known of the gel in it."""
+        """Return an image (H, W, 3) and its label."""
         return self.whole.read_press(self.numbers[number])
 
     def name(self, number: int) -> str:
-        """Return what people know a press by."""
+        """Return the name of a press."""
         return self.whole.name(self.numbers[number])

@@ -1,8 +1,8 @@
 """Slope from colour, pixel by pixel, then height by integration: learned from a few dozen presses of a ball.
 
-Photometric stereo with the light measured instead of modelled, after Johnson and Adelson (CVPR 2009); that a small
-network is enough for it, and needs few presses, is Wang et al.'s finding (GelSight Wedge, ICRA 2021). Slopes become
-heights by Poisson integration, and the drift is taken out where the gel is untouched.
+This is photometric stereo with measured instead of modelled light, after Johnson and Adelson (CVPR 2009). Wang et al.
+found that a small network and few presses are enough (GelSight Wedge, ICRA 2021). Poisson integration gives the
+heights. The drift is estimated where the gel is untouched, and subtracted.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from tactile_loc.core.errors import CalibrationError, TrainingError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.component import ComponentOptions
 
-SMOOTHINGS_PX = (1.0, 3.0)  # of the colour difference: against noise, and to see a little of what is around
+SMOOTHINGS_PX = (1.0, 3.0)  # of the colour difference: against noise, and for a small neighbourhood
 FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
-OUTLIER_RAD = 0.1  # an error of the angle from which on it counts by its size, not its square
+OUTLIER_RAD = 0.1  # error of the angle above which the loss is linear
 STEPS_A_PRESS, MOST_STEPS = 100, 5000
 PIXELS_AT_ONCE = 1 << 16
 REPORT_EVERY = 50  # steps
 
 
 class SlopeNetwork(nn.Module):
-    """Slopes (N, 2) of features (N, FEATURES): a linear map, which carries on beyond what was seen, and the rest."""
+    """Slopes (N, 2) of features (N, FEATURES): a linear map, which extrapolates, plus a nonlinear correction."""
 
     def __init__(self, hidden: int) -> None:
         super().__init__()
@@ -51,23 +51,21 @@ class SlopeNetwork(nn.Module):
 
 
 class PhotometricEstimator(GelEstimator):
-    """A network a pixel: from colour difference, background and place to slope; the slopes are integrated."""
+    """A network from each pixel's colour difference, background and place to its slope; the slopes are integrated."""
 
     name = "photometric"
 
     class Options(ComponentOptions):
-        """How the network is made and trained."""
+        """The network and its training."""
 
         hidden: int = Field(default=48, ge=4, le=512, description="units of each of the two hidden layers")
         steps: int | None = Field(
-            default=None, ge=1, description="training steps; by default 100 a press, at most 5000"
+            default=None, ge=1, description="training steps; by default 100 for each press, at most 5000"
         )
-        pixels: int = Field(default=4096, ge=64, description="pixels a step")
-        rate: float = Field(default=3e-3, gt=0, description="learning rate at its highest")
-        untouched: float = Field(
-            default=0.5, ge=0, le=10, description="untouched pixels learned from, a pixel of contact"
-        )
-        seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
+        pixels: int = Field(default=4096, ge=64, description="pixels in each step")
+        rate: float = Field(default=3e-3, gt=0, description="highest learning rate")
+        untouched: float = Field(default=0.5, ge=0, le=10, description="untouched pixels for each pixel in contact")
+        seed: int = Field(default=0, ge=0, description="seed of the training")
 
     def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
         super().__init__(geometry, background, options)
@@ -76,7 +74,7 @@ class PhotometricEstimator(GelEstimator):
             self._network: SlopeNetwork = SlopeNetwork(self.options.hidden)
 
     def fit(self, problem: CalibrationProblem) -> None:
-        """Learn the slope of pixels in contact and of some untouched ones. Raises CalibrationError, TrainingError."""
+        """Learn the slopes of pixels in contact and some untouched pixels. Raises CalibrationError, TrainingError."""
         features, slopes = self._collect_samples(problem)
         angles = slopes.atan()
         generator = torch.Generator().manual_seed(self.options.seed)
@@ -90,7 +88,7 @@ class PhotometricEstimator(GelEstimator):
                 off_rad = self._network(features[chosen]).atan() - angles[chosen]
                 loss = nn.functional.huber_loss(off_rad, torch.zeros_like(off_rad), delta=OUTLIER_RAD)
                 if not math.isfinite(float(loss.detach())):
-                    raise TrainingError("the loss became NaN; lower the estimator's rate")
+                    raise TrainingError(f"the loss became NaN in step {step + 1}; lower the estimator's rate")
                 optimizer.zero_grad(set_to_none=True)
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
@@ -100,14 +98,14 @@ class PhotometricEstimator(GelEstimator):
                 advance(1)
 
     def estimate_slopes(self, image: Image) -> Float32:
-        """Return the slope (H, W, 2) of the gel's surface along x and y, unitless."""
+        """Return the slopes (H, W, 2) of the gel's surface along x and y, unitless."""
         pixels = torch.from_numpy(self._stack_features(image).reshape(-1, FEATURES))
         with torch.inference_mode():
             parts = [self._network(part) for part in torch.split(pixels, PIXELS_AT_ONCE)]
         return torch.cat(parts).numpy().reshape(*image.shape[:2], 2)
 
     def read(self, image: Image) -> tuple[Float32, Float32]:
-        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that it comes from."""
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, from which it follows."""
         slopes = self.estimate_slopes(image)
         return find_indentation(slopes, self.geometry), slopes
 
@@ -119,7 +117,7 @@ class PhotometricEstimator(GelEstimator):
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)
 
     def _collect_samples(self, problem: CalibrationProblem) -> tuple[torch.Tensor, torch.Tensor]:
-        """Features (P, FEATURES) and slopes (P, 2) of all known pixels in contact and of some without."""
+        """Return features (P, FEATURES) and slopes (P, 2) of all known pixels in contact and of some untouched ones."""
         rng = np.random.default_rng(self.options.seed)
         features, slopes, touched = [], [], 0
         for image, label in problem.presses.read_presses():
@@ -132,5 +130,5 @@ class PhotometricEstimator(GelEstimator):
             features.append(self._stack_features(image).reshape(-1, FEATURES)[chosen])
             slopes.append(label.slope.reshape(-1, 2)[chosen])
         if not touched:
-            raise CalibrationError("no press shows any contact; a calibration needs presses of known shape")
+            raise CalibrationError("no press shows contact; a calibration needs presses of known shape")
         return torch.from_numpy(np.concatenate(features)), torch.from_numpy(np.concatenate(slopes))

@@ -1,6 +1,6 @@
-"""Presses as folders: images, a table of labels and the sensor's geometry, as docs/sensors.md says; public sets too.
+"""Presses as folders of images, a table of labels and a sensor file (see docs/sensors.md), and public sets of presses.
 
-The public sets that can be converted differ in how they write down the same circle.
+Public sets in several formats can be converted to such a folder.
 """
 
 from __future__ import annotations
@@ -33,18 +33,17 @@ KINDS = {
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
     "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
 }
-MOST_READ_PX = 200  # of the longer side: twice as many take four times as long, and locate no better
-SAME_SHAPE = 0.01  # by which the sides of a smaller image may be off
-FOR_MEDIAN = 9  # presses at different places, at least, for their median to show the untouched gel
-CONVERTED = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")  # of a public set's table
-DEEPEST_MM = 1.5  # what the deepest press of a public set is taken for
+MOST_READ_PX = 200  # longer image side: twice as many pixels take four times as long, and locate no better
+SAME_SHAPE = 0.01  # largest relative difference of the aspect ratio of a smaller image
+FOR_MEDIAN = 9  # least number of presses at different places whose median shows the untouched gel
+DEEPEST_MM = 1.5  # assumed deepest press of a public set
 Rows = Iterable[tuple[str, tuple[float, float, float] | None]]  # images' names, and circles: x, y, radius
 HALF = 0.5  # public sets count pixels from the centre of the first; tactile-loc from its corner
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A row of the table: where it is, the image it is about, its kind, and the values of that kind's columns."""
+    """A row of the table: its position for messages, its image and kind, and the values of the columns."""
 
     where: str
     folder: Path
@@ -54,29 +53,29 @@ class Row:
 
     @property
     def mesh(self) -> Path:
-        """The mesh that was pressed. Raises CalibrationError when the row names none."""
+        """The mesh that was pressed. Raises CalibrationError when the row has none."""
         if not self.values.get("mesh"):
             raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
         return self.folder / self.values["mesh"]
 
     def read_number(self, column: str) -> float:
-        """Return a column's value. Raises CalibrationError when it is missing or no finite number."""
+        """Return a column's value. Raises CalibrationError when it is missing or not a finite number."""
         text = self.values.get(column, "")
         try:
             value = float(text)
         except ValueError:
             value = np.nan
         if not np.isfinite(value):
-            said = f"{text!r}, which is no number" if text else "missing"
-            raise CalibrationError(f"{self.where}: {column} is {said}; a {self.kind} press needs it")
+            fault = f"{text!r}" if text else "missing"
+            raise CalibrationError(f"{self.where}: {column} is {fault}; a {self.kind} press needs a number")
         return value
 
 
 @dataclass(frozen=True, eq=False)
 class PressFolder(LabelledPresses):
-    """The presses that a table lists, images in memory and as large as `geometry` says.
+    """The presses of a table, with images in memory at the size of `geometry`.
 
-    `camera` is the geometry of the camera's own images, of whose pixels the table speaks.
+    `camera` is the geometry of the camera's own images. The table refers to its pixels.
     """
 
     rows: tuple[Row, ...]
@@ -87,11 +86,10 @@ class PressFolder(LabelledPresses):
     _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
-        """Return the number of presses."""
         return len(self.rows)
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and its label. Raises CalibrationError that names the row when it cannot be so."""
+        """Return an image (H, W, 3) and its label. Raises CalibrationError with the row of an impossible label."""
         return self.images[number], self.label(number)
 
     def name(self, number: int) -> str:
@@ -99,17 +97,19 @@ class PressFolder(LabelledPresses):
         return self.rows[number].image.name
 
     def label(self, number: int) -> PressLabel:
-        """Return the label of a press."""
+        """Return the label of a press. Raises CalibrationError with the row when it is impossible."""
         row = self.rows[number]
         try:
-            return self._label_ball(row) if row.kind == "ball" else self._label_mesh(row)
+            if row.kind == "ball":
+                return label_ball(self.geometry, *self._scale_circle(row))
+            return self._label_mesh(row)
         except TactileLocError as error:
             if str(error).startswith(row.where):
                 raise
             raise CalibrationError(f"{row.where}: {error}") from error
 
     def place_circle(self, number: int) -> tuple[tuple[float, float], float, float]:
-        """Return the centre (x, y) of a ball's visible circle, its radius and the ball's, metres, on the surface."""
+        """Return the centre (x, y) and radius of a ball's circle on the surface, and the ball's radius, metres."""
         (x, y), radius_px, ball_m = self._scale_circle(self.rows[number])
         sx, sy = self.geometry.scale_at_surface
         centre_m = (x - self.geometry.cx) / sx, (y - self.geometry.cy) / sy
@@ -120,9 +120,6 @@ class PressFolder(LabelledPresses):
         (rows, columns), (height, width) = self.geometry.shape, self.camera.shape
         radius_px = radius * self.camera.pixel_pitch_m / self.geometry.pixel_pitch_m
         return (x * columns / width, y * rows / height), radius_px, 1e-3 * ball_mm
-
-    def _label_ball(self, row: Row) -> PressLabel:
-        return label_ball(self.geometry, *self._scale_circle(row))
 
     def _label_mesh(self, row: Row) -> PressLabel:
         from scipy.spatial.transform import Rotation
@@ -146,13 +143,11 @@ class PressFolder(LabelledPresses):
 def read_presses(
     folder: Path, camera: SensorGeometry, median_background: bool = False, size_px: tuple[int, int] | None = None
 ) -> PressFolder:
-    """Read a folder of presses whose table is `presses.csv`, taken by a sensor of geometry `camera`.
+    """Read a folder of presses with the table `presses.csv`, taken by a sensor of geometry `camera`.
 
-    With `size_px` (width, height) images are reduced to that size, and the sensor with them.
-
-    The background is the mean of the table's background images; or, with `median_background`, the median of all presses
-    pixel by pixel, which needs at least FOR_MEDIAN of them at different places. Raises CalibrationError for whatever is
-    wrong, naming the row.
+    With `size_px` (width, height), images and sensor are reduced to that size. The background is the mean of the
+    table's background images. With `median_background`, it is the pixelwise median of all presses, of which there must
+    be at least FOR_MEDIAN at different places. Raises CalibrationError with the faulty row.
     """
     table = folder / TABLE
     geometry = camera if size_px is None else _shrink_sensor(camera, size_px)
@@ -161,16 +156,16 @@ def read_presses(
     unpressed = [image for row, image in images.items() if row.kind == "background"]
     pressed = tuple(row for row in rows if row.kind != "background")
     if not pressed:
-        raise CalibrationError(f"{table} lists no press; give at least a few rows of kind ball or mesh")
+        raise CalibrationError(f"{table} lists no press; add rows of kind ball or mesh")
     if not unpressed and not median_background:
         raise CalibrationError(
-            f"{table} lists no image of the untouched gel; add a row of kind background, or say "
-            "--background median when the presses are many and at different places"
+            f"{table} lists no image of the untouched gel; add a row of kind background, or use --background median "
+            "with many presses at different places"
         )
     if median_background and len(pressed) < FOR_MEDIAN:
         raise CalibrationError(
-            f"{table} lists {len(pressed)} presses; their median shows the untouched gel only from {FOR_MEDIAN} on, at "
-            "different places; add a row of kind background"
+            f"{table} lists {len(pressed)} presses, but --background median needs at least {FOR_MEDIAN} at different "
+            "places; add presses, or a row of kind background"
         )
     stack = np.stack([images[row] for row in pressed] if median_background else unpressed)
     background = np.median(stack, axis=0) if median_background else stack.mean(axis=0)
@@ -178,27 +173,27 @@ def read_presses(
         pressed, tuple(images[row] for row in pressed), np.rint(background).astype(np.uint8), geometry, camera
     )
     for number in range(len(presses)):
-        presses.label(number)  # all that is wrong is said before anything is trained
+        presses.label(number)  # reports faulty rows before the training
     return presses
 
 
 def choose_size_px(camera: SensorGeometry) -> tuple[int, int]:
-    """Return the size (width, height) to which a camera's images are reduced for reading: whole pixels are merged.
+    """Return the size (width, height) to which a camera's images are reduced for reading, by merging whole pixels.
 
-    Of a gel some 20 mm wide a tenth of a millimetre is seen then.
+    For a gel about 20 mm wide, a pixel is then a tenth of a millimetre.
     """
     merged = math.ceil(max(camera.shape) / MOST_READ_PX)
     return round(camera.width_px / merged), round(camera.height_px / merged)
 
 
 def _shrink_sensor(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGeometry:
-    """The sensor at a smaller image size (width, height). Raises CalibrationError for another shape or a larger one."""
+    """Return the sensor at a smaller image size (width, height). Raises CalibrationError for other sizes."""
     width, height = size_px
     shares = width / camera.width_px, height / camera.height_px
     if not (min(shares) > 0 and max(shares) <= 1 and abs(shares[0] / shares[1] - 1) <= SAME_SHAPE):
         raise CalibrationError(
-            f"images of {camera.width_px} x {camera.height_px} px cannot be reduced to {width} x {height}; give a "
-            "smaller size of the same shape"
+            f"images of {camera.width_px} x {camera.height_px} px cannot be reduced to {width} x {height} px; give a "
+            "smaller size with the same aspect ratio"
         )
     return camera.resize(width, height)
 
@@ -211,21 +206,21 @@ def _read_table(table: Path) -> list[Row]:
             lines = [(reader.line_num, line) for line in reader]
     except FileNotFoundError as error:
         raise CalibrationError(
-            f"there is no {table}; a calibration reads a folder of images and a table of that name"
+            f"there is no {table}; a calibration needs a folder with images and this table"
         ) from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CalibrationError(f"{table} cannot be read as a table ({error})") from error
+        raise CalibrationError(f"cannot read {table} as a table ({error})") from error
     if missing:
         raise CalibrationError(
-            f"{table} has no column {' and no column '.join(sorted(missing))}; its first line names them"
+            f"{table} has no column {' and no column '.join(sorted(missing))}; name the columns in its first line"
         )
     return [_parse_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
 
 
 def summarize_table(folder: Path) -> tuple[set[str], set[float]]:
-    """Return the paths of the images that a folder's table lists, and the radii of its balls, mm.
+    """Return the paths of the images in a folder's table, and the radii of its balls, mm.
 
-    Raises CalibrationError when it cannot be read.
+    Raises CalibrationError when the table cannot be read.
     """
     rows = _read_table(folder / TABLE)
     radii_mm = {row.read_number(KINDS["ball"][-1]) for row in rows if row.kind == "ball"}
@@ -236,10 +231,10 @@ def _parse_row(line: dict[str, str | None], where: str, folder: Path) -> Row:
     values = {key: (value or "").strip() for key, value in line.items() if key and not isinstance(value, list)}
     image, kind = values["image"], values["kind"]
     if not image:
-        raise CalibrationError(f"{where}: image is missing; it is the path of a picture, relative to the table")
+        raise CalibrationError(f"{where}: image is missing; give the path of a picture, relative to the table")
     if kind not in KINDS:
-        said = f"the kind {kind!r} is unknown" if kind else f"{image} has no label, as kind is missing"
-        raise CalibrationError(f"{where}: {said}; give one of {', '.join(KINDS)}")
+        fault = f"there is no kind {kind!r}" if kind else f"{image} has no kind"
+        raise CalibrationError(f"{where}: {fault}; give one of {', '.join(KINDS)}")
     return Row(where, folder, folder / image, kind, values)
 
 
@@ -256,7 +251,7 @@ def _read_image(row: Row, geometry: SensorGeometry) -> Image:
         got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, geometry.shape))
         raise CalibrationError(
             f"{row.where}: {row.image.name} is {got} px but the sensor's image is {want} px (width x height); "
-            "all images must be of that size"
+            "all images must have that size"
         )
     return image
 
@@ -264,29 +259,29 @@ def _read_image(row: Row, geometry: SensorGeometry) -> Image:
 def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_px: float) -> Path:
     """Write a folder of presses `out` from a set in one of FORMATS, and return its table's path.
 
-    Circles larger than the ball, which one scale for a whole image makes of some, are taken for the largest that it can
-    make. Raises CalibrationError when the set is not as its format says.
+    Raises CalibrationError when the set does not match its format. See `write_table` for circles larger than the ball.
     """
     if format not in FORMATS:
-        raise CalibrationError(f"there is no format {format!r}; give one of {', '.join(FORMATS)}")
+        raise CalibrationError(f"there is no format {format!r}; choose one of {', '.join(FORMATS)}")
     out.mkdir(parents=True, exist_ok=True)
     try:
         found = FORMATS[format](source, out)
         rows = [(image, None if c is None else (c[0] + HALF, c[1] + HALF, c[2])) for image, c in found]
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
-        raise CalibrationError(f"{source} cannot be read as a set in the format {format} ({error})") from error
+        raise CalibrationError(f"cannot read {source} as a set in the format {format} ({error})") from error
     if all(circle is None for _, circle in rows):
         raise CalibrationError(f"{source} holds no press in the format {format}")
     return write_table(out / TABLE, rows, ball_radius_mm, mm_per_px)
 
 
 def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write a table of images, atomically: with a ball's circle (x, y, radius), pixels, or of the untouched gel.
+    """Write a table of images, each with a ball's circle (x, y, radius) in pixels, or of the untouched gel.
 
-    Circles larger than the ball are cut to the largest that it can make. Raises OutputError when the disk refuses.
+    The image scale is approximate, so a circle may be larger than the ball; then it is reduced to the largest possible
+    one. Raises OutputError when the file cannot be written.
     """
     largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
-    lines: list[tuple[object, ...]] = [CONVERTED]
+    lines: list[tuple[object, ...]] = [("image", "kind", *KINDS["ball"])]
     for image, circle in rows:
         if circle is None:
             lines.append((image, "background"))
@@ -301,20 +296,19 @@ def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float
 
 
 def write_sensor(folder: Path, mm_per_px: float) -> Path:
-    """Describe the sensor of a set that was converted to `folder`, `sensor.toml`, and return the file's path.
+    """Write `sensor.toml` for a set that was converted to `folder`, and return its path.
 
-    Its pixels are square, `mm_per_px` mm wide; the deepest press, which no format tells, is taken for DEEPEST_MM.
-    Raises CalibrationError or TouchError when an image cannot be read.
+    Pixels are square and `mm_per_px` mm wide. Raises CalibrationError or TouchError when an image cannot be read.
     """
     first = min(path for path in folder.iterdir() if path.name != TABLE)
     image = read_colour_image(first)
     if image is None:
-        raise CalibrationError(f"{first.name} of the set is no colour image; give PNG or JPEG with three channels")
+        raise CalibrationError(f"{first} is no colour image; give PNG or JPEG with three channels")
     return write_scale(folder, image.shape[:2], mm_per_px)
 
 
 def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
-    """Describe a sensor by the size (rows, columns) and the scale of its images, `sensor.toml`; return its path."""
+    """Write `sensor.toml` for images of a shape (rows, columns) and scale, with the deepest press DEEPEST_MM."""
     scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
     path = folder / SENSOR
     path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")
@@ -322,7 +316,7 @@ def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
 
 
 def _read_gs_sdk(source: Path, out: Path) -> Rows:
-    """gs_sdk: background.png, and a folder a press with gelsight.png and label.npz (center, radius)."""
+    """Read gs_sdk: background.png, and for each press a folder with gelsight.png and label.npz (center, radius)."""
     yield _copy_image(source / "background.png", out, "background.png"), None
     for label in sorted(source.glob("*/label.npz"), key=lambda path: (len(path.parent.name), path.parent.name)):
         values = load_npz(label)
@@ -332,7 +326,7 @@ def _read_gs_sdk(source: Path, out: Path) -> Rows:
 
 
 def _read_taxim(source: Path, out: Path) -> Rows:
-    """Taxim: a data pack (npz) with imgs, f0, touch_center and touch_radius."""
+    """Read Taxim: a data pack (npz) with imgs, f0, touch_center and touch_radius."""
     pack = load_npz(source)
     pack |= {name: pack[name].astype(np.uint8) for name in ("imgs", "f0")}
     yield write_image(out / "background.png", pack["f0"]).name, None
@@ -343,7 +337,7 @@ def _read_taxim(source: Path, out: Path) -> Rows:
 
 
 def _read_fots(source: Path, out: Path) -> Rows:
-    """FOTS: gelsight/*.png and csv/annotate.csv (img_names, center_x, center_y, radius); no untouched gel."""
+    """Read FOTS: gelsight/*.png and csv/annotate.csv (img_names, center_x, center_y, radius); no untouched gel."""
     with (source / "csv" / "annotate.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             name = Path(row["img_names"]).name
@@ -352,17 +346,17 @@ def _read_fots(source: Path, out: Path) -> Rows:
 
 
 def _read_circles(source: Path, out: Path) -> Rows:
-    """A text file of lines `image (x, y) radius`, and background_real.png or background.png."""
+    """Read a text file of lines `image (x, y) radius`, and background_real.png or background.png."""
     for name in ("background.png", "background_real.png"):
         if (source / name).is_file():
             yield _copy_image(source / name, out, name), None
     tables = sorted(source.glob("labels*.txt"))
     if len(tables) != 1:
-        raise ValueError(f"it has {len(tables)} files labels*.txt; it must have one")
+        raise ValueError(f"there are {len(tables)} files labels*.txt; there must be one")
     for line in filter(str.strip, tables[0].read_text(encoding="utf-8").splitlines()):
         found = re.fullmatch(r"\s*(\S+)\s*\(([^,]+),([^)]+)\)\s*(\S+)\s*", line)
         if found is None:
-            raise ValueError(f"{tables[0].name} has the line {line!r}; each must be: image (x, y) radius")
+            raise ValueError(f"{tables[0].name} has the line {line!r}; write: image (x, y) radius")
         name, x, y, radius = found.groups()
         yield _copy_image(source / name, out, name), (float(x), float(y), float(radius))
 
@@ -376,6 +370,5 @@ FORMATS: dict[str, Callable[[Path, Path], Rows]] = {
 
 
 def _copy_image(image: Path, out: Path, name: str) -> str:
-    """Put an image into the folder under a name."""
     (out / name).write_bytes(image.read_bytes())
     return name

@@ -1,34 +1,45 @@
-"""Reading an image: is it one of this sensor's, is there contact, how deep, and which contact shape is it."""
+"""Reading of images: checks that an image is this sensor's, measures the press, and finds the contact shape.
+
+The health of an image consists of two figures that grow with a worn gel or a moved lamp. The first compares the colour
+of the untouched gel. The second tests whether the estimated slopes are those of a surface, which sum to zero around any
+loop. Slopes read under different light are not.
+"""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.labels import Image
+from tactile_loc.calibration.labels import Float32, Image
+from tactile_loc.calibration.surface import differentiate, integrate
 from tactile_loc.core.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import read_colour_image
 
-SKIRT, MOST_SKIRT = 0.3, 0.75  # of the press: below the first nothing touches, and above the second all that is left
-STEEP = 0.25  # of the steepest slope: what is flatter hangs nowhere
+logger = logging.getLogger(__name__)
+
+SKIRT, MOST_SKIRT = 0.3, 0.75  # least and greatest depth of the contact's border, share of the press
+STEEP = 0.25  # least slope of the skirt, share of the steepest slope
 HANGING_M = 1 / 600  # slope over curvature: a ball's is half the distance from its tip
-SMOOTHING_M = 1e-4  # of slope and curvature: standard deviation
-TIP_M = 3e-4  # the press depth is that of the deepest area of this size, squared
-LEAST_M = 5e-5  # no sensor tells a lighter press from none
-ABOVE_NOISE = 4.0  # noise floors that a press stands out by
-ABOVE_FALSE = 1.5  # times what the untouched gel seems to be pressed, by error
-MOST_FALSE_M = 1e-4  # more of that is no reason to refuse a press: what the gel looks like is then known badly
+SMOOTHING_M = 1e-4  # standard deviation of the smoothing of slope and curvature
+TIP_M = 3e-4  # side of the deepest square, which defines the press depth
+LEAST_M = 5e-5  # no sensor distinguishes a lighter press from none
+ABOVE_NOISE = 4.0  # least press, in noise standard deviations
+ABOVE_FALSE = 1.5  # least press, times the false press of the untouched gel
+MOST_FALSE_M = 1e-4  # largest threshold from a false press: a larger one shows an unreliable image of the untouched gel
 BLACK, WHITE = 8, 253  # counts of 255
-STRANGE = 22  # counts by which half the image may differ from the untouched gel's; presses do by 2 to 19
+STRANGE = 22  # largest median difference from the untouched gel, counts; presses have 2 to 19
 
 
 def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
-    """Return an image (H, W, 3) at a smaller size (rows, columns): each pixel is the mean of what it covers."""
+    """Return an image (H, W, 3) at a smaller size (rows, columns): each pixel is the mean of the pixels it covers."""
     from PIL import Image as Picture
 
     if image.shape[:2] == shape:
@@ -37,15 +48,15 @@ def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
 
 
 def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, int] | None = None) -> Image:
-    """Return an image that can be this sensor's, as large as `background` (H, W, 3), that of the untouched gel.
+    """Check an image against `background` (H, W, 3), the image of the untouched gel, and return it at that size.
 
-    One of the camera's own size `camera_px` (rows, columns) is reduced to it. Raises TouchError for another size or
-    type, or what no gel looks like: all black, mostly saturated, or altogether unlike the background.
+    An image of the camera's own size `camera_px` (rows, columns) is reduced. Raises TouchError for another size or
+    type, and for an image that is black, mostly saturated, or unlike the background everywhere.
     """
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise TouchError(
-            f"the image is {image.dtype} of shape {image.shape}; it must be colour, (H, W, 3) of 8 bits; convert it"
+            f"the image is {image.dtype} of shape {image.shape}; convert it to colour with 8 bits, (H, W, 3)"
         )
     if image.shape[:2] == camera_px:
         image = reduce_image(image, background.shape[:2])
@@ -54,32 +65,32 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
         got, want, own = (f"{shape[1]} x {shape[0]}" for shape in sizes)
         also = "" if own == want else f", reduced from the camera's {own}"
         raise TouchError(
-            f"the image is {got} px (width x height) but the sensor was calibrated at {want}{also}; was it taken by "
-            "another camera, or cut or resized?"
+            f"the image is {got} px (width x height) but the sensor was calibrated at {want}{also}; give images of the "
+            "same camera, neither cropped nor resized"
         )
     if (image <= BLACK).all(axis=2).mean() > 0.95:
-        raise TouchError("the image is black; is the sensor's light on, and its camera uncovered?")
+        raise TouchError("the image is black; check the sensor's light and its camera")
     if (image >= WHITE).any(axis=2).mean() > 0.5 > (background >= WHITE).any(axis=2).mean():
-        raise TouchError("more than half of the image is saturated; lower the camera's exposure or its gain")
-    some = np.s_[::2, ::2]  # the median of a quarter is that of all
+        raise TouchError("more than half of the image is saturated; lower the camera's exposure or gain")
+    some = np.s_[::2, ::2]  # a quarter of the pixels has nearly the same median
     if np.median(np.abs(image[some].astype(np.int16) - background[some])) > STRANGE:
         raise TouchError(
-            "the image does not look like the sensor's untouched gel anywhere; was it taken by another sensor, or has "
-            "the light changed? calibrate this one"
+            "the image differs from the sensor's untouched gel everywhere, so the sensor or its light is another; "
+            "calibrate this sensor"
         )
     return image
 
 
 def read_zero(path: Path) -> Image:
-    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file holds no colour image."""
+    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is no colour image."""
     image = read_colour_image(path)
     if image is None:
-        raise TouchError(f"{path} is no colour image; as the untouched gel (--zero) give a photo of it, PNG or JPEG")
+        raise TouchError(f"{path} is no colour image; give PNG or JPEG with three channels as --zero")
     return image
 
 
 def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> float:
-    """Return how deep the gel is pressed in, metres: at the border of the deepest TIP_M x TIP_M of (H, W)."""
+    """Return the press depth of an indentation (H, W), metres: the least depth of the deepest area TIP_M^2."""
     pixels = max(1, round((TIP_M / geometry.pixel_pitch_m) ** 2))
     observed = np.sort(indentation_m[geometry.observed_mask])
     return float(observed[-min(pixels, len(observed))])
@@ -89,21 +100,20 @@ def find_contact_shape(
     indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True,
     false_press_m: float = 0.0,
 ) -> ContactShape:  # fmt: skip
-    """Return the contact shape of an indentation (H, W), metres, whose noise is `noise_m`.
+    """Return the contact shape of an indentation (H, W), metres, with noise `noise_m`, standard deviation in metres.
 
-    Untouched, the gel seems to be pressed by `false_press_m` metres.
-    The object is where the gel is, except at the skirt, where the gel hangs from the contact's edge to its untouched
-    surface: `find_contact` tells them apart. The shape is cut at a lighter press, which leaves as much contact: a steep
-    edge is then where it is, and a ball's imprint as wide as at that press; how deep the object really was is its
-    indentation. An indentation that is of the contact alone
-    (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is not pressed in.
+    `false_press_m`, metres, is the press that is measured for the untouched gel. The gel follows the object except at
+    the skirt, which slopes from the contact's edge to the untouched surface. `find_contact` separates the two. The
+    shape is cut at the lighter press that gives this contact area, so a steep edge stays in place; the shape's
+    indentation is the full press. Without a skirt (`sees_skirt` False), the indentation is cut above the noise. Raises
+    NoContactError when the gel is not pressed.
     """
     press = measure_press_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
     if press < least:
         raise NoContactError(
-            f"no contact: nowhere is the gel pressed in by {1e3 * least:.2g} mm, the least that stands out here "
-            f"(deepest: {max(0.0, 1e3 * press):.2g} mm)"
+            f"no contact: the deepest press is {max(0.0, 1e3 * press):.2g} mm, below this image's detection limit of "
+            f"{1e3 * least:.2g} mm"
         )
     press = min(press, geometry.max_depth_m)
     if not sees_skirt:
@@ -113,7 +123,7 @@ def find_contact_shape(
     contact = find_contact(indentation_m, press, geometry)
     observed = np.sort(indentation_m[geometry.observed_mask])
     pixels = min(int(np.count_nonzero(contact)), len(observed) - 1)
-    level = float(observed[-pixels - 1])  # as many are deeper
+    level = float(observed[-pixels - 1])  # this many pixels are deeper
     if not SKIRT * press <= level <= MOST_SKIRT * press:
         level = min(max(level, SKIRT * press), MOST_SKIRT * press)
         contact = geometry.observed_mask & (indentation_m > level)
@@ -123,10 +133,10 @@ def find_contact_shape(
 
 
 def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
-    """Mark (H, W) where the gel lies on the object, and does not hang down from it, of an indentation (H, W), metres.
+    """Mark the pixels (H, W) of an indentation (H, W), metres, at which the gel touches the object.
 
-    At a contact's rim the gel bends over it; where it hangs it is steep, and straight or bent the other way. The border
-    is where the slope is no more than HANGING_M times the bend: at a wall, that is its edge.
+    The gel bends over a contact's rim. The skirt is steep, and straight or bent the other way: its slope is more than
+    HANGING_M times its bend. At a wall, the border is the wall's edge.
     """
     from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
 
@@ -138,3 +148,85 @@ def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: S
     parts, _ = label(binary_opening((surface > SKIRT * press_m) & ~hangs & geometry.observed_mask))
     deep = np.unique(parts[surface > 0.5 * press_m])
     return np.isin(parts, deep[deep > 0])
+
+
+SMOOTHING_PX = 2.0  # of the difference from the untouched gel: removes the camera's noise
+QUIETEST = 0.3  # share of the image that a large contact leaves untouched
+STEEP_SLOPE = 0.1  # least slope that counts: smaller slopes are mostly noise
+FEWEST_STEEP = 0.01  # least share of steep pixels in the image
+LEAST_LIGHT, LEAST_UNFIT = 3.0, 0.1  # least usual values: counts, and a share
+WARNED, REFUSED = 1.5, 2.5  # times the worst of the calibration's presses
+
+
+@dataclass(frozen=True)
+class Health:
+    """The health of a sensor in one image (H, W, 3).
+
+    `light` is the QUIETEST quantile of the difference from the untouched gel, counts: the lamps light the whole image,
+    and a large contact leaves this share untouched. `unfit` is the share of the steep slopes that fits no surface (root
+    of the share of squares), NaN when too few pixels are steep.
+    """
+
+    light: float
+    unfit: float
+
+    def compare(self, usual: Health) -> float:
+        """Return the larger ratio of both figures to those of the calibration's worst press, `usual`."""
+        return float(np.fmax(self._compare_light(usual), self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
+
+    def _compare_light(self, usual: Health) -> float:
+        return self.light / max(usual.light, LEAST_LIGHT)
+
+    def explain(self, usual: Health) -> str:
+        """Return the worse of both figures in words."""
+        worse_light = self._compare_light(usual) >= self.compare(usual)
+        return "the light has changed" if worse_light else "the slopes fit no surface"
+
+    def record(self) -> dict[str, float | None]:
+        """Return the figures as JSON values."""
+        return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
+
+    @classmethod
+    def of_record(cls, record: dict[str, Any]) -> Health:
+        """Return the health from a record."""
+        return cls(*(np.nan if record[name] is None else float(record[name]) for name in ("light", "unfit")))
+
+
+def measure_health(image: Image, untouched: Image, slopes: Float32 | None, geometry: SensorGeometry) -> Health:
+    """Return the health of an image (H, W, 3), with the estimated `slopes` (H, W, 2) if there are any."""
+    from scipy.ndimage import gaussian_filter
+
+    difference = np.moveaxis(image.astype(np.float32) - untouched, -1, 0)
+    smooth = np.stack([gaussian_filter(plane, SMOOTHING_PX) for plane in difference])
+    light = float(np.quantile(np.abs(smooth).max(axis=0)[::2, ::2], QUIETEST))
+    return Health(light, np.nan if slopes is None else _measure_unfit(slopes, geometry))
+
+
+def _measure_unfit(slopes: Float32, geometry: SensorGeometry) -> float:
+    """Return the share of the steep slopes (H, W, 2) that the nearest surface does not explain."""
+    steep = np.hypot(slopes[..., 0], slopes[..., 1]) > STEEP_SLOPE
+    if np.count_nonzero(steep) < FEWEST_STEEP * steep.size:
+        return float(np.nan)
+    off = differentiate(integrate(slopes, geometry), geometry)[steep] - slopes[steep]
+    return float(np.sqrt(np.sum(off**2) / np.sum(slopes[steep] ** 2, dtype=float)))
+
+
+def find_worst(presses: Iterable[Health]) -> Health:
+    """Return the worst of each figure over several presses."""
+    lights, unfits = zip(*((one.light, one.unfit) for one in presses), strict=True)
+    known = [value for value in unfits if np.isfinite(value)]
+    return Health(max(lights), max(known, default=float(np.nan)))
+
+
+def require_healthy(found: Health, usual: Health) -> None:
+    """Log a warning for an image that is worse than the calibration's presses. Raises TouchError if much worse."""
+    figure = found.compare(usual)
+    if figure <= WARNED:
+        return
+    text = (
+        f"the image deviates {figure:.1f} times as much as the calibration's worst press ({found.explain(usual)}); "
+        "give a new image of the untouched gel (--zero), or calibrate the sensor again"
+    )
+    if figure > REFUSED:
+        raise TouchError(text)
+    logger.warning(text)

@@ -1,10 +1,10 @@
-"""The surface of a gel that is curved, from presses of a ball all over it.
+"""The surface of a curved gel, from presses of a ball all over it.
 
-In the middle of a ball's imprint the gel is as steep as it was untouched, around that it is the ball's; so the imprints
-say how colours differ between slopes that differ by so much. Equal colours are equal slopes, wherever they are, if the
-lamps are far away: how steep the untouched gel is at one place against another follows from its colours there. What
-maps colours to slopes, and the gel's surface, a polynomial in x and y, are learned together. A tilt of all of it no
-colour tells: the gel is taken to be level in the middle of the image.
+In the middle of a ball's imprint, the slope is that of the untouched gel; around it, the ball's shape is known. So the
+imprints relate differences of colours to differences of slopes. With distant lamps, equal colours mean equal slopes
+everywhere, so the colours of the untouched gel show its slopes. The map from colours to slopes and the gel's surface, a
+polynomial in x and y, are learned together. Colours do not determine a tilt of the whole surface: the gel is assumed
+level in the middle of the image.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
-DEGREES = range(2, 5)  # of the polynomial: less is a plane
+DEGREES = range(2, 5)  # of the polynomial; lower degrees are a plane
+EXPONENTS = [(degree - j, j) for degree in DEGREES for j in range(degree + 1)]
 HIDDEN, STEPS, PIXELS = 32, 400, 2048  # of the network, and of its training
 RATE, RELIEF_RATE, DECAY = 3e-3, 2e-2, 0.992
 SMOOTHING_PX = 1.0  # of the colours, against noise
-INNER = 0.95  # of a visible circle: its rim is no longer the ball's
-STEEPEST = 0.15  # of the ball's radius: how near to upright its surface is followed
-OUTLIER = 0.1  # an error of the slope from which on it counts by its size, not its square
+INNER = 0.95  # share of a visible circle without its rim
+STEEPEST = 0.15  # least height above the ball's equator, share of its radius, that limits the slope
+OUTLIER = 0.1  # error of the slope above which the loss is linear
 FEWEST = 8  # balls
 UNIT_M = 1e-3  # of the polynomial's coefficients
 
 
 class _Pixels(NamedTuple):
-    """Pixels of known kind: `colours` (P, 3); `offset_m` (P, 2) from the middle of the imprint; the ball's `radius_m`
-    (P, 1), NaN where the gel is untouched; the polynomial's `slopes` (P, 2, K) there, or in the imprint's middle."""
+    """Pixels in imprints or of the untouched gel: `colours` (P, 3); `offset_m` (P, 2) from the imprint's middle; the
+    ball's `radius_m` (P, 1), NaN if untouched; the polynomial's `slopes` (P, 2, K) there or in the imprint's middle."""
 
     colours: torch.Tensor
     offset_m: torch.Tensor
@@ -44,24 +45,25 @@ class _Pixels(NamedTuple):
 
 
 def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None = None) -> Float32:
-    """Return the relief (H, W), metres, of the gel on which balls were pressed, 0 at its highest point.
+    """Return the relief (H, W), metres, of the gel on which balls were pressed: 0 at its highest point.
 
     Raises CalibrationError when there are fewer than FEWEST balls.
     """
     balls = [number for number, row in enumerate(presses.rows) if row.kind == "ball"]
     if len(balls) < FEWEST:
         raise CalibrationError(
-            f"there are {len(balls)} presses of a ball; the surface of a curved gel needs {FEWEST} at least, at places "
-            "all over it"
+            f"there are {len(balls)} presses of a ball; the surface of a curved gel needs at least {FEWEST}, all over "
+            "the gel"
         )
-    pixels = _collect_pixels(presses, balls, np.random.default_rng(seed))
+    terms, slopes = _evaluate_terms(presses.geometry)
+    pixels = _collect_pixels(presses, balls, slopes, np.random.default_rng(seed))
     coefficients = _fit_polynomial(pixels, seed, progress or Progress())
-    relief_m = _evaluate_terms(presses.geometry) @ coefficients * UNIT_M
+    relief_m = terms @ coefficients * UNIT_M
     return (relief_m - relief_m.max()).astype(np.float32)
 
 
 def _fit_polynomial(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float64]:
-    """The polynomial's coefficients (K,), in UNIT_M."""
+    """Return the polynomial's coefficients (K,), in UNIT_M."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         layers = [nn.Linear(3, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 2)]
@@ -85,7 +87,7 @@ def _fit_polynomial(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[n
 
 
 def _predict_slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
-    """The slopes (P, 2) of what is seen below the plane z = surface, given the relief's coefficients (K,)."""
+    """Return the slopes (P, 2) of the surface at pixels, given the relief's coefficients (K,)."""
     rest = -(pixels.slopes @ relief)
     untouched = torch.isnan(pixels.radius_m)
     radius_m = torch.where(untouched, 1.0, pixels.radius_m)
@@ -95,10 +97,11 @@ def _predict_slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
     return torch.where(untouched, rest, ball)
 
 
-def _collect_pixels(presses: PressFolder, balls: list[int], rng: np.random.Generator) -> _Pixels:
-    """All pixels in the balls' imprints, and half as many of the untouched gel."""
+def _collect_pixels(
+    presses: PressFolder, balls: list[int], slopes: NDArray[np.float64], rng: np.random.Generator
+) -> _Pixels:
+    """Return all pixels in the balls' imprints, and half as many pixels of the untouched gel."""
     x, y = np.meshgrid(*presses.geometry.pixel_slopes)
-    slopes = _differentiate_terms(presses.geometry)
     parts = []
     for number in balls:
         (cx, cy), circle_m, ball_m = presses.place_circle(number)
@@ -122,27 +125,13 @@ def _smooth_colours(image: Image) -> NDArray[np.float64]:
     return np.asarray(gaussian_filter(image.astype(float), (SMOOTHING_PX, SMOOTHING_PX, 0), mode="nearest"))
 
 
-def _list_exponents() -> list[tuple[int, int]]:
-    return [(degree - j, j) for degree in DEGREES for j in range(degree + 1)]
-
-
-def _normalize_places(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """x and y (H, W) on the plane, in half diagonals of the image, and that in metres."""
+def _evaluate_terms(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the polynomial's terms (H, W, K), and their slopes along x and y (H, W, 2, K), all unitless."""
     k = geometry.surface_m if geometry.is_pinhole else 1.0
     x, y = (k * side for side in np.meshgrid(*geometry.pixel_slopes))
     half_m = float(np.hypot(x, y).max())
-    return x / half_m, y / half_m, half_m
-
-
-def _evaluate_terms(geometry: SensorGeometry) -> NDArray[np.float64]:
-    """The polynomial's terms (H, W, K), unitless."""
-    x, y, _ = _normalize_places(geometry)
-    return np.stack([x**i * y**j for i, j in _list_exponents()], axis=-1)
-
-
-def _differentiate_terms(geometry: SensorGeometry) -> NDArray[np.float64]:
-    """How steep the gel is along x and y (H, W, 2, K), unitless, by each of the polynomial's coefficients."""
-    x, y, half_m = _normalize_places(geometry)
-    along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in _list_exponents()], axis=-1)
-    along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in _list_exponents()], axis=-1)
-    return np.stack([along_x, along_y], axis=-2) * UNIT_M / half_m
+    x, y = x / half_m, y / half_m
+    terms = np.stack([x**i * y**j for i, j in EXPONENTS], axis=-1)
+    along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in EXPONENTS], axis=-1)
+    along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in EXPONENTS], axis=-1)
+    return terms, np.stack([along_x, along_y], axis=-2) * UNIT_M / half_m

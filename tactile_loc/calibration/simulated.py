@@ -1,6 +1,6 @@
-"""Calibrating on simulation alone: two boards pressed on a sensor whose lamps are known, without a robot or a ball.
+"""Calibration in simulation only: two boards are pressed on a sensor with known lamps, without a robot or a ball.
 
-As many presses as in Bauza et al. (CoRL 2020, appendix), half of them of each board.
+The number of presses is that of Bauza et al. (CoRL 2020, appendix), half of them with each board.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE_VERSION = 3
-PIECES = "images-{:04d}", "indentation-{:04d}"  # by the number of a shard
-SHARD = 64  # presses rendered, saved and resumed at once, under lamps of their own
+PIECES = "images-{:04d}", "indentation-{:04d}"  # names of a shard's arrays
+SHARD = 64  # presses that are rendered, saved and resumed together; each shard has its own lamps
 DEEPEST = 65535  # indentations are 16-bit shares of the sensor's deepest press
-VARIATION = 0.25  # of the lamps, of what one make's specimens differ by
-PRESSES = {"photometric": 200, "cnn": 2000}  # by default; the paper's number for its network
+VARIATION = 0.25  # of the lamps, relative to the spread between sensors of one make
+PRESSES = {"photometric": 200, "cnn": 2000}  # default numbers of presses
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPresses(LabelledPresses):
-    """Presses of the boards on a sensor, SHARD in each of `images` (S, H, W, 3) and `codes` (S, H, W), but the last.
+    """Presses of the boards on a sensor, in shards of SHARD presses: `images` (S, H, W, 3) and `codes` (S, H, W).
 
-    `background` (H, W, 3) is the untouched gel that all of them change, `key` identifies the whole.
+    `background` (H, W, 3) is the untouched gel of all presses. `key` identifies the set.
     """
 
     geometry: SensorGeometry
@@ -51,18 +51,17 @@ class SimulatedPresses(LabelledPresses):
     key: StageKey
 
     def __len__(self) -> int:
-        """Return the number of presses."""
         return sum(len(shard) for shard in self.images)
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and its label, the indentation of what touches: press - depth, metres."""
+        """Return an image (H, W, 3) and its label, the indentation of the contact: press - depth, metres."""
         shard, place = divmod(number, SHARD)
         indentation = self.codes[shard][place] * np.float32(self.geometry.max_depth_m / DEEPEST)
         label = label_surface(indentation, indentation > 0, self.geometry)
         return np.array(self.images[shard][place]), label
 
     def name(self, number: int) -> str:
-        """Return what people know a press by."""
+        """Return the name of a press."""
         return f"simulated press {number}"
 
 
@@ -70,10 +69,10 @@ def simulate_presses(
     geometry: SensorGeometry, optics: Optics, count: int, seed: int, store: StageStore,
     progress: Progress | None = None, variation: float = VARIATION,
 ) -> SimulatedPresses:  # fmt: skip
-    """Press the boards `count` times on a sensor, or fetch from the store what was pressed with the same `seed`.
+    """Press the boards `count` times on a sensor, or load the stored presses of the same `seed`.
 
-    `variation` (unitless) is how far the lamps of each SHARD of presses are from `optics`, see `Optics.vary`; the
-    untouched gel is that of `optics` in all of them. Raises TouchError when the boards leave no imprint on the sensor.
+    `variation` (unitless) scales the difference of each shard's lamps from `optics`, see `Optics.vary`. The untouched
+    gel is that of `optics` in all shards. Raises TouchError when the boards leave no imprint on the sensor.
     """
     renderer = registry().create("renderer", "heightmap", {})
     untouched = render_background(geometry, optics)
@@ -87,7 +86,7 @@ def simulate_presses(
         lamps = optics.vary(rng, variation)
         done = list(press_boards(geometry, size, lamps, rng, renderer, background=untouched))
         indentation = np.concatenate([batch.indentation_m for batch in done])
-        codes = np.ceil(indentation * np.float32(DEEPEST / geometry.max_depth_m))  # no contact is rounded away
+        codes = np.ceil(indentation * np.float32(DEEPEST / geometry.max_depth_m))  # keeps every pixel in contact
         return np.concatenate([batch.images for batch in done]), np.minimum(codes, DEEPEST).astype(np.uint16)
 
     def render(work: Workspace) -> None:
@@ -111,25 +110,25 @@ def _split_shards(count: int) -> list[int]:
 
 
 def find_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
-    """Return the geometry of a sensor, by its name or its file (.toml), and the optics called `lamps`.
+    """Return the geometry of a sensor, by its name or its file (.toml), and the optics named `lamps`.
 
-    By default the optics are the sensor's own, or a usual sensor's. Raises SensorError, ConfigError or
-    UnknownPluginError for what there is not, CalibrationError for a sensor that reads no images of its own.
+    The default optics are the sensor's own, or generic ones. Raises SensorError, ConfigError or UnknownPluginError for
+    unknown names, CalibrationError for a sensor without simulated images.
     """
     chosen = find_optics(lamps) if lamps else choose_optics(sensor)
     if sensor.endswith(".toml"):
         return read_sensor_file(Path(sensor)), chosen
     if sensor not in OPTICS:
         raise CalibrationError(
-            f"there are no simulated images of a sensor {sensor!r}; give one of {', '.join(OPTICS)}, or a sensor file "
-            "(.toml)"
+            f"there are no simulated images of a sensor {sensor!r}; choose one of {', '.join(OPTICS)}, or give a "
+            "sensor file (.toml)"
         )
     geometry: SensorGeometry = registry().create("sensor", sensor, {}).geometry
     return geometry, chosen
 
 
 def find_camera_px(sensor: str) -> list[int] | None:
-    """Return the size (rows, columns) of the images of a sensor by its name; None for one in a file: its own."""
+    """Return the native size (rows, columns) of a named sensor's images, or None for a sensor file."""
     return list(registry().create("sensor", sensor, {}).native.shape) if sensor in OPTICS else None
 
 
@@ -137,16 +136,14 @@ def calibrate_simulated(
     geometry: SensorGeometry, lamps: Optics, count: int | None, estimator: str, options: dict[str, Any], seed: int,
     store: StageStore, progress: Progress | None = None,
 ) -> tuple[SimulatedPresses, GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate on `count` presses of the simulated boards, by default PRESSES, or find what was.
+    """Calibrate on `count` presses of the simulated boards, by default PRESSES, or load the stored result.
 
     Return the presses, the estimator, and a record of JSON values: its errors, and the optics. Raises CalibrationError,
     ConfigError or TrainingError.
     """
-    validate_estimator_options(load_estimator(estimator), options)  # what is wrong is said before anything is rendered
+    validate_estimator_options(load_estimator(estimator), options)  # reports wrong options before rendering
     watcher = progress or Progress()
     presses = simulate_presses(geometry, lamps, count or PRESSES[estimator], seed, store, watcher)
     inputs = {"presses": presses.key.digest}
-    made, record = learn_stage(
-        presses, geometry, presses.background, inputs, estimator, options, seed, store, watcher
-    )  # fmt: skip
+    made, record = learn_stage(presses, geometry, presses.background, inputs, estimator, options, seed, store, watcher)
     return presses, made, {**record, "simulated": {"optics": lamps.describe(), "variation": VARIATION}}

@@ -1,7 +1,7 @@
-"""Presses without labels: which images show the untouched gel, and where a ball lies in the others.
+"""Presses without labels: finds the images of the untouched gel, and a ball in each other image.
 
-Nobody says which is which. The untouched gel is the image against which most others show one imprint and nothing else;
-where there is none, it is pieced together from what each image shows away from its imprint, and smooth in between.
+The untouched gel is the image against which most others show one imprint and nothing else. Without such an image, it is
+composed from the parts of all images that are far from their imprints, with smooth transitions.
 """
 
 from __future__ import annotations
@@ -30,36 +30,33 @@ from tactile_loc.core.progress import Progress
 from tactile_loc.io.images import write_image
 from tactile_loc.store.files import write_atomically
 
-UNTOUCHED = "untouched-gel.png"  # pieced together, where no image shows it
-LIKENESS, CONTRAST = 0.65, 4.0  # least of a ball: share of the change explained, counts
+UNTOUCHED = "untouched-gel.png"  # the composed image of the untouched gel
+LIKENESS, CONTRAST = 0.65, 4.0  # least values of a ball: share of the change explained, and counts
 BLURRED = 0.45  # least likeness of a ball beside another
-QUIET, STILL = 0.2, 0.5  # of the usual ball's contrast: an image that changes less is untouched, if it shows no ball
-SECOND = 0.35  # of the first imprint's contrast: what is stronger is another ball
+QUIET, STILL = 0.2, 0.5  # largest change of an untouched image with and without a ball, share of the usual contrast
+SECOND = 0.35  # least contrast of a second ball, share of the first one's
 APART = 2.2  # radii around an imprint that belong to it
-OUTSIDE = 0.1  # of the radius that may lie beyond the border
+OUTSIDE = 0.1  # share of the radius that may lie beyond the border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # counts of 255, and share of the circle's pixels and colours
-TOO_LARGE_SAID = "larger than the ball"
-TOO_LARGE = 1.3  # times the ball: no circle is that large, with its skirt
-MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # shift, share of the change and of the pixels that it explains, counts
-ALIKE = 0.25  # by which the correlation of a shifted gel is higher
-LEAST_FREE = 0.1  # of the image, to see a shift
-TRIED, JUDGES = 6, 10  # images tried as the untouched gel, and images that judge
-KEPT = 6  # images away from whose imprint a pixel is
-AWAY = (1.3, 2.0)  # radii from an imprint: nearer the gel is certainly touched, farther it hardly is
-ORDER = 5  # of the polynomial that is the gel where all images touch it
-PIECED = 2  # rounds
-SHALLOWEST_MM = 0.05  # of the deepest press: balls that leave less are not of the radius that was said
-HOW_TO_PRESS = "press the ball so that all of its imprint is in the image, and add an image of the untouched gel"
+OVERSIZED = "larger than the ball"
+TOO_LARGE = 1.3  # largest radius of a circle with its skirt, in radii of the ball
+MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share that it explains of change and pixels, and counts
+ALIKE = 0.25  # least gain of correlation by a large shift
+LEAST_FREE = 0.1  # least untouched share of the image for measuring a shift
+TRIED, JUDGES = 6, 10  # images tried as the untouched gel, and images for judging them
+KEPT = 6  # images from which an untouched pixel is composed
+AWAY = (1.3, 2.0)  # radii from an imprint: the gel is touched below the first, and hardly beyond the second
+ORDER = 5  # of the polynomial that fills pixels touched in all images
+PIECED = 2  # rounds of composing
+SHALLOWEST_MM = 0.05  # least depth of the deepest press: smaller depths show a wrong radius of the ball
+HOW_TO_PRESS = "press the ball so that its whole imprint is in the image, and add an image of the untouched gel"
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPress:
-    """An image of a press, its circle, and why it is not used; without a circle or a reason it cannot be.
-
-    `dropped` is a reason of a few words, empty for a press that is used.
-    """
+    """An image of a press and its circle, if found. `dropped` is the reason why the press is not used, or empty."""
 
     frame: Frame
     circle: Circle | None
@@ -73,7 +70,7 @@ class FoundPress:
 
 @dataclass(frozen=True, eq=False)
 class FoundPresses:
-    """What the images of a folder show: the gel (H, W, 3) uint8, the images of it by name, if any, and the presses."""
+    """The untouched gel (H, W, 3) uint8, the names of its images, if any, and the presses of a folder."""
 
     untouched: Image
     untouched_names: tuple[str, ...]
@@ -90,12 +87,12 @@ def find_presses(
 ) -> FoundPresses:
     """Find the untouched gel and each ball's circle in images (H, W, 3) of one camera, in any order.
 
-    `ball_px` is the ball's radius in pixels, if known: a circle much larger is no ball's. Raises CalibrationError when
-    no image shows a ball, the camera moves between most images, or the images are too few to tell.
+    `ball_px` is the ball's radius in pixels, if known: much larger circles are rejected. Raises CalibrationError when
+    no image shows a ball, when the camera moves between most images, or when there are too few images.
     """
     if len(frames) < 3:
         raise CalibrationError(
-            f"images: {len(frames)}, which are too few; a calibration needs one of the untouched gel and five presses, "
+            f"there are too few images: {len(frames)}; a calibration needs one of the untouched gel and five presses, "
             "better 30"
         )
     watcher = progress or Progress()
@@ -124,38 +121,38 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
     moved = sum(reason.startswith("camera moved") for reason in reasons)
     if moved > len(reasons) / 2:
         raise CalibrationError(
-            f"the camera or the gel moved in {moved} of {len(reasons)} images; fix the sensor, so that only the ball "
-            "moves, and take the images again"
+            f"the camera or the gel moved in {moved} of {len(reasons)} images; mount the sensor firmly, and take the "
+            "images again"
         )
     if not found.used:
         counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
-        said = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
-        if ball_px is not None and counted and counted[0][1] == TOO_LARGE_SAID:
+        causes = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
+        if ball_px is not None and counted and counted[0][1] == OVERSIZED:
             usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
             raise CalibrationError(
-                f"no imprint can be the ball's: their radius is about {usual_px:.0f} px, the ball's would be "
-                f"{ball_px:.2g} px; check --ball-radius, the radius in mm, and the size of a pixel, --mm-per-px"
+                f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; "
+                "check --ball-radius, in mm, and --mm-per-px"
             )
-        raise CalibrationError(f"no image shows one whole ball: {said}; {HOW_TO_PRESS}")
+        raise CalibrationError(f"no image shows one whole ball: {causes}; {HOW_TO_PRESS}")
 
 
 def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
-    """Return how deep the balls were pressed, the least and the most, by their visible circles, mm.
+    """Return the least and the largest press depth, mm, from the balls' visible circles.
 
-    Raises CalibrationError when a ball of this radius would have been pressed in nowhere.
+    Raises CalibrationError when even the deepest press would be too shallow for this radius.
     """
     radii_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
     depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - np.minimum(radii_mm, STEEPEST * ball_radius_mm) ** 2)
     if depths_mm.max() < SHALLOWEST_MM:
         raise CalibrationError(
-            f"imprints of {radii_mm.min():.2g} to {radii_mm.max():.2g} mm in radius would be {depths_mm.max():.1g} mm "
-            f"deep at most for a ball of radius {ball_radius_mm:g} mm; check --ball-radius, the radius in mm"
+            f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
+            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check --ball-radius (mm)"
         )
     return float(depths_mm.min()), float(depths_mm.max())
 
 
 def _choose_reference(images: Sequence[Image]) -> Float32:
-    """The image, median, or smoothed median against which single imprints explain most of how the others differ."""
+    """Return the image, median, or smoothed median against which single imprints explain the changes best."""
     stack = np.stack(images[:: max(1, len(images) // 40)])
     median = np.median(stack, axis=0).astype(np.float32)
     off = [float(np.abs(compare_colours(image, median)).mean()) for image in images]
@@ -171,7 +168,7 @@ def _is_ball(imprint: Imprint | None) -> TypeGuard[Imprint]:
 
 
 def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint | None]) -> list[int]:
-    """The numbers of the images that show no ball and nowhere change as much as where a ball usually lies."""
+    """Return the numbers of the images whose strongest change is below that of a usual ball."""
     contrasts = [imprint.contrast for imprint in imprints if _is_ball(imprint)]
     if not contrasts:
         return []
@@ -184,7 +181,7 @@ def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[
 
 
 def _measure_strongest(change: Float32) -> float:
-    """The largest change (H, W, 3) of any block of some pixels a side, counts."""
+    """Return the largest smoothed change (H, W, 3) of any pixel, counts."""
     from scipy.ndimage import uniform_filter
 
     side = max(3, max(change.shape) // 40)
@@ -192,7 +189,7 @@ def _measure_strongest(change: Float32) -> float:
 
 
 def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
-    """The untouched gel (H, W, 3), counts, from images that all are touched somewhere."""
+    """Compose the untouched gel (H, W, 3), counts, from images that are all touched somewhere."""
     balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if _is_ball(i)]
     if not balls:
         raise CalibrationError(f"no image shows one whole ball: {HOW_TO_PRESS}")
@@ -200,8 +197,8 @@ def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None])
     for _ in range(PIECED):
         if len(balls) < KEPT:
             raise CalibrationError(
-                f"no image shows the untouched gel, and {len(balls)} with a ball are too few to piece it together; add "
-                "an image in which nothing touches"
+                f"no image shows the untouched gel, and {len(balls)} images with a ball are too few to compose it; add "
+                "an image of the untouched gel"
             )
         gel = _merge_away(balls)
         found = [(image, find_imprint(compare_colours(image, gel))) for image, _ in balls]
@@ -211,7 +208,7 @@ def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None])
 
 
 def _merge_away(balls: Sequence[tuple[Image, Circle]]) -> Float32:
-    """The median of the KEPT images whose ball is farthest from a pixel, and smooth where these are not far enough."""
+    """Return the median of the KEPT images with the farthest ball, for each pixel, and a smooth fit near the balls."""
     shape = balls[0][0].shape[:2]
     away = np.stack([circle.measure_distance_px(shape) / circle.radius_px for _, circle in balls]).astype(np.float32)
     order = np.argsort(-away, axis=0)[:KEPT]
@@ -225,7 +222,7 @@ def _merge_away(balls: Sequence[tuple[Image, Circle]]) -> Float32:
 
 
 def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
-    """The polynomial of x and y through an image (H, W, 3), robustly, by the weight (H, W) of its pixels."""
+    """Return a robust polynomial fit of x and y to an image (H, W, 3) with pixel weights (H, W)."""
     height, width = image.shape[:2]
     y, x = (np.linspace(-1, 1, n) for n in (height, width))
     powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
@@ -237,7 +234,7 @@ def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
 
 
 def _judge(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPress:
-    """Find the ball in an image, and say why it cannot be used, if so."""
+    """Find the ball in an image, or the reason why the image cannot be used."""
     change = compare_colours(frame.image, reference)
     imprint = find_imprint(change)
     around = None
@@ -252,12 +249,12 @@ def _judge(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPres
         return FoundPress(frame, imprint.circle, "two balls")
     if imprint.likeness < LIKENESS:
         return FoundPress(frame, None, "no ball found")
-    circle, _ = find_rim(change, imprint.circle)
+    circle = find_rim(change, imprint.circle)
     return FoundPress(frame, circle, _find_fault(frame.image, reference, circle, ball_px))
 
 
 def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float | None) -> str:
-    """Why a press of a found circle cannot be used; empty when it can."""
+    """Return the reason why a press with this circle cannot be used, or an empty string."""
     if circle.measure_overhang_px(image.shape[:2]) > OUTSIDE * circle.radius_px:
         return "cut off at the border"
     inside = circle.measure_distance_px(image.shape[:2]) < circle.radius_px
@@ -265,14 +262,14 @@ def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float
     if white[inside].mean() > MOST_EXPOSED:
         return "over-exposed"
     if ball_px is not None and circle.radius_px > TOO_LARGE * ball_px:
-        return TOO_LARGE_SAID
+        return OVERSIZED
     return ""
 
 
 def _measure_shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
-    """By how many pixels the gel's texture has moved, seen where it is not touched (H, W); 0 when it has not.
+    """Return the shift of the gel's texture outside the touched pixels (H, W), pixels; 0 without a clear shift.
 
-    Small shifts by least squares of the change on the gel's gradients, larger ones by correlation.
+    Small shifts are found by least squares of the change on the gel's gradients, large ones by correlation.
     """
     free = np.ones(change.shape[:2], bool) if touched is None else ~touched
     gel, seen = _extract_details(reference), _extract_details(change)
@@ -291,13 +288,13 @@ def _measure_shift(change: Float32, reference: Float32, touched: Mask | None) ->
 
 
 def _measure_large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
-    """The shift in whole pixels at which details (H, W, 3) are clearly more alike than where they are; else 0."""
+    """Return the shift in whole pixels that clearly increases the correlation of details (H, W, 3), or 0."""
     one, other = (values * free[..., None] for values in (seen, gel))
     spectra = np.fft.rfft2(one, axes=(0, 1)) * np.conj(np.fft.rfft2(other, axes=(0, 1)))
     alike = np.fft.irfft2(spectra.sum(axis=2), s=free.shape)
     alike /= max(float(np.sqrt((one**2).sum() * (other**2).sum())), 1e-9)
     place = np.unravel_index(int(alike.argmax()), alike.shape)
-    gained = float(alike[place] - alike[:2, :2].max())  # next to no shift is none
+    gained = float(alike[place] - alike[:2, :2].max())  # a shift of up to one pixel counts as none
     away = [min(p, n - p) for p, n in zip(place, free.shape, strict=True)]
     return float(np.hypot(*away)) if gained > ALIKE else 0.0
 
@@ -306,10 +303,10 @@ def _fit_robustly(
     terms: NDArray[np.floating], values: NDArray[np.floating], first: NDArray[np.floating],
     scale: Callable[[float], float], rounds: int,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Factors (K, C) of the terms (P, K) that make the values (P, C), and weights (P,): what fits badly does not count.
+    """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return them with the robust weights (P,).
 
-    The weights are at most the `first` (P,), by Tukey's function of what is missed; `scale` says, of what is typically
-    missed, from where on nothing counts.
+    The weights are the `first` ones (P,) times Tukey's function of the residual. `scale` maps the median residual to
+    the residual from which on the weight is 0.
     """
     weight = first
     for _ in range(rounds):
@@ -321,21 +318,21 @@ def _fit_robustly(
 
 
 def _extract_details(image: Float32) -> Float32:
-    """An image (H, W, 3) without its noise, and without what changes slowly, as light does."""
+    """Return an image (H, W, 3) without its noise and without slow changes, such as the light's."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(image, (1, 1, 0)) - gaussian_filter(image, (6, 6, 0)), np.float32)
 
 
 def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write `presses.csv` of the presses that are used, and the untouched gel where no image shows it.
+    """Write `presses.csv` of the used presses, and the composed untouched gel if no image shows it.
 
-    Circles larger than the ball are cut to the largest that it can make. Raises CalibrationError when there is a table
-    already, which is never overwritten; OutputError when the disk refuses.
+    Raises CalibrationError when there is a table already, OutputError when a file cannot be written. See `write_table`
+    for circles larger than the ball.
     """
     table = folder / TABLE
     if table.exists():
-        raise CalibrationError(f"{table} is there already and is not overwritten; move it away to have them found anew")
+        raise CalibrationError(f"{table} exists and is not overwritten; move it away to find the presses again")
     names = list(found.untouched_names)
     if not names:
         write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))

@@ -1,1 +1,1 @@
-"""The nouns and the interfaces. Imports no plugin and nothing heavy."""
+"""Data types, interfaces and numerical kernels. Imports no plugin and nothing heavy."""

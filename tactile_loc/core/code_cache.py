@@ -1,8 +1,8 @@
-"""Folders for compiled code on disk: one for each source file and for everything that its code is compiled from.
+"""Folders for compiled code on disk: one for each source file and everything that its code is compiled from.
 
-numba looks at the file of a function only. The functions that it calls, and the constants that it uses, are compiled
-into it too, and may come from other files. So the name of a folder holds a hash of all of them, and code of another
-state is never found. An index on disk that numba could not read would end the program: such files are deleted first.
+numba only checks the file of a function. But functions that it calls, and constants that it uses, are compiled into it
+too, and may come from other files. So a folder's name contains a hash of all of them, and outdated code is never used.
+An index on disk that numba cannot read would end the program, so such files are deleted first.
 """
 
 from __future__ import annotations
@@ -31,20 +31,18 @@ logger = logging.getLogger(__name__)
 Folder = Path | None
 
 _HEX = "[0-9a-f]" * 16
-_PICKLES = {".nbi": 2, ".nbc": 1}  # how many follow one another in numba's index files and code files
+_PICKLES = {".nbi": 2, ".nbc": 1}  # number of pickles in numba's index files and code files
 
-_opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # by source file: its time and size, its folder
+_opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # by source file: its time and size; its folder
 
 
 def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
-    """Return the folder for the compiled code of a function's file, made if need be, without unreadable files.
+    """Return the folder for the compiled code of a function's file, created if necessary, without unreadable files.
 
     It is under `chosen` (NUMBA_CACHE_DIR), else in `__pycache__` beside the file, else in the user's cache. A file has
-    one folder in a process: what its first compiled function sees counts, so imports come before it. Of the folders
-    for other states of the file only the one that was used last is kept.
-
-    Returns:
-        None if no code can be kept: the function is not in a file, or no folder can be written to.
+    one folder per process, which depends on what its first compiled function sees; so put imports before it. Of the
+    folders for other states of the file, only the last used one is kept. Returns None if no code can be kept: the
+    function is not in a file, or no folder is writable.
     """
     path = Path(function.__code__.co_filename).absolute()
     if not path.is_file():
@@ -60,7 +58,7 @@ def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
 
 def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Folder:
     try:
-        sources = [f"{file.name} {_hash(file)}" for file in sorted(files)]
+        sources = [f"{file.name} {sha256(file.read_bytes()).hexdigest()}" for file in sorted(files)]
     except OSError:  # a function that it calls is not in a file
         return None
     key = sha256("\n".join([numba.__version__, *sources, *sorted(constants)]).encode()).hexdigest()[:16]
@@ -73,12 +71,12 @@ def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Fol
             else:
                 _delete_older(root, path.stem, folder)
             return folder
-    logger.warning("Code compiled from %s cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written to", path)
+    logger.warning("cannot keep code compiled from %s; set NUMBA_CACHE_DIR to a folder that can be written to", path)
     return None
 
 
 def _list_roots(source: Path, chosen: str) -> Iterator[Path]:
-    """List where code compiled from files of a folder may be kept, the best place first."""
+    """Yield the places where code compiled from files of a folder may be kept, the best one first."""
     name = f"{source.name}_{sha256(str(source).encode()).hexdigest()[:16]}"
     if chosen:
         yield Path(chosen).absolute() / name
@@ -89,7 +87,7 @@ def _list_roots(source: Path, chosen: str) -> Iterator[Path]:
 
 
 def _can_write(folder: Path) -> bool:
-    """Make a folder, mark it as used now, and try to write into it."""
+    """Create a folder, mark it as used now, and try to write to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -100,8 +98,8 @@ def _can_write(folder: Path) -> bool:
 
 
 def _delete_older(root: Path, stem: str, folder: Path) -> None:
-    """Delete the folders for other states of a file, except the last used one: its process may be running."""
-    with suppress(OSError):  # another process does the same
+    """Delete the folders for other states of a file, except the last used one, which may be in use."""
+    with suppress(OSError):  # another process may do the same
         others = sorted((one.stat().st_mtime_ns, one) for one in root.glob(f"{stem}.{_HEX}") if one != folder)
         for _, other in others[:-1]:
             shutil.rmtree(other, ignore_errors=True)
@@ -110,8 +108,8 @@ def _delete_older(root: Path, stem: str, folder: Path) -> None:
 def _find_sources(function: Callable[..., Any]) -> tuple[set[Path], set[str]]:
     """Find what may be compiled into a function's file: files, and constants ("NAME=value", names in capitals).
 
-    The files are its own, those of the compiled functions that it knows, of those that these know, and so on, and
-    those of the named tuples that they know. Constants are numbers and tuples of numbers.
+    The files are its own, those of the compiled functions that it uses, directly or indirectly, and those of the named
+    tuples that these use. Constants are numbers and tuples of numbers.
     """
     compiled = type(numba.njit(function))
     files, constants, seen = {Path(function.__code__.co_filename).absolute()}, set(), set()
@@ -135,7 +133,7 @@ def _find_sources(function: Callable[..., Any]) -> tuple[set[Path], set[str]]:
 
 
 def _read_cells(function: Callable[..., Any]) -> list[Any]:
-    """Return what a function uses of the functions around it."""
+    """Return the values that a function uses from its enclosing functions."""
     cells = []
     for cell in function.__closure__ or ():
         with suppress(ValueError):  # it is not set yet
@@ -147,20 +145,16 @@ def _is_number(value: object) -> bool:
     return all(map(_is_number, value)) if isinstance(value, tuple) else isinstance(value, bool | int | float)
 
 
-def _hash(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()
-
-
 def _delete_unreadable(folder: Path, files: set[Path]) -> None:
-    """Delete files that are damaged, and indices that name what is gone or may have changed since.
+    """Delete damaged files, and indices that name code which is missing or may have changed.
 
-    `files` are known to be unchanged: the folder's name says so.
+    `files` are known to be unchanged, because they are part of the folder's name.
     """
     for path in folder.rglob("*.nb[ic]"):
         try:
             names = _read_names(path)
             fresh = path.suffix != ".nbi" or all(_is_older(*name, path.stat().st_mtime_ns, files) for name in names)
-        except Exception:  # noqa: BLE001 - whatever a damaged file makes of unpickling, or importing a package
+        except Exception:  # noqa: BLE001 - unpickling a damaged file, or importing a package, may raise anything
             fresh = False
         if not fresh:
             with suppress(OSError):
@@ -168,7 +162,7 @@ def _delete_unreadable(folder: Path, files: set[Path]) -> None:
 
 
 def _read_names(path: Path) -> set[tuple[str, str]]:
-    """Read a file of numba's to its end. Return the modules and names in it; nothing is imported or called."""
+    """Read a numba file to its end, without importing or calling anything; return the modules and names in it."""
     stream, names = io.BytesIO(path.read_bytes()), set()
     for _ in range(_PICKLES[path.suffix]):
         reader = _NameReader(stream)
@@ -178,7 +172,7 @@ def _read_names(path: Path) -> set[tuple[str, str]]:
 
 
 def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
-    """Say whether a module still has a name, and its file is one of `files` or was written before a time."""
+    """Whether a module still has a name, and its file is one of `files` or is older than a time."""
     if module in sys.builtin_module_names:
         return True
     loaded = sys.modules.get(module)
@@ -186,7 +180,7 @@ def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
     if origin is None:
         return False
     first, path = name.partition(".")[0], Path(origin).absolute()
-    if not hasattr(loaded, first) and first.encode() not in path.read_bytes():  # it may be halfway through its import
+    if not hasattr(loaded, first) and first.encode() not in path.read_bytes():  # its import may be incomplete
         return False
     return path in files or path.stat().st_mtime_ns <= time_ns
 
@@ -199,13 +193,13 @@ class _NameReader(pickle.Unpickler):
         self.names: set[tuple[str, str]] = set()
 
     def find_class(self, module: str, name: str) -> type[_Anything]:
-        """Note a name and stand in for it."""
+        """Note a name and return a substitute for it."""
         self.names.add((module, name))
         return _Anything
 
 
 class _Anything:
-    """Stands in for any class, function or object of a pickle."""
+    """A substitute for any class, function or object of a pickle."""
 
     def __new__(cls, *_: object, **__: object) -> _Anything:
         return object.__new__(cls)
@@ -217,7 +211,7 @@ class _Anything:
     def __setitem__(self, key: object, value: object) -> None: ...
 
     def append(self, value: object) -> None:
-        """Take an item of a list."""
+        """Accept an item of a list."""
 
     def extend(self, values: object) -> None:
-        """Take items of a list."""
+        """Accept items of a list."""

@@ -1,8 +1,7 @@
-"""Compiled loops, and threads to share them out among.
+"""Compiled loops, and threads that share them.
 
-Kernels are plain numba functions that release the GIL, and threads of our own call them for parts of a range: numba's
-own parallel loops take several times as long to compile, and their threads wait for one another by spinning, which
-costs whatever else the machine has to do.
+Kernels are plain numba functions that release the GIL. Our own threads call them for parts of a range. numba's parallel
+loops take several times as long to compile, and their threads wait actively, which slows down everything else.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from numba import njit as numba_njit
 
 from tactile_loc.core.code_cache import open_code_folder
 
-PARTS = 4  # a thread: whoever ends early takes another
+PARTS = 4  # per thread: a thread that ends early takes another
 
-FASTMATH = {"nsz", "arcp", "contract"}  # what `fast` allows: all but to forget about infinities and NaN
+FASTMATH = {"nsz", "arcp", "contract"}  # for `fast`: all but ignoring infinities and NaN
 
-_one_folder = RLock()  # numba's setting of the folder for compiled code is the process's
+_one_folder = RLock()  # numba has one setting for the folder of compiled code per process
 
 
 def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> Any:
-    """Compile a function with numba, keep it on disk, and let other threads run meanwhile.
+    """Compile a function with numba, keep it on disk, and release the GIL while it runs.
 
-    `fast` allows products and sums to be contracted and quotients to be multiplied; infinities and NaN keep their
-    meaning. Code on disk is used while no file changes that it is compiled from (`code_cache`). Import the compiled
-    functions and constants of other files before the first function of a file.
+    `fast` allows contraction of products and sums, and multiplication by reciprocals; infinities and NaN keep their
+    meaning. Code on disk is used as long as no file changes that it is compiled from (`code_cache`). Import compiled
+    functions and constants from other files before the first function of a file.
     """
     if function is None:
         return lambda f: njit(f, fast=fast)
@@ -44,17 +43,17 @@ def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> A
         folder = open_code_folder(function, chosen)
         try:
             if folder:
-                config.CACHE_DIR = str(folder)  # type: ignore[attr-defined] # numba looks at it once, here
+                config.CACHE_DIR = str(folder)  # type: ignore[attr-defined] # numba reads it only here
             return decorate(function, cache=folder is not None)
         finally:
             config.CACHE_DIR = chosen  # type: ignore[attr-defined]
 
 
 def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
-    """Call kernel(first, last, *arguments) for parts of range(count), shared out among threads.
+    """Call kernel(first, last, *arguments) for parts of range(count), shared among threads.
 
-    The parts must not write to the same place. As many threads as numba may use (NUMBA_NUM_THREADS, or the cores that
-    the process has), one of them the caller's.
+    The parts must not write to the same place. The number of threads is numba's (NUMBA_NUM_THREADS, or the process's
+    cores), including the caller's.
     """
     threads = min(int(config.NUMBA_NUM_THREADS), count)  # type: ignore[attr-defined]
     if threads < 2:
@@ -71,11 +70,11 @@ def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> 
     others = [_pool(os.getpid(), threads - 1).submit(work) for _ in range(threads - 1)]
     work()
     for other in others:
-        if not other.cancel():  # it may not have begun, when other callers keep the threads busy
+        if not other.cancel():  # it may not have begun, if other callers keep the threads busy
             other.result()
 
 
 @lru_cache(maxsize=8)
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
-    """The threads of this process: one that was forked has none of its parent's."""
+    """Return the threads of this process; a forked process has none of its parent's."""
     return ThreadPoolExecutor(threads, thread_name_prefix="tactile-loc")

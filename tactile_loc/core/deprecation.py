@@ -1,6 +1,6 @@
-"""Names that were changed: the old ones still work until version REMOVAL, and warn.
+"""Deprecated names: they still work until version REMOVAL, and warn.
 
-`RENAMED` has those of modules. Those of a class's members stand beside the class, in its decorator `keep_old_names`.
+`RENAMED` lists those of modules. Those of a class's members are in its decorator `keep_old_names`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NEXT_TOUCH = {"next_touch": "choose_next_touch"}
 _IMAGES = {"image_array": "decode_image"}
 _NOISE = {"noise_level": "make_noise"}
 
-# Old name to new name, by the module that offers them
+# old name to new name, by the module that offers them
 RENAMED: dict[str, dict[str, str]] = {
     "tactile_loc": {**_NOISE, **_NEXT_TOUCH, **_IMAGES},
     "tactile_loc.plugin": {
@@ -100,7 +100,7 @@ RENAMED: dict[str, dict[str, str]] = {
 
 
 def find_renamed(module: str, name: str) -> Any:
-    """Return what a module offers by the new name of `name`, and warn. Raises AttributeError for an unknown name."""
+    """Return a module's attribute by its old name, and warn. Raises AttributeError for an unknown name."""
     new = RENAMED.get(module, {}).get(name)
     if new is None:
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
@@ -109,12 +109,12 @@ def find_renamed(module: str, name: str) -> Any:
 
 
 def make_getattr(module: str) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a module of RENAMED: it finds what is asked for by an old name."""
+    """Return the `__getattr__` of a module of RENAMED, which finds old names."""
     return lambda name: find_renamed(module, name)
 
 
 def keep_old_names(**renamed: str) -> Callable[[Kind], Kind]:
-    """Return a class decorator that keeps old names of methods and attributes, `old="new"`: they work, and warn."""
+    """Return a class decorator that keeps old names of methods and attributes, `old="new"`; they work and warn."""
 
     def decorate(kind: Kind) -> Kind:
         for old, new in renamed.items():
@@ -133,9 +133,9 @@ def _make_alias(kind: str, old: str, new: str) -> property:
 
 
 def _warn(old: str, new: str) -> None:
-    """Warn of the line that uses the old name: in the first frame that is not one of PASSED_OVER."""
+    """Warn about the line that uses the old name: in the first frame that is not one of PASSED_OVER."""
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_globals.get("__name__") in PASSED_OVER:
         frame, level = frame.f_back, level + 1
-    text = f"{old} is now {new}; the old name goes in tactile-loc {REMOVAL}"
+    text = f"{old} is now {new}; the old name will be removed in tactile-loc {REMOVAL}"
     warnings.warn(text, DeprecationWarning, stacklevel=level)

@@ -1,4 +1,4 @@
-"""Every error a user can meet. One sentence each: what is wrong, where, and what to do about it."""
+"""All errors that a user can meet: what is wrong, where, and what to do, in one or two short sentences."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 from tactile_loc.core.deprecation import make_getattr
 
-MOST_LETTERS = 1500  # of a sentence
+MOST_LETTERS = 1500  # of a message
 
 
 class TactileLocError(Exception):
-    """Base of all errors raised on purpose. The command line prints it as one sentence and exits with code 2.
+    """Base of all errors raised on purpose. The command line prints it and exits with code 2.
 
-    Whatever it quotes of a file, it is one line of bounded length without control characters.
+    It is one line of bounded length without control characters, whatever it quotes from a file.
     """
 
     def __str__(self) -> str:
@@ -44,15 +44,15 @@ class NoContactError(TouchError):
 
 
 class RecordingError(TactileLocError):
-    """A recording cannot be used: missing, no recording, without the topic, or of messages that nobody can read."""
+    """A recording cannot be used: missing, not a recording, without the topic, or with unreadable messages."""
 
 
 class SourceError(TactileLocError):
-    """Images cannot be had from a camera, a folder or a video: there is no such source, or it went away."""
+    """A camera, a folder or a video gives no images: it does not exist, or it went away."""
 
 
 class FrameError(TactileLocError):
-    """Where one frame is seen from another at some time is not known."""
+    """The transform between two frames at some time is unknown."""
 
 
 class CalibrationError(TactileLocError):
@@ -60,11 +60,11 @@ class CalibrationError(TactileLocError):
 
 
 class MountError(TactileLocError):
-    """Where a sensor is mounted cannot be told from these touches: too few, too much alike, or contradictory."""
+    """A sensor's mount cannot be found from these touches: too few, too similar, or contradictory."""
 
 
 class GridError(TactileLocError):
-    """No usable pose grid comes out of the object, the sensor and the options."""
+    """Object, sensor and options give no usable pose grid."""
 
 
 class RenderError(TactileLocError):
@@ -72,11 +72,11 @@ class RenderError(TactileLocError):
 
 
 class ConfigError(TactileLocError):
-    """A configuration or option is unknown or ill-typed."""
+    """A configuration or option is unknown or has a wrong type."""
 
 
 class OutputError(TactileLocError):
-    """Results cannot be written where they were asked to go."""
+    """Results cannot be written to the chosen place."""
 
 
 class ResultError(TactileLocError):
@@ -88,7 +88,7 @@ class StoreError(TactileLocError):
 
 
 class TrainingError(TactileLocError):
-    """A training went wrong: its loss is no longer a number."""
+    """A training failed: its loss is no longer a number."""
 
 
 class WeightsError(TactileLocError):
@@ -100,15 +100,15 @@ class PluginError(TactileLocError):
 
 
 class UnknownPluginError(PluginError):
-    """No plugin of this name fills the slot."""
+    """No plugin with this name fills the slot."""
 
 
 class PluginLoadError(PluginError):
-    """A plugin raised while being imported or registered."""
+    """A plugin raised an error while it was imported or registered."""
 
 
 class PluginConflictError(PluginError):
-    """Two distributions offer a component of the same slot and name."""
+    """Two distributions offer a component with the same slot and name."""
 
 
 class MissingLibraryError(PluginError):
@@ -116,7 +116,7 @@ class MissingLibraryError(PluginError):
 
 
 def fold_line(text: str) -> str:
-    """Return a text as one line; what cannot be printed is escaped, and of a very long one the middle is left out."""
+    """Return a text as one line, with unprintable characters escaped and the middle of a very long text left out."""
     words = " ".join(text.split())
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
     half = MOST_LETTERS // 2
@@ -124,7 +124,7 @@ def fold_line(text: str) -> str:
 
 
 def quote(value: Any) -> str:
-    """Return a value as Python writes it, long ones abridged."""
+    """Return a value's representation, abridged if it is long."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = 200
     short.maxlist = short.maxdict = short.maxtuple = 8
@@ -133,7 +133,7 @@ def quote(value: Any) -> str:
 
 @contextmanager
 def name_source(source: object) -> Iterator[None]:
-    """Have errors of the block begin with `source`, a file say, unless they mention it."""
+    """Prefix errors of the block with `source`, such as a file, unless they mention it."""
     try:
         yield
     except TactileLocError as error:
@@ -143,7 +143,7 @@ def name_source(source: object) -> Iterator[None]:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return " Did you mean 'x'?" for the nearest known names, or an empty string when none is near."""
+    """Return " Did you mean 'x'?" for the nearest known names, or "" if none is near."""
     near = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.5)
     return f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
 

@@ -1,16 +1,16 @@
-"""SI values as people read them: millimetres, per cent, bytes, seconds."""
+"""Formatting of SI values for people: millimetres, per cent, bytes, seconds."""
 
 from __future__ import annotations
 
 
 def format_mm(length_m: float) -> str:
-    """Write a length in metres as millimetres of three digits, without the unit: 0.021, 1.94, 48.2."""
+    """Write a length in metres as millimetres with three digits, without unit: 0.021, 1.94, 48.2."""
     value = 1e3 * length_m
     return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
 
 
 def format_millimetres(length_m: float) -> str:
-    """Write a length in metres with its unit, in two digits: 0.02 mm, 1.9 mm, 48 mm."""
+    """Write a length in metres as millimetres with two digits and unit: 0.02 mm, 1.9 mm, 48 mm."""
     value = 1e3 * length_m
     return f"{value:.2f} mm" if value < 1 else f"{value:.1f} mm" if value < 10 else f"{value:.0f} mm"
 
@@ -30,5 +30,5 @@ def format_bytes(nbytes: int) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """Write how long something took: 12.3 ms, 4.5 s."""
+    """Write a duration: 12.3 ms, 4.5 s."""
     return f"{seconds:.1f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"

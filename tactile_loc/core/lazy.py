@@ -1,4 +1,4 @@
-"""Modules whose names are imported when they are first used."""
+"""Modules whose names are imported at their first use."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from tactile_loc.core.deprecation import find_renamed
 
 
 def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__all__`, `__getattr__` and `__dir__` of a module: the names under its `if TYPE_CHECKING:`.
+    """Return `__all__`, `__getattr__` and `__dir__` of a module, from the names under its `if TYPE_CHECKING:`.
 
-    Type checkers read that block, and so does this, so that each name and its home stand once. Old names of what was
-    renamed are found too, with a warning.
+    Type checkers read that block too, so each name and its module are written only once. Old names of renamed functions
+    are also found, with a warning.
     """
     loader: Any = vars(sys.modules[module])["__spec__"].loader
     homes = _imports_for_type_checkers(loader.get_source(module))
@@ -29,7 +29,7 @@ def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[
 
 
 def _imports_for_type_checkers(source: str) -> dict[str, str]:
-    """The modules that names are imported from, `from module import name as name`, under `if TYPE_CHECKING:`."""
+    """Map names to the modules they are imported from, `from module import name as name`, under `if TYPE_CHECKING:`."""
     blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
     body = next(block.body for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING")
     statements = (node for node in body if isinstance(node, ast.ImportFrom))

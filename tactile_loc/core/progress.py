@@ -1,4 +1,4 @@
-"""Progress of long work, by default watched by nobody, and how long its stages take."""
+"""Progress of long work, by default not shown, and the durations of its stages."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from contextlib import contextmanager
 
 
 class Progress:
-    """The null watcher. The command line passes one that draws bars."""
+    """Progress that is not shown. The command line passes one that draws bars."""
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a task of `total` steps; call what is yielded with the number of steps just done."""
+        """Open a task of `total` steps; call the function yielded with the number of steps just done."""
         yield lambda steps: None
 
     def note(self, text: str) -> None:
@@ -21,23 +21,23 @@ class Progress:
 
 
 class StageTimes:
-    """How long each stage took: `seconds` by name, in the order in which they first ran."""
+    """Durations of stages: `seconds` by name, in the order in which they first ran."""
 
     def __init__(self, seconds: dict[str, float] | None = None) -> None:
         self.seconds: dict[str, float] = {} if seconds is None else seconds
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the block's duration to that of the stage called `name`."""
+        """Add the block's duration to that of the stage `name`."""
         start_s = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start_s
 
     def shared_among(self, count: int) -> StageTimes:
-        """Return new times, each a `count`-th: what one of so many that were worked on together took."""
+        """Return new times, each divided by `count`: the share of one of several items processed together."""
         return StageTimes({name: seconds / count for name, seconds in self.seconds.items()})
 
 
 def rank() -> int:
-    """Return this process's number among those that torchrun started together; 0 when it did not."""
+    """Return this process's number among those that torchrun started together; 0 without torchrun."""
     return int(os.environ.get("RANK", "0"))

@@ -1,4 +1,4 @@
-"""The user's folder for what can be made again."""
+"""The user's cache folder."""
 
 from __future__ import annotations
 
@@ -7,10 +7,6 @@ from pathlib import Path
 
 
 def find_user_cache() -> Path:
-    """Return `$XDG_CACHE_HOME`, else `~/.cache`.
-
-    Raises:
-        RuntimeError: if the user has no home.
-    """
-    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # to be ignored unless absolute, says its specification
+    """Return `$XDG_CACHE_HOME`, else `~/.cache`. Raises RuntimeError if the user has no home."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # its specification says to ignore relative paths
     return cache if cache.is_absolute() else Path.home() / ".cache"

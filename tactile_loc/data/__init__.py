@@ -1,6 +1,6 @@
 """Small demo objects, to try everything without your own CAD file.
 
-The meshes are watertight, in metres. `scripts/demo_meshes.py` makes them and describes their frames.
+The meshes are watertight, in metres. The functions of `scripts/demo_meshes.py` make them and describe their frames.
 """
 
 from __future__ import annotations

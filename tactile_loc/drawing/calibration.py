@@ -1,4 +1,4 @@
-"""Pictures of a calibration: the labels found in its images, and estimates of presses that it did not learn from."""
+"""Pictures of a calibration: the labels found in its images, and its estimates for held-out presses."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 MOST = 4
 USED, DROPPED = "#ffffff", "#e03131"
 TILE_INCH, MOST_COLUMNS = 1.9, 8
-STRONG = 0.995  # of the colours' changes lie within what is drawn
+STRONG = 0.995  # share of the colour changes within the drawn range
 LONGEST = 30  # characters of a name
 
 
 def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:
-    """Draw presses (by number): the image, what is known of the indentation, the estimate, and both along a line."""
+    """Draw presses (by number): the image, the known and the estimated indentation, and both along a line."""
     shown = list(numbers)[:MOST]
     figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True)
     figure.suptitle(title, size=13, weight="bold")
@@ -36,7 +36,7 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     for row, number in zip(rows, shown, strict=True):
         image, label = presses.read_press(number)
         found_mm, known_mm = 1e3 * estimator.read_indentation(image), 1e3 * label.indentation_m
-        if not label.absolute:  # how deep the visible circle lies is taken from the estimate
+        if not label.absolute:  # the depth of the visible circle is unknown: use the estimate's
             known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
         deepest = float(max(found_mm.max(), known_mm.max()))
         row[0].imshow(image, extent=extent)
@@ -47,7 +47,7 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
         _draw_profile(row[3], found_mm, known_mm, label.known, extent)
         for axes in row[:3]:
             axes.set_xlabel("x (mm)", size=8)
-    for axes, name in zip(rows[0, 1:], ("known", "estimated", "along x, through the deepest"), strict=True):
+    for axes, name in zip(rows[0, 1:], ("known", "estimated", "along x, at the deepest point"), strict=True):
         axes.set_title(name, size=10)
     return figure
 
@@ -63,9 +63,9 @@ def _draw_profile(axes: Any, found_mm: Any, known_mm: Any, known: Any, extent: S
 
 
 def draw_labels(found: FoundPresses, title: str) -> Figure:
-    """Draw the untouched gel, and of each press how it differs from that, amplified, with circle, name and radius.
+    """Draw the untouched gel, and the amplified difference of each press to it, with circle, name and radius.
 
-    Dropped presses are framed in red and say why.
+    Dropped presses have a red frame, and their reason as title.
     """
     count = len(found.presses) + 1
     columns = min(MOST_COLUMNS, max(3, math.ceil(math.sqrt(count))))
@@ -77,7 +77,7 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     for axes in tiles:
         axes.set(xticks=[], yticks=[])
     tiles[0].imshow(found.untouched)
-    names = ", ".join(found.untouched_names) or "pieced together"
+    names = ", ".join(found.untouched_names) or "composed from presses"
     tiles[0].set_title(f"untouched gel\n{_shorten(names)}", size=7.5)
     changes = [compare_colours(press.frame.image, found.untouched) for press in found.presses]
     amplified = 127 / max(1.0, float(np.median([np.quantile(np.abs(change), STRONG) for change in changes])))
@@ -92,14 +92,13 @@ def _draw_press(axes: Axes, press: FoundPress, picture: NDArray[np.uint8]) -> No
     height, width = picture.shape[:2]
     colour = DROPPED if press.dropped else USED
     axes.imshow(picture, extent=(0, width, height, 0))
-    said = press.dropped
+    text = f"dropped: {press.dropped}" if press.dropped else ""
     if press.circle is not None:
         centre = press.circle.x_px, press.circle.y_px
         axes.add_patch(Circle(centre, press.circle.radius_px, fill=False, color=colour, lw=1.0))
         axes.plot(*centre, "+", color=colour, ms=4, mew=0.8)
-        said = said or f"radius {press.circle.radius_px:.1f} px"
+        text = text or f"radius {press.circle.radius_px:.1f} px"
     axes.set(xlim=(0, width), ylim=(height, 0))
-    text = f"dropped: {said}" if press.dropped else said
     axes.set_title(f"{_shorten(press.name)}\n{text}", size=7.5, color=DROPPED if press.dropped else "black")
     if press.dropped:
         for spine in axes.spines.values():

@@ -1,4 +1,4 @@
-"""Pictures of a result, for people: millimetres, degrees, per cent. No global state of matplotlib is touched."""
+"""Pictures of a result in millimetres, degrees and per cent. Matplotlib's global state is not used."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
 EXPECTED = "#ffffff"  # on a photo
 MOST_TOUCHES = 30
 DPI = 130
-LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # that keeps the labels of panels apart
+LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the labels of panels apart
 
 
 def draw_result(
@@ -36,8 +36,8 @@ def draw_result(
 ) -> Figure:
     """Draw the touch, the contact shapes of the best hypotheses with the touch's outline, and the object on the sensor.
 
-    A touch that was estimated from an image begins with it, and on it the outline of the best pose. `scene`
-    renders at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the truth, metres.
+    If the touch was estimated from an image, the image comes first, with the outline of the best pose. `scene` renders
+    at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the true pose, metres.
     """
     columns = 1 if len(localization.hypotheses) < 3 else 2
     photo = [] if localization.touch.image is None else [4.7]
@@ -55,7 +55,7 @@ def draw_result(
 
 
 def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
-    """Draw the contact shapes of touches, at most `MOST_TOUCHES`, as a sheet."""
+    """Draw the contact shapes of at most `MOST_TOUCHES` touches as a sheet."""
     shown = list(touches)[:MOST_TOUCHES]
     columns = min(5, len(shown))
     rows = -(-len(shown) // columns)
@@ -99,9 +99,9 @@ def draw_contact_shape(
 
 
 def save_figure(path: str | Path, figure: Figure, dpi: int | None = None) -> Path:
-    """Write a figure as PNG, `DPI` or `dpi` dots an inch, atomically, and return the path.
+    """Write a figure as PNG with `dpi` (default `DPI`) dots per inch, atomically, and return the path.
 
-    Raises OutputError when that is impossible.
+    Raises OutputError.
     """
     return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi or DPI, facecolor="white"))
 
@@ -120,7 +120,7 @@ def _draw_observed(panel: SubFigure, touch: Touch) -> None:
 
 
 def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> None:
-    """The image, and where the contact of the best pose would end in it."""
+    """Draw the image, and the contact's outline predicted by the best pose."""
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     axes.imshow(np.asarray(touch.image), extent=compute_extent_mm(touch.geometry), origin="upper")
@@ -130,7 +130,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
     axes.set_ylabel("y (mm)", size=9, labelpad=-2)
     _write_heading(panel, "image")
-    panel.text(0.55, 0.085, "white: outline that the best pose makes", size=9, ha="center", color="#37474f")
+    panel.text(0.55, 0.085, "white: outline predicted by the best pose", size=9, ha="center", color="#37474f")
 
 
 def _draw_candidates(
@@ -146,7 +146,7 @@ def _draw_candidates(
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
         axes.set_title(_write_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
-    _write_heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best")
+    _write_heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best poses")
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
 
@@ -174,7 +174,7 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
 
 
 def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) -> list[list[int]]:
-    """Return groups of places (N, D) by index: each is nearer than `apart` to its group's first, in a norm's order."""
+    """Group places (N, D) by index: each is nearer than `apart` to its group's first, in the norm of this order."""
     groups: list[list[int]] = []
     for i, place in enumerate(places):
         near = next((g for g in groups if np.linalg.norm(places[g[0]] - place, order) < apart), None)
@@ -183,7 +183,7 @@ def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) ->
 
 
 def add_panels(parent: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
-    """Return rows of axes (R, C) in a figure, `columns` in a row, of which the first `count` are to be drawn in."""
+    """Return rows of axes (R, C) in a figure, `columns` in each row; only the first `count` are visible."""
     panels: NDArray[Any] = parent.subplots(-(-count // columns), columns, squeeze=False, **options)
     for axes in panels.flat[count:]:
         axes.set_axis_off()
@@ -208,7 +208,7 @@ def compute_extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, fl
 
 
 def make_figure(width: float, height: float, constrained: bool = False) -> Figure:
-    """Return an empty figure, `width` by `height` inches, that knows how to be saved and touches no global state."""
+    """Return an empty figure of `width` by `height` inches that can be saved without matplotlib's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

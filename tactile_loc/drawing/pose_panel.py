@@ -1,4 +1,4 @@
-"""The object on the sensor, in a matplotlib Axes: the estimate solid, the true pose as lines, axes in mm."""
+"""The object on the sensor in a matplotlib Axes: the estimate solid, the true pose as lines, axes in mm."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
 EDGE, TRUTH = "#16202c", "#e8590c"
 PIXELS, SUPERSAMPLE = 620, 2
 AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
-GEL_MM, RIM_MM = 1.5, 1.6  # thickness drawn for the gel, width of the housing around it
+GEL_MM, RIM_MM = 1.5, 1.6  # drawn thickness of the gel, drawn width of the housing around it
 
 
 def draw_pose(
     axes: Axes, mesh: TriangleMesh, geometry: SensorGeometry, T_estimate: Array, T_true: Array | None = None
 ) -> None:
-    """Draw the object at `T_estimate` (4, 4) over the sensing rectangle and the edges of it at `T_true`; metres."""
+    """Draw the object at `T_estimate` (4, 4) on the sensing rectangle, and its edges at `T_true`; metres."""
     view = choose_view(mesh, T_estimate)
     estimate = _pose_triangles(mesh, T_estimate)
     truth = None if T_true is None else _pose_triangles(mesh, T_true)
@@ -54,16 +54,15 @@ def _pose_triangles(mesh: TriangleMesh, T: Array) -> Array:
 
 
 def build_sensor_mm(geometry: SensorGeometry) -> list[Array]:
-    """Return the gel under the sensing rectangle and the housing around it, triangles (12, 3, 3), mm, sensor frame."""
+    """Return the gel under the sensing rectangle and the housing around it: triangles (12, 3, 3), mm, sensor frame."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     top = 1e3 * geometry.surface_m
-    gel = make_box((x0, x1), (y0, y1), (top - GEL_MM, top))
-    rim = RIM_MM
+    rim, gel = RIM_MM, make_box((x0, x1), (y0, y1), (top - GEL_MM, top))
     return [gel, make_box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
 
 
 def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = View.elevation_deg) -> View:
-    """Return the view that shows most of the object at T (4, 4), metres, and hides the sensor least."""
+    """Return the view that shows the most of the object at T (4, 4), metres, and hides the least of the sensor."""
     points = 1e3 * transform_points(T, mesh.vertices_m)
 
     def rate(view: View) -> float:
@@ -82,14 +81,14 @@ def _fit_bounds(view: View, surfaces: list[Array]) -> Bounds:
 
 
 def _choose_size(bounds: Bounds) -> tuple[int, int]:
-    """Image size (H, W), `PIXELS` times the supersampling along the longer side."""
+    """Return the image size (H, W): `PIXELS` times the supersampling along the longer side."""
     width, height = bounds[1] - bounds[0], bounds[3] - bounds[2]
     scale = PIXELS / max(width, height)
     return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
 
 
 def _paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) -> None:
-    """Lay a colour over the marked pixels (H, W) of an RGBA image, in place."""
+    """Blend a colour into the marked pixels (H, W) of an RGBA image, in place."""
     from matplotlib.colors import to_rgb
 
     image[where, :3] = (1 - opacity) * image[where, :3] + opacity * np.array(to_rgb(colour))
@@ -110,13 +109,13 @@ def _measure_height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> flo
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """Where the object is in the picture."""
+    """The position of the object in the picture."""
 
     seen: Buffers
     bounds: Bounds
 
     def count_hidden(self, places: Array) -> int:
-        """How many of the places (N, 2), mm in the picture, the object covers."""
+        """Return the number of places (N, 2), mm in the picture, that the object covers."""
         left, right, bottom, top = self.bounds
         height, width = self.seen.surface.shape
         columns = ((places[:, 0] - left) / (right - left) * width).astype(int).clip(0, width - 1)
@@ -160,7 +159,7 @@ def _draw_height(
 
 
 def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]:
-    """Return round values between two limits, mm: as many steps as fit, at most `most`."""
+    """Return round values between two limits, mm, at most about `most` of them."""
     step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
     return [float(k * step) for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
 
@@ -168,7 +167,7 @@ def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]
 def _draw_scale(
     axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str, distance: float = 6.6
 ) -> None:
-    """Draw tick marks (points in mm of the sensor frame) with their values, and the axis's name at the middle."""
+    """Draw tick marks at points in mm of the sensor frame, with their values, and the axis's label in the middle."""
     flat = view.project(np.array(points))
     direction = view.project(np.asarray(outwards, float))
     direction = direction / max(float(np.linalg.norm(direction)), 1e-9)

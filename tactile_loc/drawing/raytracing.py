@@ -1,4 +1,4 @@
-"""A shaded picture of posed meshes as an orthographic camera sees them."""
+"""Shaded pictures of posed meshes from an orthographic camera."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Bounds = tuple[float, float, float, float]
 
 LIGHT = np.array([0.35, -0.45, 0.82])  # sensor frame, unitless: from the upper right in front
 CREASE_DEG = 28.0
-LIT_PX = 1500  # pixels along the longer side of the picture from the light
+LIT_PX = 1500  # pixels along the longer side of the picture as seen from the light
 
 
 @dataclass(frozen=True)
 class View:
-    """Where one looks from: `azimuth_deg` about the sensor's z, from -y to +x; `elevation_deg` above its xy plane."""
+    """A viewing direction: `azimuth_deg` about the sensor's z, from -y to +x; `elevation_deg` above its xy plane."""
 
     azimuth_deg: float = 30.0
     elevation_deg: float = 34.0
@@ -37,15 +37,15 @@ class View:
         return np.stack([right, np.cross(towards, right), towards])
 
     def project(self, points: Array) -> Array:
-        """Turn points (..., 3) into picture coordinates (..., 2), right and up, same unit."""
+        """Return picture coordinates (..., 2) of points (..., 3), right and up, in the same unit."""
         return np.asarray(points, float) @ self.axes[:2].T
 
 
 @dataclass(frozen=True, eq=False)
 class Buffers:
-    """What each pixel's ray meets, (H, W): number of the surface and of the face (-1: none), and depth.
+    """The hit of each pixel's ray, (H, W): index of the surface and of the face (-1: none), and depth.
 
-    `hit` marks the rays that meet any, K of them, whose normals and points are had in their order.
+    K rays hit a surface; `hit` marks them, and `normals` and `points` are in their order.
     """
 
     surface: NDArray[np.int64]
@@ -54,11 +54,11 @@ class Buffers:
     face_normals: Array
     """Unit normals (F, 3), towards the viewer."""
     origins: tuple[Array, Array, Array]
-    """A ray begins at right (W, 3) + up (H, 3) of its pixel and follows the last (3,), backwards."""
+    """right (W, 3), up (H, 3), towards (3,): a ray starts at right + up of its pixel and goes along -towards."""
 
     @cached_property
     def hit(self) -> NDArray[np.bool_]:
-        """Where a ray meets any surface (H, W)."""
+        """Whether a ray hits a surface (H, W)."""
         return self.surface >= 0
 
     @cached_property
@@ -68,13 +68,13 @@ class Buffers:
 
     @cached_property
     def points(self) -> Array:
-        """Where rays meet a surface (K, 3)."""
+        """Points where rays hit a surface (K, 3)."""
         rows, columns = np.nonzero(self.hit)
         right, up, towards = self.origins
         return right[columns] + up[rows] - self.depth[self.hit][:, None] * towards
 
     def find_edges(self, jump: float) -> NDArray[np.bool_]:
-        """Mark (H, W) outlines, creases, and places where the depth jumps by more than `jump` (the points' unit)."""
+        """Return a mask (H, W) of outlines, creases, and depth steps of more than `jump`, in the points' unit."""
         marked = np.zeros(self.surface.shape, bool)
         depth = np.where(self.hit, self.depth, np.float32(0))
         for axis in (0, 1):
@@ -90,7 +90,7 @@ class Buffers:
 
 
 class Tracer:
-    """Surfaces, each triangles (F, 3, 3) of any one unit, seen from a view."""
+    """Renders surfaces, each given as triangles (F, 3, 3) in a common unit, from a view."""
 
     def __init__(self, surfaces: list[Array], view: View) -> None:
         self.view = view
@@ -104,13 +104,15 @@ class Tracer:
         """Cast a ray through each of `shape` (H, W) pixels over bounds (left, right, bottom, top) of the picture."""
         axes = self.view.axes
         depth, face, u, v = self._render_along(axes, bounds, shape)
-        towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals  # however they are wound
+        towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals  # for any winding
         origins = u[:, None] * axes[0] + self._distance * axes[2], v[:, None] * axes[1], axes[2]
         return Buffers(self._of_face[face], face, depth, towards, origins)
 
     def cast_shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
-        """Mark (H, W) the points that another surface hides from the light, as a picture from there shows; `lift`, and
-        a pixel of that picture, keep them off their own surface."""
+        """Return a mask (H, W) of points that another surface hides from the light, from a picture as seen from there.
+
+        Points are lifted by `lift` and 1.5 pixels of that picture, so that they do not shade themselves.
+        """
         towards = LIGHT / np.linalg.norm(LIGHT)
         right = np.cross([0.0, 1.0, 0.0], towards)
         right /= np.linalg.norm(right)
@@ -132,7 +134,7 @@ class Tracer:
     def _render_along(
         self, axes: Array, bounds: Bounds, shape: tuple[int, int]
     ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, Array]:
-        """Depths and faces (H, W) along -axes[2], and where pixels are: u (W,) right and v (H,) up in the picture."""
+        """Return depths and faces (H, W) along -axes[2], and pixel positions u (W,) right and v (H,) up."""
         left, right, bottom, top = bounds
         height, width = shape
         u = left + (np.arange(width) + 0.5) / width * (right - left)
@@ -143,7 +145,7 @@ class Tracer:
 
 
 def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
-    """Return RGBA (H, W, 4), 0 to 1, of surfaces in `colours` (S, 3); where nothing is hit it is transparent."""
+    """Return RGBA (H, W, 4), 0 to 1, of surfaces in `colours` (S, 3), transparent where no surface is hit."""
     light = LIGHT / np.linalg.norm(LIGHT)
     lit = np.where(shadow[buffers.hit], 0.35, 1.0)
     diffuse = np.clip(buffers.normals @ light, 0.0, 1.0) * lit
@@ -156,7 +158,7 @@ def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
 
 
 def shrink(image: Array, factor: int) -> Array:
-    """Average blocks of `factor` x `factor` pixels of (H, W, 4) RGBA, colours weighted by their opacity."""
+    """Average blocks of `factor` x `factor` pixels of RGBA (H, W, 4), with colours weighted by opacity."""
     height, width = image.shape[0] // factor, image.shape[1] // factor
     blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 4)
     alpha = blocks[..., 3:].mean(axis=(1, 3))
@@ -165,7 +167,7 @@ def shrink(image: Array, factor: int) -> Array:
 
 
 def compute_normals(triangles: Array) -> Array:
-    """Return the unit normals (F, 3) of triangles (F, 3, 3); zero where there is none."""
+    """Return the unit normals (F, 3) of triangles (F, 3, 3); zero for degenerate ones."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normals = np.cross(b - a, c - a)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))

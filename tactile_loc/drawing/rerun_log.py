@@ -1,4 +1,4 @@
-"""Results, frames and replayed recordings as Rerun files (.rrd), for the viewer of that name; none is started."""
+"""Results, frames and replayed recordings as files (.rrd) for the Rerun viewer, which is not started."""
 
 from __future__ import annotations
 
@@ -31,18 +31,15 @@ SENSOR = "base/sensor"
 OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))
 STEEL, GHOST, HIDDEN = (124, 159, 199, 255), (124, 159, 199, 50), (0, 0, 0, 0)
 GEL = (223, 225, 220)
-DEVIATIONS = 2.0  # that the ellipsoid's half axes are
-FLUSH_S = 30.0  # that a frame may take to the disk
-MARK_M = 5e-4  # radius of the most probable pose's mark
+DEVIATIONS = 2.0  # standard deviations of an ellipsoid's half axes
+FLUSH_S = 30.0  # at most for writing a frame to the disk
+MARK_M = 5e-4  # radius of the mark of the most probable pose
 
 
 def require_rerun(path: Path) -> None:
-    """Check that a Rerun file can be written to `path`.
-
-    Raises OutputError for another suffix or a place that cannot be written, and MissingLibraryError.
-    """
+    """Raise OutputError or MissingLibraryError when a Rerun file cannot be written to `path`."""
     if path.suffix.lower() != ".rrd":
-        raise OutputError(f"a Rerun file is written as .rrd, not as {path.name}; choose another --rerun")
+        raise OutputError(f"--rerun {path.name} must end in .rrd; choose another name")
     if path.is_dir():
         raise OutputError(f"{path} is a folder; choose another --rerun")
     require_writable(path.parent)
@@ -54,15 +51,17 @@ def _import_rerun() -> Any:
         import rerun
     except ImportError as error:
         raise MissingLibraryError(
-            "rerun, which writes files for its viewer, is not installed: pip install 'tactile-loc[view]'"
+            "--rerun needs rerun-sdk, which is not installed: pip install 'tactile-loc[view]'"
         ) from error
     return rerun
 
 
 @dataclass(frozen=True, eq=False)
 class Logged:
-    """One frame, `time_s` seconds after whatever the file begins with: image (H, W, 3), touch, what is known of the
-    pose, the posterior, and what is said of it. What is None is not there."""
+    """One frame, `time_s` seconds after the start of the file: image (H, W, 3), touch, pose, posterior and a text.
+
+    Missing parts are None.
+    """
 
     number: int
     time_s: float
@@ -74,9 +73,10 @@ class Logged:
 
 
 class RerunLog:
-    """A Rerun file that grows frame by frame; a context. In metres, in the sensor's frame, and that in the base's.
+    """A Rerun file that grows frame by frame; a context manager.
 
-    `scene` says which object and which sensor. What is added, and its end, raise OutputError when the disk refuses.
+    Values are in metres in the sensor's frame, which is placed in the base's. `scene` has the object and the sensor.
+    Adding a frame and leaving the context raise OutputError when the file cannot be written.
     """
 
     def __init__(self, path: Path, scene: Scene) -> None:
@@ -97,11 +97,11 @@ class RerunLog:
     ) -> None:
         if error is None:
             self._flush()
-        if not self._refused:  # Rerun would wait for its writer for ever
+        if not self._refused:  # otherwise Rerun would wait for its writer forever
             self._stream.disconnect()
 
     def add(self, frame: Logged) -> None:
-        """Add a frame; what it has not is not shown any more."""
+        """Add a frame. Parts that it lacks are no longer shown."""
         self._stream.set_time("frame", sequence=frame.number)
         self._stream.set_time("time", duration=frame.time_s)
         self._add_touch(frame.image, frame.touch)
@@ -118,20 +118,20 @@ class RerunLog:
         self._flush()
 
     def _flush(self) -> None:
-        """Wait until all is on the disk; Rerun's writer ends at the first refusal, without a reason or a word."""
+        """Wait until everything is on the disk. After an error, Rerun's writer stops silently."""
         try:
             self._stream.flush(timeout_sec=FLUSH_S)
         except RuntimeError as error:
             self._refused = True
             raise OutputError(
-                f"{self._name} cannot be written any more ({error}); free some space there, or choose another --rerun"
+                f"{self._name} cannot be written ({error}); free some space, or choose another --rerun"
             ) from error
 
     def _log(self, path: str, what: Any, static: bool = False) -> None:
         self._stream.log(path, what, static=static)
 
     def _begin(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
-        """The object's surface, not shown yet, and the gel."""
+        """Write the object's surface, hidden at first, and the gel."""
         shape = {"vertex_positions": mesh.vertices_m, "triangle_indices": mesh.faces}
         self._stream.set_time("frame", sequence=0)
         self._stream.set_time("time", duration=0.0)
@@ -142,7 +142,7 @@ class RerunLog:
         self._log(f"{SENSOR}/gel", gel, static=True)
 
     def _show(self, path: str, shown: bool, colour: tuple[int, int, int, int]) -> None:
-        """Show a surface, or hide it."""
+        """Show or hide a surface."""
         if self._shown.get(path, False) != shown:
             self._shown[path] = shown
             surface = f"{OBJECT}/surface" if path == OBJECT else path
@@ -174,15 +174,15 @@ class RerunLog:
         self._log(SPREAD, rr.AnyValues(covariance=found.covariance.ravel()))
 
     def _make_ellipsoid(self, centre_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
-        """The place's uncertainty: half axes of DEVIATIONS standard deviations."""
+        """Return the position's uncertainty: half axes of DEVIATIONS standard deviations."""
         variances, R = np.linalg.eigh(covariance)
-        R[:, 0] *= np.sign(np.linalg.det(R))  # axes of a right-handed frame
+        R[:, 0] *= np.sign(np.linalg.det(R))  # make the axes right-handed
         half = DEVIATIONS * np.sqrt(np.maximum(variances, 0))
-        turned = self._rr.Quaternion(xyzw=np.roll(rotation_to_quaternion(R), -1))
-        return self._rr.Ellipsoids3D(centers=[centre_m], half_sizes=[half], quaternions=[turned])
+        rotation = self._rr.Quaternion(xyzw=np.roll(rotation_to_quaternion(R), -1))
+        return self._rr.Ellipsoids3D(centers=[centre_m], half_sizes=[half], quaternions=[rotation])
 
     def _add_posterior(self, posterior: PosePosterior) -> None:
-        """The posterior's most probable poses: where the object's origin is, larger marks the likelier."""
+        """Write the most probable poses of the posterior as marks at the object's origin, larger if more probable."""
         kept = find_most_probable(posterior)
         poses, p = posterior.grid.T_sensor_object[kept], posterior.probabilities[kept]
         self._log(POSTERIOR, self._rr.Points3D(poses[:, :3, 3], radii=MARK_M * np.sqrt(p / p.max())))
@@ -190,7 +190,7 @@ class RerunLog:
 
 
 def describe_pose(frame: Logged) -> str:
-    """Return what is known at a frame in words: mm, degrees, per cent."""
+    """Return the pose of a frame in words: mm, degrees, per cent."""
     found = frame.located
     if found is None:
         return frame.says
@@ -201,14 +201,14 @@ def describe_pose(frame: Logged) -> str:
     std = "" if found.std is None else f"\nstd {words.place_std} mm; {words.turn_std} about x, y, z"
     lines = (
         f"{found.word}, {format_percent(float(found.probabilities[0]))}",
-        f"{words.place} mm, turned {words.turn} about {words.axis}{std}",
+        f"{words.place} mm, rotated {words.turn} about {words.axis}{std}",
         said,
     )
     return "\n".join(line for line in lines if line)
 
 
 def write_localization(path: Path, localization: Localization, scene: Scene) -> Path:
-    """Write a result as a Rerun file, a frame a touch, atomically, and return the path; poses are in the first one's.
+    """Write a result as a Rerun file with a frame for each touch, atomically, and return the path.
 
     Raises OutputError and MissingLibraryError.
     """
@@ -226,9 +226,9 @@ def write_localization(path: Path, localization: Localization, scene: Scene) -> 
 
 
 def write_replay(path: Path, replay: Replay, records: Sequence[FrameRecord]) -> Path:
-    """Write what the images of a recording came to as a Rerun file, atomically, and return the path.
+    """Write the results of a replay as a Rerun file, atomically, and return the path.
 
-    Images are read anew. Raises OutputError and MissingLibraryError.
+    The images are read again from the recording. Raises OutputError and MissingLibraryError.
     """
 
     def write(temporary: Path) -> None:
@@ -241,14 +241,14 @@ def write_replay(path: Path, replay: Replay, records: Sequence[FrameRecord]) -> 
 
 def _read_frame(record: FrameRecord, view: FrameView, start_ns: int, replay: Replay) -> Logged:
     touch = None
-    with suppress(TactileLocError):  # the record says why there is none
+    with suppress(TactileLocError):  # the record has the reason
         touch = replace(replay.touch(view.image), T_base_sensor=view.T_base_frame)
     time_s = 1e-9 * (record.stamp_ns - start_ns)
     return Logged(record.number, time_s, view.image, touch, _locate_in_sensor(record, view))
 
 
 def _locate_in_sensor(record: FrameRecord, view: FrameView) -> LocatedFrame:
-    """What a record says, in the sensor's frame."""
+    """Return a record's result in the sensor's frame."""
     if record.T_frame_object is None:
         return LocatedFrame(record.verdict, says=record.says)
     T = np.eye(4) if view.T_base_frame is None else invert(view.T_base_frame)

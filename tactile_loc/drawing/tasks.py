@@ -1,4 +1,4 @@
-"""Pictures of tasks: what a next touch would show, and the residuals of a mount."""
+"""Pictures of tasks: the predicted next touch, and the residuals of a mount."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BEST, OTHERS = "#2b6cb0", "#a0aec0"
 
 
 def draw_next_touch(found: NextTouch, title: str) -> Figure:
-    """Draw what the likeliest modes would show at the best approach, and how much doubt each approach would leave."""
+    """Draw the contact shapes that the best approach would show for the likeliest modes, and each approach's doubt."""
     depths = found.contacts(found.best)
     count = min(SHOWN, len(depths))
     columns = min(COLUMNS, count)
@@ -34,7 +34,7 @@ def draw_next_touch(found: NextTouch, title: str) -> Figure:
     panels = add_panels(left, count, columns)
     for k, axes in enumerate(panels.flat[:count]):
         _draw_mode(axes, found, depths[k], k)
-    left.supxlabel(f"what each mode would show at {found.best.approach.name or 'the best approach'}", size=9)
+    left.supxlabel(f"contact shape of each mode at {found.best.approach.name or 'the best approach'}", size=9)
     _draw_doubt(right.subplots(), found.ranked, found.modes.entropy)
     return figure
 
@@ -46,24 +46,24 @@ def _draw_mode(axes: Any, found: NextTouch, depth_m: NDArray[np.float32], number
     draw_contact_shape(axes, ContactShape(depth_m, press_m), geometry)
     axes.set(xticks=[], yticks=[])
     travel_m = rated.travel_m[number]
-    stops = "meets nothing" if np.isnan(travel_m) else f"stops after {1e3 * travel_m:.1f} mm"
+    stops = "no contact" if np.isnan(travel_m) else f"contact after {1e3 * travel_m:.1f} mm"
     axes.set_title(f"{number + 1}: {format_percent(float(modes.probabilities[number]))}, {stops}", size=8)
 
 
 def _draw_doubt(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> None:
-    """The entropy that each approach would leave, the best one's first."""
+    """Draw the entropy expected after each approach, the best one first."""
     left = [rated.entropy for rated in ranked]
     axes.bar(np.arange(1, len(left) + 1), left, width=1.0, color=[BEST, *[OTHERS] * (len(left) - 1)])
     axes.axhline(before, color="#37474f", lw=1.0, ls="--")
     axes.text(len(left) + 0.5, before, "now", ha="right", va="bottom", size=8)
     axes.set(xlim=(0.5, len(left) + 0.5), ylim=(0, max(1.15 * before, 0.1)))
     axes.set_xlabel("approach, by rank", size=9)
-    axes.set_ylabel("doubt that is expected to be left (nats)", size=9)
+    axes.set_ylabel("expected remaining doubt (nats)", size=9)
     axes.tick_params(labelsize=8)
 
 
 def draw_mount(found: FoundMount, title: str) -> Figure:
-    """Draw the residual of each touch, in mm and in degrees, at the first guess and at the mount that was found."""
+    """Draw the residual of each touch, in mm and in degrees, at the first guess and at the found mount."""
     names = [touch.name for touch in found.given.touches]
     figure = make_figure(max(7.0, 0.45 * len(names) + 2.5), 6.4, constrained=True)
     figure.suptitle(title, size=12, weight="bold")
@@ -79,7 +79,7 @@ def draw_mount(found: FoundMount, title: str) -> Figure:
 
 
 def _draw_residuals(axes: Any, first: NDArray[np.float64], last: NDArray[np.float64], kept: NDArray[np.bool_]) -> None:
-    """Residuals (N,) of touches as points, on an axis that shows small and large ones."""
+    """Draw residuals (N,) of touches as points on a logarithmic axis."""
     numbers = np.arange(len(kept))
     axes.vlines(numbers, np.minimum(first, last), np.maximum(first, last), color=FIRST, lw=0.8, zorder=1)
     axes.scatter(numbers, first, s=22, color=FIRST, label="first guess")

@@ -1,1 +1,1 @@
-"""Simulated tactile images: the elastomer's surface, the lights that shade it, and boards to press on it."""
+"""Simulated tactile images: the gel's surface, the lights that shade it, and boards to press on it."""

@@ -1,7 +1,7 @@
-"""Two calibration boards: plates with simple raised shapes, to press on a sensor anywhere and learn what it shows.
+"""Two calibration boards: plates with simple raised shapes, for pressing a sensor in simulation.
 
-After the idea of Bauza et al. (CoRL 2020, appendix); the shapes are our own. A board's frame has its origin in the
-middle of the plate's upper face, x along the longer side and z out of the raised side.
+After the idea of Bauza et al. (CoRL 2020, appendix), with our own shapes. A board's frame has its origin in the middle
+of the plate's upper face, x along the longer side and z out of the raised side.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 PLATE_M = (0.080, 0.060, 0.006)
 COLUMNS, ROWS, PITCH_M = 7, 5, 0.010
-HEIGHTS_M = (0.0020, 0.0025, 0.0030, 0.0035, 0.0040, 0.0035, 0.0030, 0.0025)  # neighbours touch together
-SCALES = (1.0, 0.6, 0.8, 0.45, 0.7)  # of a shape's full size, which fills its place on the plate
-LEANS_RAD = tuple(math.radians(d) for d in (0, 12, 0, 25, 6, 0, 18))  # of one shape after another
-SUNK_M = 0.001  # how far the shapes reach into the plate: they overlap, so that no gap is left
-GOLDEN_RAD = math.pi * (3 - math.sqrt(5))  # turns neighbours by angles that never repeat
+HEIGHTS_M = (0.0020, 0.0025, 0.0030, 0.0035, 0.0040, 0.0035, 0.0030, 0.0025)  # neighbours can touch together
+SCALES = (1.0, 0.6, 0.8, 0.45, 0.7)  # relative to a shape's full size, which fills its place on the plate
+LEANS_RAD = tuple(math.radians(d) for d in (0, 12, 0, 25, 6, 0, 18))  # tilts of consecutive shapes
+SUNK_M = 0.001  # overlap of the shapes with the plate, which leaves no gap
+GOLDEN_RAD = math.pi * (3 - math.sqrt(5))  # angle between neighbours' yaws, which never repeat
 MOST_TILT_RAD = math.radians(8)
-MIDDLE = 0.8  # of the board, whose parts come over the middle of the sensor: at its ends there is little to see
-ABOVE_M = 0.001  # of the undeformed surface, before a pose is brought to contact
+MIDDLE = 0.8  # share of the board, around its middle, that is placed over the sensor's middle
+ABOVE_M = 0.001  # distance from the undeformed surface before a pose is brought to contact
 
 Shape = Callable[[float, float], "trimesh.Trimesh"]
 
@@ -39,14 +39,14 @@ Shape = Callable[[float, float], "trimesh.Trimesh"]
 def make_board(number: int) -> ObjectModel:
     """Return calibration board 1 or 2, metres. Raises ConfigError for another number.
 
-    Board 1 has cylinders, boxes, cones, spherical caps, pairs of rods and caps with a slot, board 2 pyramids, rings,
-    ridges, steps, rods and rounded rings: 35 each, half of them leaning, 2 to 4 mm high. Every part is closed, and
-    overlaps the plate without being united with it.
+    Board 1 has cylinders, boxes, cones, spherical caps, pairs of rods and caps with a slot. Board 2 has pyramids,
+    rings, ridges, steps, rods and rounded rings. Each has 35 shapes, 2 to 4 mm high, half of them leaning. Every shape
+    is closed and overlaps the plate without being united with it.
     """
     import trimesh
 
     if number not in (1, 2):
-        raise ConfigError(f"there is no calibration board {number}; give 1 or 2")
+        raise ConfigError(f"there is no calibration board {number}; choose 1 or 2")
     first = (_make_cylinder, _make_box, _make_cone, _make_cap, _make_rods, _make_slotted)
     second = (_make_pyramid, _make_ring, _make_ridge, _make_steps, _make_rod, _make_torus)
     shapes = first if number == 1 else second
@@ -58,10 +58,10 @@ def make_board(number: int) -> ObjectModel:
 
 
 def draw_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-    """Draw poses `T_sensor_object` (count, 4, 4), metres, of a board above the sensor, its raised side down on it.
+    """Draw poses `T_sensor_object` (count, 4, 4), metres, of a board with its raised side towards the sensor.
 
-    Any yaw, tilts up to `MOST_TILT_RAD` in any direction, any place of the board over the middle of the sensing
-    rectangle. All of the board lies beyond the undeformed surface: bring the poses to contact.
+    Poses have any yaw, tilts up to `MOST_TILT_RAD` in any direction, and any place of the board over the middle of the
+    sensing rectangle. The whole board lies beyond the undeformed surface: bring the poses to contact.
     """
     from scipy.spatial.transform import Rotation
 
@@ -80,7 +80,7 @@ def draw_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, r
 
 
 def _place_shapes(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
-    """The shapes at their places on the plate, in turn, of sizes, heights and yaws that follow one another."""
+    """Return the shapes at their places on the plate, with alternating kinds, sizes, heights and yaws."""
     placed = []
     for i in range(ROWS * COLUMNS):
         row, column = divmod(i, COLUMNS)
@@ -89,11 +89,8 @@ def _place_shapes(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
         height_m = HEIGHTS_M[(row + column) % len(HEIGHTS_M)]
         solid = shapes[kind](radius_m, height_m)
         solid.apply_transform(make_transform(rotation_about([1, 0, 0], LEANS_RAD[i % len(LEANS_RAD)]), np.zeros(3)))
-        centre = [
-            (column - (COLUMNS - 1) / 2) * PITCH_M,
-            (row - (ROWS - 1) / 2) * PITCH_M,
-            height_m - solid.bounds[1, 2],
-        ]
+        x_m, y_m = (column - (COLUMNS - 1) / 2) * PITCH_M, (row - (ROWS - 1) / 2) * PITCH_M
+        centre = [x_m, y_m, height_m - solid.bounds[1, 2]]
         solid.apply_transform(make_transform(rotation_about([0, 0, 1], i * GOLDEN_RAD), centre))
         placed.append(solid)
     return placed
@@ -104,24 +101,21 @@ def _make_cylinder(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
 
 def _make_cone(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A cone with a blunt tip."""
+    """Make a cone with a blunt tip."""
     return _wrap([*_trace(radius_m, -SUNK_M), *_trace(radius_m, 0.0), *_trace(0.25 * radius_m, height_m)])
 
 
 def _make_cap(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """The cap of a sphere, as high as asked for, at most half of it."""
+    """Make a spherical cap of at most a hemisphere."""
     height = min(height_m, radius_m)
     sphere_m = (radius_m**2 + height**2) / (2 * height)
-    widest = math.asin(min(1.0, radius_m / sphere_m))
-    rings = [
-        _trace(sphere_m * math.sin(a), height - sphere_m * (1 - math.cos(a)))
-        for a in np.linspace(0, widest, 17)[1:]
-    ]  # fmt: skip
+    angles = np.linspace(0, math.asin(min(1.0, radius_m / sphere_m)), 17)[1:]
+    rings = [_trace(sphere_m * math.sin(a), height - sphere_m * (1 - math.cos(a))) for a in angles]
     return _wrap([(0.0, 0.0, height), *np.concatenate(rings), *_trace(radius_m, -SUNK_M)])
 
 
 def _make_slotted(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A cap with a slot through its middle, as a screw's head."""
+    """Make a cap with a slot through its middle, such as a screw's head."""
     whole, gap = np.asarray(_make_cap(radius_m, height_m).vertices), 0.12 * radius_m
     halves = [side * np.maximum(side * whole[:, 0], gap) for side in (-1, 1)]
     return _join(*(_wrap(np.column_stack([x, whole[:, 1:]])) for x in halves))
@@ -133,13 +127,8 @@ def _make_box(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
 
 def _make_pyramid(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A square pyramid with a blunt tip."""
-    corners = [
-        _trace(radius_m, -SUNK_M, 4),
-        _trace(radius_m, 0.0, 4),
-        _trace(0.25 * radius_m, height_m, 4),
-    ]
-    return _wrap(np.concatenate(corners))
+    """Make a square pyramid with a blunt tip."""
+    return _wrap([*_trace(radius_m, -SUNK_M, 4), *_trace(radius_m, 0.0, 4), *_trace(0.25 * radius_m, height_m, 4)])
 
 
 def _make_ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
@@ -151,7 +140,7 @@ def _make_ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
 
 def _make_ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A rounded ridge: half an elliptic cylinder, lying."""
+    """Make a rounded ridge: half of a horizontal elliptic cylinder."""
     angle = np.linspace(0, math.pi, 33)
     arc = np.stack([0.45 * radius_m * np.cos(angle), height_m * np.sin(angle)], axis=1)
     profile = [*arc, (0.45 * radius_m, -SUNK_M), (-0.45 * radius_m, -SUNK_M)]
@@ -159,18 +148,18 @@ def _make_ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
 
 def _make_rod(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A lying rod with round ends, sunk to half of itself or less."""
+    """Make a horizontal rod with round ends."""
     return _make_capsule(radius_m, 0.3 * radius_m, height_m, 0.0)
 
 
 def _make_rods(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """Two lying rods side by side, a narrow gap between them; one is longer."""
+    """Make two parallel horizontal rods of different lengths with a narrow gap between them."""
     rods = ((radius_m, -1), (0.7 * radius_m, 1))
     return _join(*(_make_capsule(x, 0.25 * radius_m, height_m, s * 0.28 * radius_m) for x, s in rods))
 
 
 def _make_capsule(half_length_m: float, radius_m: float, height_m: float, aside_m: float) -> trimesh.Trimesh:
-    """A lying rod of this radius, its top at a height, with straight walls below its middle."""
+    """Make a horizontal rod with its top at a height, and with straight walls below its axis."""
     ball = radius_m * _trace_hemisphere()
     x = half_length_m - radius_m
     upper = np.concatenate([ball + np.array([end, aside_m, height_m - radius_m]) for end in (-x, x)])
@@ -188,22 +177,20 @@ def _make_torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
 
 def _make_steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A hexagonal prism with a lower, wider one around it."""
+    """Make a hexagonal prism with a lower, wider prism around it."""
     sizes = ((radius_m, height_m - 0.0008), (0.6 * radius_m, height_m))
-    prisms = [_wrap([*_trace(r, -SUNK_M, 6), *_trace(r, z, 6)]) for r, z in sizes]
-    return _join(*prisms)
+    return _join(*(_wrap([*_trace(r, -SUNK_M, 6), *_trace(r, z, 6)]) for r, z in sizes))
 
 
 def _trace(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]:
-    """Points (points, 3) of a circle about z, metres."""
+    """Return points (points, 3) of a circle about z, metres."""
     angle = np.arange(points) * 2 * math.pi / points
     return np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.full(points, z_m)], axis=1)
 
 
 def _trace_hemisphere() -> NDArray[np.float64]:
-    """Points (P, 3) of the upper half of a unit sphere."""
-    rings = [_trace(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)]
-    return np.concatenate(rings)
+    """Return points (P, 3) of the upper half of a unit sphere."""
+    return np.concatenate([_trace(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)])
 
 
 def _join(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -213,7 +200,7 @@ def _join(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _wrap(points_m: ArrayLike) -> trimesh.Trimesh:
-    """The convex solid around points (P, 3), metres."""
+    """Return the convex hull of points (P, 3), metres."""
     import trimesh
 
     hull: trimesh.Trimesh = trimesh.Trimesh(np.asarray(points_m, float), process=False).convex_hull

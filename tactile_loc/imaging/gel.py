@@ -1,8 +1,8 @@
-"""The elastomer's surface under a press: the object's where it touches, and a smooth way back to rest around it.
+"""The gel's surface under a press: the object's surface in the contact, and a smooth return to rest around it.
 
-No elastomer follows a step. Outside the contact its surface falls off, steeply at first and with a long tail. Here this
-is found by blurs of decreasing width, after each of which what the object pushes in is put back: wide blurs make the
-tail, narrow ones lead it up to the contact's edge. All widths are metres on the sensing surface.
+A gel cannot follow a step. Outside the contact its surface falls off, steeply at first and with a long tail. This is
+computed by blurs of decreasing width, and after each blur the contact is restored. Wide blurs make the tail; narrow
+ones join it to the contact's edge. All widths are metres on the sensing surface.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ ROUNDING = 0.06  # width of the last blur, in softnesses
 
 
 def find_indentation(depth_m: NDArray[np.floating[Any]], press_depth_m: ArrayLike) -> Float32:
-    """Return how far the object reaches below the undeformed surface (N, H, W), metres: press - depth, 0 off contact.
+    """Return the object's indentation (N, H, W), metres: press - depth, or 0 outside the contact.
 
-    `depth_m` (N, H, W) are contact depths, `press_depth_m` (N,) the presses. Raises ConfigError when these do not fit.
+    `depth_m` (N, H, W) are contact depths, `press_depth_m` (N,) the presses. Raises ConfigError for other shapes.
     """
     depth, press = np.asarray(depth_m, np.float32), np.asarray(press_depth_m, np.float32)
     if depth.ndim != 3 or press.shape != depth.shape[:1]:
         raise ConfigError(
-            f"contact depths of shape {depth.shape} do not go with press depths of shape {press.shape}; "
-            "give (N, H, W) depths and (N,) presses, one for each"
+            f"contact depths of shape {depth.shape} do not fit press depths of shape {press.shape}; "
+            "give (N, H, W) depths and (N,) presses"
         )
     indentation: Float32 = np.maximum(press[:, None, None] - depth, np.float32(0))
     return indentation
@@ -45,18 +45,20 @@ def press_gel(
     geometry: SensorGeometry,
     softness_m: float = SOFTNESS_M,
 ) -> Float32:
-    """Return how far the elastomer's surface is pushed in (N, H, W) float32, metres, at least 0.
+    """Return the indentation of the gel's surface (N, H, W) float32, metres, not below 0.
 
-    `depth_m` (N, H, W) are contact depths at presses `press_depth_m` (N,), both metres. The surface goes back to rest
-    over about `softness_m` metres, and its edges are rounded by a small share of that; zero follows the object exactly.
-    Off the sensing rectangle there is no elastomer and nothing is pushed in. Raises ConfigError for sizes that do not
-    fit.
+    `depth_m` (N, H, W) are contact depths at presses `press_depth_m` (N,), both in metres. The surface returns to rest
+    over about `softness_m` metres, and its edges are rounded by a small share of this. With a softness of zero the
+    surface is the object's. Outside the sensing rectangle the indentation is 0. Raises ConfigError for sizes that do
+    not fit.
     """
     contact = find_indentation(depth_m, press_depth_m)
     if contact.shape[1:] != geometry.shape:
-        raise ConfigError(f"depths of {contact.shape[1:]} pixels do not fit the sensor's image of {geometry.shape}")
+        raise ConfigError(
+            f"contact depths of {contact.shape[1:]} pixels do not fit the sensor's image; give {geometry.shape}"
+        )
     if not (math.isfinite(softness_m) and softness_m >= 0):
-        raise ConfigError(f"the gel's softness_m is {softness_m}; it must be zero or a positive number")
+        raise ConfigError(f"the gel's softness_m is {softness_m}; it must be zero or positive")
     gel = Gel.of(geometry)
     surface = np.zeros_like(contact)
     pushed = contact[:, gel.rows, gel.columns]
@@ -67,10 +69,7 @@ def press_gel(
 
 
 def relax(contact_m: Float32, gel: Gel, softness_m: float) -> Float32:
-    """Return the surface (N, h, w), metres, around what the object pushes in (N, h, w), metres; nowhere below it.
-
-    Where it lies above, inside the contact's outline too, the object has a gap that the elastomer bridges.
-    """
+    """Return the indentation (N, h, w) of the gel's surface around the object's (N, h, w), metres; nowhere smaller."""
     surface = contact_m
     for width in WIDTHS:
         surface = np.maximum(gel.blur(surface, width * softness_m), contact_m)

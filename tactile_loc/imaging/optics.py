@@ -1,8 +1,8 @@
-"""Light on the elastomer: coloured lamps, the unpressed gel's curvature, the camera that sees it; and known styles.
+"""The optics of a sensor: coloured lamps, the unpressed gel's curvature, and the camera; and the optics of known makes.
 
-Angles and directions are those of the image: x right, y down, and elevation from the sensing surface towards the
-camera. Lengths that belong to the housing are in units of the field's radius (half the sensing rectangle's diagonal),
-so that one style fits sensors of every size; lengths on the surface are metres.
+Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
+Lengths of the housing are in units of the field's radius (half the sensing rectangle's diagonal), so the same optics
+fit sensors of every size. Lengths on the surface are metres.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from tactile_loc.core.errors import ConfigError, did_you_mean
 
 Vector = tuple[float, float, float]
 
-NEAREST = 1.2  # field radii: a lamp above the gel itself would shade it in no simple way
+NEAREST = 1.2  # least distance of a lamp, field radii: the lamps' model does not hold above the gel
 
 
 @dataclass(frozen=True)
 class Light:
     """A coloured lamp. `direction` (3,) points from the middle of the surface to it: x right, y down, z to the camera.
 
-    `colour` (3,) is what the camera's red, green and blue see of it, `strength` the share of full white that a surface
-    facing it in the middle of the field gives back. `distance` is in field radii: near lamps light their own side more,
-    by the inverse square; infinity is even light. Raises ConfigError for impossible values.
+    `colour` (3,) is its red, green and blue in the camera. `strength` is the brightness, as a share of full white, of a
+    surface that faces the lamp in the middle of the field. `distance` is in field radii: the light falls off with the
+    inverse square, and infinity is even light. Raises ConfigError for impossible values.
     """
 
     direction: Vector
@@ -43,8 +43,8 @@ class Light:
         _require_share("a light's strength", self.strength)
         if not self.direction[2] > 0:
             raise ConfigError(
-                f"a light's direction is {self.direction}: behind the gel; its third number must be positive, "
-                "towards the camera"
+                f"a light's direction is {self.direction}, behind the gel; its third number must be positive, towards "
+                "the camera"
             )
         if not self.distance >= NEAREST:
             raise ConfigError(f"a light's distance is {self.distance} field radii; it must be at least {NEAREST}")
@@ -53,23 +53,23 @@ class Light:
     def at(
         cls, azimuth_rad: float, elevation_rad: float, colour: Vector, strength: float, distance: float = math.inf
     ) -> Light:
-        """Return a light by its angles, radians: azimuth from image right towards image down, and elevation."""
+        """Return a light from its angles, radians: azimuth from image right towards image down, and elevation."""
         flat = math.cos(elevation_rad)
         direction = (flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad))
         return cls(direction, colour, strength, distance)
 
     @property
     def azimuth_rad(self) -> float:
-        """Where in the image the light comes from: 0 right, pi/2 below. Radians."""
+        """The azimuth of the light in the image, radians: 0 is right, pi/2 is below."""
         return math.atan2(self.direction[1], self.direction[0])
 
     @property
     def elevation_rad(self) -> float:
-        """How far the light stands above the sensing surface, 0 to pi/2 radians."""
+        """The elevation of the light above the sensing surface, 0 to pi/2 radians."""
         return math.atan2(self.direction[2], math.hypot(*self.direction[:2]))
 
     def vary(self, rng: np.random.Generator, strength: float) -> Light:
-        """Return a light that differs as one specimen's from another's; `strength` 1 (unitless) is a usual spread."""
+        """Return a random variant of the light; `strength` 1 (unitless) is the usual spread between sensors."""
         elevation = self.elevation_rad + strength * math.radians(3) * rng.normal()
         red, green, blue = (c * math.exp(0.1 * strength * rng.normal()) for c in self.colour)
         return Light.at(
@@ -83,13 +83,13 @@ class Light:
 
 @dataclass(frozen=True)
 class Optics:
-    """How a sensor sees its gel. Brightness is a share of full white (255 counts).
+    """The optics of a sensor. Brightness is a share of full white (255 counts).
 
-    `ambient` (3,) is light from everywhere. `dome` is the unpressed gel's slope at the field's radius, unitless:
-    positive where it bulges towards the object. `specular` and `shininess` are the coating's gloss (Blinn and Phong:
-    share of each light, exponent). `vignetting` is the share of light lost at the field's radius. `blur_m` is the
-    lens's (standard deviation on the surface, metres), `read_noise` and `shot_noise` are the camera's: standard
-    deviations in 8-bit counts, of every pixel and of a full white one. Raises ConfigError for impossible values.
+    `ambient` (3,) is light from all directions. `dome` is the unpressed gel's slope at the field's radius, unitless:
+    positive if it bulges towards the object. `specular` and `shininess` are the coating's gloss (Blinn and Phong: share
+    of each light, exponent). `vignetting` is the share of light lost at the field's radius. `blur_m` is the lens's blur
+    (standard deviation on the surface, metres). `read_noise` and `shot_noise` are standard deviations in 8-bit counts,
+    of every pixel and of a full white pixel. Raises ConfigError for impossible values.
     """
 
     lights: tuple[Light, ...]
@@ -115,7 +115,7 @@ class Optics:
             raise ConfigError(f"the optics' vignetting is {self.vignetting}; it must be from 0 to 1")
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings as JSON values: what identifies the optics. An infinite distance is None."""
+        """Return the settings, which identify the optics, as JSON values. An infinite distance is None."""
         lights = [
             {**asdict(v), "direction": list(v.direction), "colour": list(v.colour),
              "distance": v.distance if math.isfinite(v.distance) else None}
@@ -125,7 +125,7 @@ class Optics:
 
     @classmethod
     def parse(cls, described: Mapping[str, Any]) -> Optics:
-        """Return the optics that `describe` described. Raises KeyError or TypeError for what is no description."""
+        """Return optics from the values of `describe`. Raises KeyError or TypeError for other values."""
         lights = tuple(
             Light(
                 tuple(v["direction"]), tuple(v["colour"]), v["strength"],
@@ -136,14 +136,14 @@ class Optics:
         return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
 
     def remove_noise(self) -> Optics:
-        """Return the same optics before a camera without noise."""
+        """Return the same optics with a camera without noise."""
         return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
 
     def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
-        """Return optics as another specimen of the sensor has: lights, exposure, curvature, blur and noise differ.
+        """Return random optics of another sensor of this make: lights, exposure, curvature, blur and noise differ.
 
-        `strength` (unitless) scales the spread: 0 gives the same optics, 1 what one would expect of a make. Raises
-        ConfigError for a negative strength.
+        `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread. Raises ConfigError for a
+        negative strength.
         """
         _require_share("the optics' variation", strength)
         if strength == 0:
@@ -171,16 +171,16 @@ def _require_triple(name: str, values: Vector) -> None:
 
 def _require_share(name: str, value: float) -> None:
     if not (math.isfinite(value) and value >= 0):
-        raise ConfigError(f"{name} is {value}; it must be zero or a positive number")
+        raise ConfigError(f"{name} is {value}; it must be zero or positive")
 
 
 def _arrange(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
-    """Lights of (azimuth, elevation, strength, colour), angles in degrees, at one distance in field radii."""
+    """Return lights of (azimuth, elevation, strength, colour), angles in degrees, at one distance in field radii."""
     return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
 
 
 GENERIC = "gelslim"
-OPTICS = {  # set beside photos of balls pressed into one specimen of each make; others differ: see `Optics.vary`
+OPTICS = {  # matched to photos of balls pressed into one sensor of each make; others differ: see `Optics.vary`
     "gelslim": Optics(
         _arrange((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
         ambient=(0.03, 0.35, 0.03), dome=0.3, vignetting=0.35, blur_m=4e-5, read_noise=1.0, shot_noise=2.0,
@@ -197,12 +197,13 @@ OPTICS = {  # set beside photos of balls pressed into one specimen of each make;
 
 
 def find_optics(name: str) -> Optics:
-    """Return the optics called gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
+    """Return the optics named gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
     if name not in OPTICS:
-        raise ConfigError(f"there are no optics {name!r}; give one of {', '.join(OPTICS)}.{did_you_mean(name, OPTICS)}")
+        hint = did_you_mean(name, OPTICS)
+        raise ConfigError(f"there are no optics {name!r}; choose one of {', '.join(OPTICS)}.{hint}")
     return OPTICS[name]
 
 
 def choose_optics(sensor: str) -> Optics:
-    """Return the optics of a sensor by its name; of one whose lamps nobody has described, a usual sensor's."""
+    """Return the optics of a named sensor, or generic optics for another sensor."""
     return OPTICS.get(sensor, OPTICS[GENERIC])

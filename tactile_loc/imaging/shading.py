@@ -1,4 +1,4 @@
-"""From the elastomer's surface to the camera's picture of it: normals, Lambert's law, gloss, lens and camera noise."""
+"""From the gel's surface to the camera's image: normals, Lambert's law, gloss, lens and camera noise."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def render_images(
     rng: np.random.Generator,
     background: Image | None = None,
 ) -> Image:
-    """Return the camera's pictures (N, H, W, 3) uint8 RGB of indentations (N, H, W), metres.
+    """Return the camera's images (N, H, W, 3) uint8 RGB of indentations (N, H, W), metres.
 
-    With a `background` (H, W, 3) uint8, a photo of the unpressed sensor, what the press changes is added to the photo:
-    no press and no noise give the photo itself. Off the sensing rectangle nothing changes but by the lens's blur.
-    Raises ConfigError for images that do not fit the sensor.
+    With a `background` (H, W, 3) uint8, a photo of the unpressed sensor, the press's change is added to the photo.
+    Outside the sensing rectangle only the lens's blur changes pixels. Raises ConfigError for images that do not fit the
+    sensor.
     """
     indentation = np.asarray(indentation_m, np.float32)
     if indentation.ndim != 3 or indentation.shape[1:] != geometry.shape:
@@ -48,16 +48,16 @@ def render_images(
 
 
 def render_background(geometry: SensorGeometry, optics: Optics) -> Image:
-    """Return the picture (H, W, 3) uint8 RGB of the unpressed gel, without noise."""
+    """Return the image (H, W, 3) uint8 RGB of the unpressed gel, without noise."""
     unpressed = np.zeros((1, *geometry.shape), np.float32)
     picture: Image = render_images(unpressed, geometry, optics.remove_noise(), np.random.default_rng(0))[0]
     return picture
 
 
 def measure_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Float32, Float32]:
-    """Return the indentation's slopes (N, H, W) along x and y, metres per metre: central differences.
+    """Return the indentation's slopes (N, H, W) along x and y, unitless, by central differences.
 
-    Off the sensing rectangle they are zero.
+    They are zero outside the sensing rectangle.
     """
     gel = Gel.of(geometry)
     slope_x, slope_y = np.zeros_like(indentation_m), np.zeros_like(indentation_m)
@@ -69,7 +69,7 @@ def measure_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Fl
 
 
 class _Field:
-    """The sensor's field: where its pixels are, in field radii from the middle of the sensing rectangle."""
+    """The sensor's field: the positions of its pixels, in field radii from the middle of the sensing rectangle."""
 
     def __init__(self, geometry: SensorGeometry) -> None:
         self.geometry = geometry
@@ -81,11 +81,11 @@ class _Field:
         self.whole = whole
 
     def compute_brightness(self, indentation_m: Float32, optics: Optics) -> Float32:
-        """What reaches the camera (3, N, H, W) in counts, neither cut at white nor noisy."""
+        """Return the brightness (3, N, H, W) in counts, neither clipped nor noisy."""
         relief_m = self.geometry.relief_m
         below_m = indentation_m if relief_m is None else indentation_m - relief_m
         slope_x, slope_y = measure_slopes(below_m, self.geometry)
-        if relief_m is None:  # of the gel's curve nothing else is known
+        if relief_m is None:  # the gel's curve is not known from the geometry
             slope_x += np.float32(optics.dome) * self.x
             slope_y += np.float32(optics.dome) * self.y
         upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)  # the normal's share towards the camera
@@ -104,7 +104,7 @@ class _Field:
         return counts
 
     def _shade(self, light: Light, slope_x: Float32, slope_y: Float32, upright: Float32, optics: Optics) -> Float32:
-        """Lambert's law, and gloss: the share (N, H, W) of one light of strength 1 that the surface gives back.
+        """Return the share (N, H, W) of one light of strength 1 that the surface reflects: Lambert's law and gloss.
 
         The normal, towards the camera, is (-slope_x, -slope_y, 1) / length, as are the light's axes.
         """
@@ -115,14 +115,14 @@ class _Field:
         shade *= upright
         np.maximum(shade, 0, out=shade)
         if optics.specular > 0:
-            length = np.sqrt(x * x + y * y + (1 + z) ** 2)  # half way between light and camera
+            length = np.sqrt(x * x + y * y + (1 + z) ** 2)  # of the vector halfway between light and camera
             half = np.maximum(((1 + z) - x * slope_x - y * slope_y) * upright / length, 0)
             shade += np.where(shade > 0, np.float32(optics.specular) * half ** np.float32(optics.shininess), 0)
         shade *= falloff
         return shade
 
     def _aim(self, light: Light) -> tuple[Any, Any, Any, Any]:
-        """The unit vector from each pixel to a light, and its fall-off: 1 in the middle. Unitless, broadcast (H, W)."""
+        """Return the unit vector from each pixel to a light, and its fall-off, 1 in the middle; broadcast to (H, W)."""
         direction = np.asarray(light.direction, np.float64) / np.linalg.norm(light.direction)
         if math.isinf(light.distance):
             x, y, z = (np.float32(v) for v in direction)
@@ -137,14 +137,14 @@ def _check_photo(background: Image, geometry: SensorGeometry) -> Float32:
     """Check a photo (H, W, 3) and return it as counts (3, 1, H, W)."""
     if background.shape != (*geometry.shape, 3) or background.dtype != np.uint8:
         raise ConfigError(
-            f"the background is {background.shape} {background.dtype}; it must be a uint8 RGB image as large as the "
-            f"sensor's, {geometry.shape} (rows, columns)"
+            f"the background is {background.dtype} of shape {background.shape}; it must be uint8 RGB of the sensor's "
+            f"size, {geometry.shape} (rows, columns)"
         )
     return np.moveaxis(background.astype(np.float32), -1, 0)[:, None]
 
 
 def _expose(counts: Float32, optics: Optics, rng: np.random.Generator) -> Image:
-    """Add the camera's noise to brightness (3, N, H, W) in counts, cut it at black and white: (N, H, W, 3) uint8."""
+    """Add the camera's noise to the brightness (3, N, H, W) in counts, and return images (N, H, W, 3) uint8."""
     if optics.read_noise > 0 or optics.shot_noise > 0:
         signal = np.clip(counts, 0, np.float32(WHITE))
         variance = np.float32(optics.read_noise**2) + np.float32(optics.shot_noise**2 / WHITE) * signal

@@ -1,4 +1,4 @@
-"""The short ways: from contact shapes to pictures, and from the calibration boards to training pairs."""
+"""Simulated images of contact shapes, and training pairs from the calibration boards."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 BATCH = 16
-LIGHTEST = 0.3  # of the sensor's deepest press
-LEAST_CONTACT = 0.01  # of the observed pixels, for a press to show anything
-MOST_ROUNDS = 100  # of drawing presses of which none shows anything
+LIGHTEST = 0.3  # share of the sensor's deepest press
+LEAST_CONTACT = 0.01  # least share of the observed pixels in contact
+MOST_ROUNDS = 100  # of drawing presses with enough contact
 
 
 class BoardPresses(NamedTuple):
-    """Presses of a board: `images` (N, H, W, 3) uint8 RGB, and the truth to learn from them, metres.
+    """Presses of a board: `images` (N, H, W, 3) uint8 RGB, and the truth in metres.
 
-    `indentation_m` (N, H, W) float32 is press - depth where the board touches, else 0; `press_depth_m` (N,) float64.
+    `indentation_m` (N, H, W) float32 is press - depth in the contact, else 0; `press_depth_m` is (N,) float64.
     """
 
     images: Image
@@ -47,10 +47,10 @@ def render_touches(
     softness_m: float = SOFTNESS_M,
     background: Image | None = None,
 ) -> Image:
-    """Return pictures (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at presses (N,), metres.
+    """Return images (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at presses (N,), metres.
 
-    `softness_m` is the elastomer's (see `press_gel`), `background` (H, W, 3) uint8 a photo of the unpressed sensor
-    (see `render_images`). Raises ConfigError for sizes that do not fit.
+    `softness_m` is the gel's (see `press_gel`). `background` (H, W, 3) uint8 is a photo of the unpressed sensor (see
+    `render_images`). Raises ConfigError for sizes that do not fit.
     """
     surface = press_gel(depth_m, press_depth_m, geometry, softness_m)
     return render_images(surface, geometry, optics, rng, background)
@@ -62,28 +62,26 @@ def press_boards(
     optics: Optics,
     rng: np.random.Generator,
     renderer: Renderer,
-    softness_m: float = SOFTNESS_M,
     background: Image | None = None,
 ) -> Iterator[BoardPresses]:
-    """Yield `count` presses of the calibration boards in batches of at most `BATCH`, the two boards in turn.
+    """Yield `count` presses of the calibration boards in batches of at most `BATCH`, with the two boards in turn.
 
-    Poses are `draw_board_poses` in contact, the same for one `rng` whatever the optics; presses are uniform
-    from `LIGHTEST` of the sensor's deepest to all of it.
-    For lights that differ, take each share of the presses with optics of its own (`Optics.vary`). Raises ConfigError
-    for a negative count, TouchError when the boards hardly ever leave an imprint.
+    Poses are `draw_board_poses` in contact; they do not depend on the optics. Presses are uniform from `LIGHTEST` of
+    the sensor's deepest press to all of it. Raises ConfigError for a negative count, TouchError when the boards hardly
+    ever leave an imprint.
     """
     if count < 0:
-        raise ConfigError(f"{count} presses were asked for; give zero or more")
-    camera = rng.spawn(1)[0]  # so that its noise does not change the presses
+        raise ConfigError(f"the number of presses is {count}; it must be zero or positive")
+    camera = rng.spawn(1)[0]  # a separate stream, so the camera's noise does not change the presses
     scenes = [Scene(make_board(number), geometry, renderer) for number in (1, 2)]
     for i in range(math.ceil(count / BATCH)):
         depth, press = _draw_presses(scenes[i % 2], min(BATCH, count - i * BATCH), rng)
-        images = render_touches(depth, press, geometry, optics, camera, softness_m, background)
+        images = render_touches(depth, press, geometry, optics, camera, background=background)
         yield BoardPresses(images, find_indentation(depth, press), press)
 
 
 def _draw_presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Float32, NDArray[np.float64]]:
-    """Draw contact depths (count, H, W) of a board, and their presses (count,), metres; each shows something."""
+    """Draw contact depths (count, H, W) of a board, and their presses (count,), metres, all with enough contact."""
     geometry = scene.geometry
     depths, presses = np.empty((0, *geometry.shape), np.float32), np.empty(0)
     for _ in range(MOST_ROUNDS):
@@ -96,6 +94,5 @@ def _draw_presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[F
         if len(depths) == count:
             return depths, presses
     raise TouchError(
-        f"hardly any press of {scene.object.name} leaves an imprint on this sensor; check its sensing rectangle and "
-        "its mask"
+        f"hardly any press of {scene.object.name} leaves an imprint on this sensor; check its sensing area and mask"
     )

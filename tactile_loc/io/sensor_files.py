@@ -1,6 +1,6 @@
 """Sensors as files: a TOML file, or a calibration folder.
 
-docs/conventions.md lists the keys; examples/my_sensor.toml is an example.
+docs/files.md lists the keys; examples/my_sensor.toml is an example.
 """
 
 from __future__ import annotations

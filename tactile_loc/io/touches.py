@@ -1,4 +1,4 @@
-"""Touch files: contact shapes as npz, npy or 16-bit PNG, described in docs/conventions.md.
+"""Touch files: contact shapes as npz, npy or 16-bit PNG, described in docs/files.md.
 
 Pickles are never loaded, and units are never guessed.
 """

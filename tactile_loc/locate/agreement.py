@@ -1,9 +1,8 @@
-"""Whether several touches agree on a pose, and which of them contradicts the others."""
+"""Agreement of several touches: whether one pose explains all of them, and which touch contradicts the others."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,63 +18,57 @@ from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.hypotheses import Refine, keep_apart
 from tactile_loc.locate.results.localization import Agreement, Hypothesis
 
-FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it so much worse than another one does
-WELL = 0.7  # imprint IoU: what a pose explains of touches that agree on it, their mean
-ALONE = 8  # poses that are refined to a touch alone
+FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it this much worse than another pose does
+WELL = 0.7  # mean imprint IoU above which touches agree on a pose
+ALONE = 8  # poses that are refined against one touch alone
 
 Hypotheses = tuple[Hypothesis, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """The hypotheses of all touches but `outliers`, and which touches their best contradicts."""
-
-    outliers: tuple[int, ...]
-    hypotheses: Hypotheses
-    far: frozenset[int]
-
-    @property
-    def rest_agree(self) -> bool:
-        """Whether the others agree well, and none of those left out agrees with them."""
-        return self.far == set(self.outliers) and self.hypotheses[0].imprint_iou >= WELL
 
 
 def find_agreement(
     find: Callable[[tuple[int, ...]], Hypotheses], best_alone: Callable[[], NDArray[np.float64]]
 ) -> tuple[Hypotheses, Agreement]:
-    """Return the hypotheses of all touches but those that contradict the others, and what is to be said of that.
+    """Return the hypotheses of all touches except outliers, and how the touches agree.
 
-    `find` returns the hypotheses refined to all touches but some, given by number; `best_alone` the imprint IoUs (N,)
-    of the pose that explains each touch best for itself, asked for only if it matters. A touch is an outlier if the
-    others, more than half of all, agree on a pose that explains it far worse than another one does, and if no other
-    touch could be blamed instead.
+    `find` returns the hypotheses refined against all touches except those whose numbers it is given. `best_alone`
+    returns, for each touch, the imprint IoU of the pose that explains it best on its own (N,); it is called only if
+    needed. A touch is an outlier if more than half of the touches agree on a pose that explains it far worse than
+    another pose does, and if no other touch can be blamed instead.
     """
     found = find(())
     ious = np.array([h.imprint_ious for h in found])
     best = ious.max(axis=0)
     if (ious[0] < 1 - FAR).any():
         best = np.maximum(best, best_alone())
-    if not _try((), found, best).far:
-        return found, Agreement(_floats(best))
+    best_ious = tuple(best.tolist())
+    if not _find_far(found, best):
+        return found, Agreement(best_ious)
     left_out: tuple[int, ...] = ()
     while len(left_out) < (len(best) - 1) // 2:
-        more = [(*left_out, k) for k in range(len(best)) if k not in left_out]
-        trials = [_try(outliers, find(outliers), best) for outliers in more]
-        blamed = [trial for trial in trials if trial.rest_agree]
+        trials = {(*left_out, k): find((*left_out, k)) for k in range(len(best)) if k not in left_out}
+        blamed = [
+            outliers for outliers, hypotheses in trials.items()
+            if _find_far(hypotheses, best) == set(outliers) and hypotheses[0].imprint_iou >= WELL
+        ]  # fmt: skip
         if len(blamed) == 1:
-            return blamed[0].hypotheses, Agreement(_floats(best), tuple(sorted(blamed[0].outliers)), True)
+            return trials[blamed[0]], Agreement(best_ious, tuple(sorted(blamed[0])), True)
         if blamed:
             break
-        left_out = max(trials, key=lambda trial: trial.hypotheses[0].imprint_iou).outliers
-    return found, Agreement(_floats(best), (), True)
+        left_out = max(trials, key=lambda outliers: trials[outliers][0].imprint_iou)
+    return found, Agreement(best_ious, (), True)
+
+
+def _find_far(hypotheses: Hypotheses, best: NDArray[np.float64]) -> set[int]:
+    """Find the touches that the best hypothesis explains far worse than another pose does."""
+    return set(np.flatnonzero(best - hypotheses[0].imprint_ious > FAR).tolist())
 
 
 def explain_alone(
     view: View, posterior: PosePosterior, refine: Refine, radius_m: float, options: HypothesisOptions
 ) -> float:
-    """Return the best imprint IoU, 0 to 1, of the most probable poses of a touch's own grid, refined to it alone.
+    """Return how well the best pose from a touch's own grid explains it, refined against it alone: imprint IoU.
 
-    Of the most probable ones these are ALONE, none within `radius_m` metres of a more probable one.
+    The ALONE most probable poses are refined, none within `radius_m` metres of a more probable one.
     """
     listed = posterior.top(options.listed)
     poses = posterior.grid.T_sensor_object[listed]
@@ -86,9 +79,9 @@ def explain_alone(
 
 
 def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
-    """Raise GridError when no two of several touches are near enough to be of one object: a unit is wrong, or a frame.
+    """Raise GridError when no two touches are near enough to be on one object, as a wrong unit or frame would have it.
 
-    Where some are, one farther off is for `agree` to name. Touches of unknown sensor poses are left to others.
+    If some are near enough, `find_agreement` names a touch that is farther off. Skips touches without sensor poses.
     """
     if len(touches) < 2 or any(touch.T_base_sensor is None for touch in touches):
         return
@@ -103,15 +96,6 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
     size_m = float(np.linalg.norm(obj.mesh.extents_m))
     if apart_m > size_m:
         raise GridError(
-            f"the sensors are at least {1e3 * apart_m:,.0f} mm apart, and {obj.name} is {1e3 * size_m:.0f} mm "
-            "long: no pose touches two of them; T_base_sensor is in metres, from the sensor to one base"
+            f"the sensors are at least {1e3 * apart_m:,.0f} mm apart, but {obj.name} is only {1e3 * size_m:.0f} mm "
+            "long; give each T_base_sensor in metres, from the sensor to one common base"
         )
-
-
-def _try(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:
-    short = best - hypotheses[0].imprint_ious
-    return _Trial(outliers, hypotheses, frozenset(map(int, np.flatnonzero(short > FAR))))
-
-
-def _floats(values: NDArray[np.float64]) -> tuple[float, ...]:
-    return tuple(map(float, values))

@@ -1,4 +1,4 @@
-"""Doubts about a result: what people are warned of on the terminal, in reports and in lists of many touches."""
+"""Doubts about a result: warnings on the terminal, in reports and in tables of many touches."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tactile_loc.locate.results.verdict import LEAST_IOU
 
 
 def list_doubts(record: ResultRecord) -> list[str]:
-    """Return why an answer may be wrong, a sentence each; empty if nothing speaks against it."""
+    """Return why an answer may be wrong, one sentence each; empty if there is no doubt."""
     return [*_list_contradictions(record), *_list_unexplained(record)]
 
 
@@ -17,9 +17,9 @@ def _list_unexplained(record: ResultRecord) -> list[str]:
     if record.other_touches or not refined or best.imprint_iou >= LEAST_IOU:
         return []
     return [
-        f"the best pose explains {100 * best.imprint_iou:.0f} % of what {record.touch.name} shows (imprint IoU), and "
-        f"below {100 * LEAST_IOU:.0f} % hardly one is right: check the object, the sensor, the unit, and the prior if "
-        "there is one"
+        f"the best pose explains only {100 * best.imprint_iou:.0f} % of {record.touch.name} (imprint IoU), and below "
+        f"{100 * LEAST_IOU:.0f} % hardly any pose is right; check the object, the sensor, the unit and the prior, if "
+        "any"
     ]
 
 
@@ -34,9 +34,9 @@ def _list_contradictions(record: ResultRecord) -> list[str]:
     if outliers:
         said.append(
             f"the pose on which {len(touches) - len(outliers)} of {len(touches)} touches agree explains "
-            f"{', '.join(outliers)}; was that sensor where T_base_sensor says, and did it touch this object?"
+            f"{', '.join(outliers)}; check that sensor's T_base_sensor, and that it touched this object"
         )
     elif record.contradictory:
-        who = "which of two is wrong nobody can say" if len(touches) == 2 else "which is wrong does not show"
-        said.append(f"no pose was found that explains all touches: the best explains {', '.join(fits)}; {who}")
+        why = "the wrong one of two touches cannot be found" if len(touches) == 2 else "the wrong touch is unknown"
+        said.append(f"no pose was found that explains all touches: the best explains {', '.join(fits)}; {why}")
     return said

@@ -1,4 +1,4 @@
-"""How sure touches make: fitted to simulated touches of the same object, sensor and components, and stored."""
+"""Fitted probabilities: temperatures and calibrated sets, fitted to simulated touches of the object and stored."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.locate import conformal, probabilities
 from tactile_loc.locate.conformal import ConformalSets
-from tactile_loc.locate.probabilities import (
-    FusedExample,
-    FusedScaling,
-    TemperatureScaling,
-    fit_fused_scaling,
-    fit_temperature_scaling,
-)
+from tactile_loc.locate.probabilities import FusedExample, FusedScaling, TemperatureScaling
 from tactile_loc.locate.scoring import Scores
 from tactile_loc.locate.search import search_together
 from tactile_loc.locate.sources import PlaceSource, PoseSource
@@ -33,18 +27,19 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
-EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
-EACH_LEVEL = 10_000  # between the seeds of examples with one level of noise and with the next
-UNKNOWN = 1e3  # nats: the entropy of what no pose explains
+EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
+EACH_LEVEL = 10_000  # between the seeds of examples of one noise level and the next
+UNKNOWN = 1e3  # nats: the entropy if no pose explains the touches
 
 Simulate = Callable[[int, int, str], list[Touch]]  # count, seed, noise level
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """What several simulated touches say together, fused but not tempered; None where no pose touches all sensors.
+    """Several simulated touches, fused but not tempered; `fused` is None if no pose touches all sensors.
 
-    `truth` is the index of the true pose, -1 if it was not found, `best` the mean imprint IoU of a search's best pose.
+    `truth` is the index of the true pose, -1 if it was not found; `best` is the mean imprint IoU of the best pose that
+    a search found.
     """
 
     fused: PosePosterior | None
@@ -55,8 +50,8 @@ class Example:
 class FittedProbabilities:
     """The temperature, the tempering of fused touches and the calibrated sets of one localizer, fitted at first use.
 
-    `source` scores all poses that it looks at exactly; `described` is what decides its scores, `drawn` what decides the
-    simulated touches, as JSON values. A `temperature` that the user gives replaces all fits but that of the sets.
+    `source` scores all poses exactly. `described` returns what decides its scores, and `drawn` is what decides the
+    simulated touches, as JSON values. A `temperature` from the user replaces all fits except that of the sets.
     """
 
     def __init__(
@@ -70,21 +65,21 @@ class FittedProbabilities:
 
     @cached_property
     def temperature_scaling(self) -> TemperatureScaling:
-        """How scores become probabilities: by the temperature asked for, or as simulated touches have taught."""
+        """How scores become probabilities: with the user's temperature, or with one fitted to simulated touches."""
         if self.temperature is not None:
             return TemperatureScaling(self.temperature)
         artifact = self.store.build(self.temperature_key(), self._fit_temperature)
         return TemperatureScaling(**artifact.load_json(probabilities.STAGE))
 
     def temperature_key(self) -> StageKey:
-        """Return the key under which the temperature scaling is stored: everything that decides it."""
+        """Return the store key of the temperature scaling: everything that decides it."""
         touches = probabilities.describe_touches(self.plan.touches, self.plan.noise)
         return StageKey(
             probabilities.STAGE, probabilities.STAGE_VERSION, {**self.described(), **self.drawn, **touches}
         )  # fmt: skip
 
     def _fit_temperature(self, work: Workspace) -> None:
-        """Score simulated touches of known pose, and save the scaling that makes the true poses most probable."""
+        """Score simulated touches, and save the scaling that makes their true poses most probable."""
         scores: list[Scores] = []
         truth: list[int] = []
         number, levels = self.plan.touches, self.plan.noise
@@ -95,12 +90,12 @@ class FittedProbabilities:
                     scores.append(found)
                     truth.append(self.source.find_truth(grid, touch))
                     advance(1)
-        fitted = fit_temperature_scaling(scores, np.array(truth), self.source.searched)
+        fitted = probabilities.fit_temperature_scaling(scores, np.array(truth), self.source.searched)
         work.save_json(probabilities.STAGE, asdict(fitted))
 
     @cached_property
     def fused_scaling(self) -> FusedScaling:
-        """How sure several touches together make: fitted to simulated examples, unless a temperature was asked for."""
+        """How several touches are tempered: fitted to simulated examples, unless the user gave a temperature."""
         if self.temperature is not None:
             return FusedScaling()
         described = self._describe_examples(self.plan.fused_touches, self.plan.fused_examples, probabilities.FUSED_SEED)
@@ -108,7 +103,7 @@ class FittedProbabilities:
         return FusedScaling(**self.store.build(key, self._fit_fused_scaling).load_json(probabilities.FUSED_STAGE))
 
     def _fit_fused_scaling(self, work: Workspace) -> None:
-        """Fuse simulated touches of known pose, and save how sure they are to make."""
+        """Fuse simulated touches, and save the scaling that makes their true poses most probable."""
         levels = self.plan.noise
         count, seed = self.plan.fused_examples // len(levels), probabilities.FUSED_SEED
         fused = [
@@ -118,10 +113,10 @@ class FittedProbabilities:
             for example in self._examples(number, count, seed + EACH_LEVEL * place, level)
             if example.fused is not None
         ]
-        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused, self.source.searched)))
+        work.save_json(probabilities.FUSED_STAGE, asdict(probabilities.fit_fused_scaling(fused, self.source.searched)))
 
     def conformal_sets(self, touches: int) -> ConformalSets:
-        """Return how large sets of poses are to be, given so many touches, to hold the truth as often as asked for."""
+        """Return the calibrated sets for this number of touches, fitted now or loaded from the store."""
         number = min(touches, conformal.MOST_TOUCHES)
         described = self._describe_examples([number], conformal.EXAMPLES, conformal.SEED)
         key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
@@ -129,7 +124,7 @@ class FittedProbabilities:
         return ConformalSets(**artifact.load_json(conformal.STAGE))
 
     def _score_sets(self, work: Workspace, touches: int) -> None:
-        """Save how much probability is likelier than the truth in held-out examples of so many touches."""
+        """Save how much probability is on poses likelier than the true one, in held-out examples."""
         power = 1.0 if touches == 1 else self.fused_scaling.power(touches)
         scores, entropies = [], []
         for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):
@@ -142,7 +137,6 @@ class FittedProbabilities:
         work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
     def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
-        """Return what decides what is fused of so many simulated touches, as JSON values."""
         return {
             "touches": list(touches), "examples": count, "seed": seed, "fuser": self.fuser.describe(),
             "scores": self.temperature_key().digest, "temperature": self.temperature,
@@ -151,7 +145,7 @@ class FittedProbabilities:
     def _examples(
         self, touches: int, count: int, seed: int, noise: str = probabilities.TOUCH_NOISE
     ) -> Iterator[Example]:
-        """Yield `count` examples of so many simulated touches of the object at rest; no touch is in two of them."""
+        """Yield `count` examples of simulated touches of the object at rest; no touch is in two examples."""
         at_once = max(1, EXAMPLE_TOUCHES // touches)
         with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
             for start in range(0, count, at_once):
@@ -162,7 +156,7 @@ class FittedProbabilities:
                     advance(1)
 
     def _fuse(self, touches: Sequence[Touch]) -> Example:
-        """Fuse touches of known pose, each its own sensor's, as if one object at rest had been touched."""
+        """Fuse touches of known pose, each with its own sensor pose, as if one object at rest had been touched."""
         poses = np.stack([np.asarray(touch.T_sensor_object) for touch in touches])
         best, scaling = 1.0, self.temperature_scaling
         if isinstance(self.source, PlaceSource) and len(touches) > 1:
@@ -179,7 +173,7 @@ class FittedProbabilities:
     def _search_together(
         self, source: PlaceSource, touches: Sequence[Touch], poses: Poses
     ) -> tuple[list[PosePosterior], float]:
-        """What each touch says of the poses that all of them found, and the best pose's mean imprint IoU."""
+        """Search with all touches; return each touch's posterior and the best pose's mean imprint IoU."""
         seen_from = zip(touches, poses @ invert(poses[0]), strict=True)
         views = [View(touch, self.scene.match_touch(touch), T) for touch, T in seen_from]
         found = search_together(views, [source.search] * len(touches), StageTimes())

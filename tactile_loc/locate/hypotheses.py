@@ -1,4 +1,4 @@
-"""From posteriors to distinct hypotheses: proposed by all touches, refined together, merged and weighed."""
+"""From posteriors to distinct hypotheses: modes are proposed, refined against all touches, merged and weighed."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.results.localization import Hypothesis
 
-SHARPNESS = 30.0  # nats that an imprint IoU of 1 is worth beside errors of sensor poses
+SHARPNESS = 30.0  # nats for an imprint IoU of 1, when weighed against errors of sensor poses
 STILL_MOVING = 10
-AT_ONCE = 500  # poses that are compared with those chosen before
-DOUBT = 8.0  # nats: no touch's grid makes a pose less likely than that
+AT_ONCE = 500  # poses compared with the chosen ones at once
+DOUBT = 8.0  # nats: how much less likely than its best pose a touch's grid can make a pose
 
-Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # against touches, of the first one's frame
+Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
 
 
 def find_hypotheses(
     views: Sequence[View], modes: Sequence[Mode], refine: Refine, metric: PoseMetric, radius_m: float,
     prior: Prior | None, times: StageTimes, outliers: Collection[int] = (),
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
-    """Refine modes, poses in the first touch's sensor frame, merge those that end within `radius_m` metres, and weigh.
+    """Refine modes in the first touch's sensor frame, merge those within `radius_m` metres, and weigh them.
 
-    After refinement the right one of several explanations shows: see `weigh`. Views numbered `outliers` have no say.
+    `weigh` decides between the refined poses. Views numbered `outliers` do not count.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
@@ -55,11 +55,11 @@ def find_hypotheses(
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
-    """Merge hypotheses whose refined poses came out within `radius_m` metres of a likelier one.
+    """Merge hypotheses whose refined poses are within `radius_m` metres of a likelier one.
 
-    They are given in order, the most probable first. What ends at the same pose is the same explanation, however many
-    started towards it: it has the probability of its likeliest. One that did not converge must be nearer, within a
-    STILL_MOVING-th of that.
+    The hypotheses are sorted, the most probable first. A merged one has the probability of its likeliest member: that
+    several modes lead to one pose does not make it likelier. Poses that did not converge are merged within a
+    STILL_MOVING-th of the radius.
     """
     poses = np.array([h.T_sensor_object for h in hypotheses]).reshape(-1, 4, 4)
     still_m = [radius_m if h.refined.converged else radius_m / STILL_MOVING for h in hypotheses]
@@ -74,11 +74,11 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
 def weigh(
     hypotheses: Sequence[Hypothesis], evidence: NDArray[np.float64], log_prior: NDArray[np.float64] | None = None
 ) -> tuple[Hypothesis, ...]:
-    """Give hypotheses the probabilities of what their refined poses explain, the most probable first.
+    """Return hypotheses with probabilities from the evidence of their refined poses, the most probable first.
 
-    The grid's posterior compares coarse shapes at poses that are all a little wrong; below the grid's resolution the
-    right one of several explanations shows. `evidence` (K,), nats, is that of all touches; `log_prior` (K,) is added.
-    Together hypotheses keep the probability that their modes had.
+    The grid's posterior compares coarse shapes at poses that are all slightly off; refined poses show which of several
+    explanations is right. `evidence` (K,), nats, is of all touches; `log_prior` (K,) is added. The hypotheses share
+    the probability that their modes had together.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
     worth = evidence + known
@@ -91,7 +91,7 @@ def weigh(
 def compute_imprint_ious(
     views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: (K, N), 0 to 1."""
+    """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: imprint IoUs (K, N)."""
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
@@ -100,9 +100,9 @@ def compare_where_seen(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return imprint IoUs and evidence, nats, of poses (K, 4, 4) for each of N touches: (K, N) each.
 
-    `seen` (K, N, 4, 4), metres, is where each sensor would see the object if it is not quite where it is said to be.
-    What such an error of its pose costs, half its square in standard deviations, is taken from the evidence, and one
-    SHARPNESS-th a nat from the imprint IoU; whichever is more, there or at the pose as it is, counts.
+    `seen` (K, N, 4, 4), metres, is where each sensor would see the object if its reported pose is slightly wrong. That
+    error costs nats, half its square in standard deviations; one nat costs a SHARPNESS-th of imprint IoU. The better
+    value, with the error or without, counts.
     """
     here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
@@ -121,7 +121,7 @@ def compare_where_seen(
 def keep_likeliest(
     modes: Sequence[Mode], views: Sequence[View], freedom_m: float, options: HypothesisOptions
 ) -> list[Mode]:
-    """Return the modes that explain touches best, drawn coarsely, `freedom_m` metres free along z."""
+    """Return the modes that explain touches best in coarse renders, with `freedom_m` metres of freedom along z."""
     poses = np.stack([mode.T_sensor_object for mode in modes])
     ious = compute_imprint_ious(views, poses, options.image_px, freedom_m).mean(axis=1)
     return [modes[k] for k in np.argsort(-ious, kind="stable")[: options.refined_again]]
@@ -130,7 +130,7 @@ def keep_likeliest(
 def _find_seen_poses(
     views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
 ) -> NDArray[np.float64]:
-    """Where sensors may see refined poses, (K, N, 4, 4): the trusted as the refiner says, others as fits them alone."""
+    """Find where sensors see refined poses, (K, N, 4, 4): trusted ones as the refiner says, others fitted alone."""
     seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
     for k, pose in enumerate(refined):
         if pose.T_sensors_object is not None:
@@ -143,7 +143,7 @@ def _find_seen_poses(
 
 
 def _compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
-    """What errors (K, 4, 4) of where a sensor is seen from the first one cost, metres, in nats (K,)."""
+    """Return the cost (K,), nats, of errors (K, 4, 4), metres, between a sensor's pose and the first one's."""
     std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
     std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)
     gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
@@ -157,9 +157,9 @@ def propose_together(
 ) -> list[Mode]:  # fmt: skip
     """Return modes to refine against several touches, in the first touch's sensor frame.
 
-    Every touch proposes its most probable poses. Those that the grids of all touches together find likely are drawn
-    coarsely, and the ones that explain all touches best are taken, none within `radius_m` metres of a better one. The
-    grid index of another touch's pose is that of the first grid's nearest.
+    Each touch proposes its most probable poses. The poses that are likely in the grids of all touches are rendered
+    coarsely, and those that explain all touches best are kept, none within `radius_m` metres of a better one. Each
+    mode has the index of the nearest pose in the first touch's grid.
     """
     poses = np.concatenate([
         invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(options.listed)]
@@ -183,7 +183,7 @@ def propose_together(
 def choose_best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
     """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one.
 
-    The poses within that of a mode, and nearer to no other one, are its members.
+    The members of a mode are the poses within that radius that are nearest to it.
     """
     grid, p = posterior.grid, posterior.probabilities
     chosen = keep_apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
@@ -200,9 +200,9 @@ def choose_best_apart(posterior: PosePosterior, radius_m: float, top: int) -> li
 def keep_apart(
     poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
 ) -> NDArray[np.int64]:
-    """Return the indices of at most `count` of the poses (K, 4, 4), by their `worth` (K,), the worthiest first.
+    """Return the indices of at most `count` poses (K, 4, 4), sorted by their `worth` (K,), the greatest first.
 
-    None is within `radius_m` metres of a worthier one.
+    No chosen pose is within `radius_m` metres of one with greater worth.
     """
     order = np.argsort(-worth, kind="stable")
     chosen: list[int] = []

@@ -1,10 +1,10 @@
-"""The method, read aloud: score poses for each touch, fuse what touches say, propose modes, refine and weigh them."""
+"""The method, as one can read it aloud: score poses for each touch, fuse, propose modes, refine and weigh them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +15,8 @@ from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
@@ -48,7 +49,7 @@ from tactile_loc.store.store import StageStore
 
 @keep_old_names(most_probable_pose="find_most_probable_pose")
 class Localizer:
-    """Locates one object with one sensor. Build it once, then ask it about any number of touches."""
+    """Locates one object with one sensor. Build it once, then use it for any number of touches."""
 
     def __init__(
         self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None
@@ -64,7 +65,7 @@ class Localizer:
         self._require_compatible(renderer)
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
         coarse = self.sensor.geometry.resize_long_side(config.shape_px)
-        coarse = coarse.press(coarse.max_depth_m)  # the grid's, at full press
+        coarse = coarse.press(coarse.max_depth_m)  # the grid's shapes are at full press
         self.coarse_scene = replace(self.scene, geometry=coarse)
 
     @classmethod
@@ -72,9 +73,9 @@ class Localizer:
         cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
         store: StageStore | str | Path | None = None, progress: Progress | None = None, **settings: Any,
     ) -> Self:  # fmt: skip
-        """Load an object (a mesh file or a demo object's name) and make its localizer; `store` may be a folder.
+        """Load an object (a mesh file or the name of a demo object) and make its localizer; `store` may be a folder.
 
-        `settings` are RunConfig's: slots by name (`refiner="icp"`) or with options
+        `settings` are those of RunConfig: slots by name (`refiner="icp"`) or with options
         (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
         """
         chosen = {"path": str(object), "units": units, "symmetry": symmetry}
@@ -87,7 +88,6 @@ class Localizer:
         return registry().create(slot, chosen.name, chosen.options)
 
     def _require_compatible(self, renderer: Any) -> None:
-        """Raise ConfigError for components that cannot work together."""
         made = {
             "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refinement.refiner,
             "fuser": self.fuser, "renderer": renderer, "matcher": self._create("matcher"),
@@ -103,24 +103,24 @@ class Localizer:
     def simulate(
         self, count: int = 1, seed: int = 0, press_depth_m: float | None = None, noise: str = "none"
     ) -> list[Touch]:
-        """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres.
+        """Simulate touches with known true poses, drawn at random from the continuous set that the grid covers.
 
-        `noise` is none, mild or strong. Raises ConfigError for another, or a count or a seed below 0.
+        `noise` is none, mild or strong. Raises ConfigError for another noise, or for a count or seed below 0.
         """
         if min(count, seed) < 0:
-            raise ConfigError(f"{count} touches of seed {seed} cannot be simulated; give whole numbers from 0 on")
+            raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers from 0 on")
         rng = np.random.default_rng(seed)
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise))
 
     def require_own(self, touch: Touch) -> None:
-        """Raise TouchError when another sensor took the touch, or it is none."""
+        """Raise TouchError unless `touch` is a Touch of this sensor."""
         if not isinstance(touch, Touch):
-            raise TouchError(f"{quote(touch)} is no touch; `Localizer.read_touch` reads a file, `simulate` makes one")
+            raise TouchError(f"{quote(touch)} is not a Touch; read one from a file with `Localizer.read_touch`")
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(
                 f"{touch.name} was taken by another sensor than {self.config.sensor.name}: its camera, field or "
-                "maximal depth differs; make a Localizer for the sensor that took it"
+                "maximal depth differs; make a Localizer for that sensor"
             )
 
     # what is built once
@@ -146,27 +146,27 @@ class Localizer:
 
     @property
     def search(self) -> PlaceSearch | None:
-        """The search of the whole object, if the grid lists its places."""
+        """The search of the whole object; None if the grid lists poses."""
         return self.source.search if isinstance(self.source, PlaceSource) else None
 
     @property
     def listed(self) -> GridSource:
-        """The listed grid. Raises ConfigError if the grid lists places instead of poses."""
+        """The listed grid. Raises ConfigError if the grid lists places, not poses."""
         if isinstance(self.source, GridSource):
             return self.source
         raise ConfigError(
-            f"the grid {self.config.grid.name} lists no poses, which the command or encoder that was asked for needs; "
+            f"the command or encoder needs a grid of listed poses, and the grid {self.config.grid.name} has none; "
             "choose --grid face or --grid hopf"
         )
 
     @property
     def model(self) -> ObjectPoseModel:
-        """The object's listed grid and contact shapes: from the store, or built now. Raises ConfigError as `listed`."""
+        """The object's listed grid and contact shapes, stored or built now. Raises ConfigError as `listed` does."""
         return self.listed.model
 
     @cached_property
     def probabilities(self) -> FittedProbabilities:
-        """How sure touches make: temperatures and calibrated sets, each fitted at first use and stored."""
+        """The fitted probabilities: temperatures and calibrated sets, each fitted at first use and stored."""
         exact = self._create("matcher").capabilities.top_k_only
         source = self._make_source(ExactMatcher) if exact else self.source
         return FittedProbabilities(
@@ -176,9 +176,9 @@ class Localizer:
         )  # fmt: skip
 
     def describe_scores(self) -> dict[str, Any]:
-        """Return what decides a touch's scores but for the touch, as JSON values; trains the encoder if need be.
+        """Return what decides a touch's scores, except the touch, as JSON values; trains the encoder if necessary.
 
-        The matcher is not among it: all find the same scores, if they look at all poses.
+        The matcher is not part of it, since all matchers that look at all poses find the same scores.
         """
         return {
             **self.source.describe(), "sensor": self.sensor.geometry.describe(), "encoder": self.encoder.describe(),
@@ -187,18 +187,18 @@ class Localizer:
 
     @property
     def other_refinement(self) -> str:
-        """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
+        """Which parts the joint registration does instead of the chosen refiner, and why; "" if none."""
         return self.refinement.explain_others(self.config.refiner.name, self.sampler.capabilities.places)
 
     @property
     def mode_radius_m(self) -> float:
-        """How near to one another poses count as one mode, metres."""
+        """Distance below which poses belong to one mode, metres."""
         spacing_mm: float = self.sampler.options.spacing_mm
         return self.config.hypotheses.mode_radius * spacing_mm * 1e-3
 
     @property
     def merge_radius_m(self) -> float:
-        """How near to one another refined poses count as one hypothesis, metres."""
+        """Distance below which refined poses are one hypothesis, metres."""
         return self.config.hypotheses.merge_radius * self.mode_radius_m
 
     # answers
@@ -209,12 +209,13 @@ class Localizer:
         """Return the distribution over poses given a touch, and its `top` distinct hypotheses, refined.
 
         `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are all
-        modes of a set that holds the truth as often: see `PoseSet`. Raises TactileLocError when nothing fits.
+        modes of a set that holds the true pose with that probability: see `PoseSet`. Raises TactileLocError when
+        nothing fits.
         """
         return localize_together([(self, touch)], prior, top, coverage)
 
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
-        """Localise touches of this sensor, each for itself, as `localize` does; those of one press are matched at once.
+        """Localise touches of this sensor separately, as `localize` does; match those of one press depth together.
 
         Raises TactileLocError when nothing fits one of them.
         """
@@ -226,15 +227,15 @@ class Localizer:
         ]
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
-        """Return the posterior over the grid's poses of a touch and a prior: encode, match, fuse; adds to `times`."""
+        """Return the posterior over the grid's poses given a touch and a prior; adds to `times`."""
         return compute_posterior_together([(self, touch)], prior, times)
 
     def posteriors(
         self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
     ) -> list[PosePosterior]:
-        """Return what each touch alone says of the grid's poses, before anything is fused with it.
+        """Return each touch's own posterior over the grid's poses, before fusion.
 
-        A `prior` only says where a whole object is searched the more. Raises TouchError for another sensor's touch.
+        A `prior` only guides the search of a whole object. Raises TouchError for another sensor's touch.
         """
         for touch in touches:
             self.require_own(touch)
@@ -243,7 +244,7 @@ class Localizer:
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
     def find_most_probable_pose(self, touch: Touch) -> RefinedPose:
-        """Return the most probable pose of the grid, refined: the shortest way, for a control loop."""
+        """Return the most probable pose of the grid, refined: the fastest answer, for a control loop."""
         posterior = self.posterior(touch)
         return self.refine(touch, posterior, [int(posterior.log_p.argmax())])[0]
 
@@ -263,13 +264,13 @@ def localize_together(
 ) -> Localization:  # fmt: skip
     """Return the distribution over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
-    Each touch comes with the localizer of its object and its sensor, which may be of different kinds; of several, each
-    knows `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's grid;
+    Each touch comes with the localizer of its object and its sensor; sensors may differ. Several touches each need
+    `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's grid;
     `prior` maps that grid's poses (N, 4, 4) to log-weights (N,); `coverage` is as for `Localizer.localize`.
     Raises TactileLocError when nothing fits all of them.
 
-    A touch that contradicts the others is named (`Localization.outliers`); if the first localizer's configuration says
-    `drop_outliers`, it is `left_out`, and the answer is that of the others alone, in the first one's frame of them.
+    `Localization.outliers` names the touches that contradict the others. If the first localizer's configuration has
+    `drop_outliers`, they are `left_out`: the answer uses only the other touches, in the frame of their first one.
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
@@ -285,7 +286,7 @@ def localize_together(
                 raise
             if not query.first.config.drop_outliers:
                 name = query.touches[outliers[0]].name
-                raise GridError(f"{error}; without {name} the others agree: --drop-outliers leaves it out") from error
+                raise GridError(f"{error}; without {name} the others agree: pass --drop-outliers") from error
         if not outliers or not query.first.config.drop_outliers:
             left_out = tuple(touch for _, touch in observations if all(touch is not one for one in query.touches))
             return replace(found, left_out=left_out)
@@ -295,7 +296,7 @@ def localize_together(
 def compute_posterior_together(
     observations: Sequence[Observation], prior: Prior | None = None, times: StageTimes | None = None
 ) -> PosePosterior:
-    """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
+    """Return the posterior over the first localizer's grid given touches, as for `localize_together`."""
     _require_one_object(observations)
     query = _Query.of(observations, prior, None, None, times or StageTimes())
     return query.fuse(query.score_each())
@@ -303,7 +304,7 @@ def compute_posterior_together(
 
 @dataclass(frozen=True, eq=False)
 class _Query:
-    """Touches to be located together, each with its localizer, and a prior over poses in the first one's frame."""
+    """Touches to locate together, each with its localizer, and a prior over poses in the first one's frame."""
 
     observations: Sequence[Observation]
     views: Sequence[View]
@@ -317,11 +318,11 @@ class _Query:
         cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
         times: StageTimes,
     ) -> _Query:  # fmt: skip
-        """Return the query; what is None is as the first localizer's configuration says. Raises ConfigError."""
+        """Make a query; None means the first localizer's setting. Raises ConfigError."""
         first, touch = observations[0]
         top = first.config.top if top is None else top
         if top < 1:
-            raise ConfigError(f"{top} hypotheses cannot be listed; `top` must be 1 or more")
+            raise ConfigError(f"cannot list {top} hypotheses; set `top` to 1 or more")
         coverage = first.config.coverage if coverage is None else coverage
         if len(observations) > 1:
             require_sensor_poses([touch.T_base_sensor for _, touch in observations])
@@ -336,21 +337,25 @@ class _Query:
     def touches(self) -> list[Touch]:
         return [touch for _, touch in self.observations]
 
+    @property
+    def start_radius_m(self) -> float:
+        return self.first.config.hypotheses.start_radius * self.first.mode_radius_m
+
     def score_each(self) -> list[PosePosterior]:
-        """What each touch says: alone of its localizer's grid, or of the poses that a search by all of them found."""
+        """Score each touch: over its localizer's grid, or over the poses found by a search with all touches."""
         searches = [localizer.search for localizer, _ in self.observations]
         if len(searches) == 1 or not any(searches):
             return [localizer.posteriors([touch], self.times, self.prior)[0] for localizer, touch in self.observations]
         together = [search for search in searches if search is not None]
         if len(together) < len(searches):
-            raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
-                              "give all their localizers the grid whole, or none")  # fmt: skip
+            raise ConfigError("some localizers search the whole object and others a grid of listed poses; give all of "
+                              "them the grid whole, or none")  # fmt: skip
         found = search_together(self.views, together, self.times, self.prior)
         scalings = [localizer.probabilities.temperature_scaling for localizer, _ in self.observations]
         return found.posteriors(self.views, scalings, self.first.probabilities.fused_scaling.elsewhere(found.best))
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
-        """What touches and the prior say of the first one's grid, as sure as so many touches can make."""
+        """Fuse the touches' posteriors and the prior over the first one's grid, tempered by the number of touches."""
         count = len(alone) + count_touches(self.prior)
         powers = [localizer.probabilities.fused_scaling.power(count) if count > 1 else 1.0
                   for localizer, _ in self.observations]  # fmt: skip
@@ -360,7 +365,7 @@ class _Query:
         return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
     def answer(self, alone: Sequence[PosePosterior]) -> Localization:
-        """What touches say together, of each one's posterior alone: fuse, propose modes, refine and weigh them."""
+        """Answer from each touch's own posterior: fuse, propose modes, refine and weigh them."""
         posterior = self.fuse(alone)
         pose_set = self._calibrate(posterior)
         with self.times.stage("modes"):
@@ -375,7 +380,7 @@ class _Query:
 
     @property
     def known(self) -> Prior | None:
-        """The prior as it counts beside touches: an earlier posterior was as sure as its own touches could make."""
+        """The prior, tempered as one of all touches: an earlier posterior was tempered by its own touches only."""
         told = count_touches(self.prior)
         if self.prior is None or not told:
             return self.prior
@@ -383,41 +388,40 @@ class _Query:
         return temper(self.prior, lambda count: power(len(self.observations) + told) / power(count))
 
     def _calibrate(self, posterior: PosePosterior) -> PoseSet | None:
-        """The set of poses that holds the truth as often as asked for, if it was."""
         if self.coverage is None:
             return None
         return PoseSet.of(posterior, self.first.probabilities.conformal_sets(posterior.touches), self.coverage)
 
     def _refine(
-        self, modes: Sequence[Any], alone: Sequence[PosePosterior], posterior: PosePosterior
+        self, modes: Sequence[Mode], alone: Sequence[PosePosterior], posterior: PosePosterior
     ) -> tuple[tuple[Hypothesis, ...], Agreement]:
-        """Refine modes against all touches but those that contradict the others."""
-        first, options = self.first, self.first.config.hypotheses
-        radius_m = options.start_radius * first.mode_radius_m
+        find = partial(self._find_hypotheses, modes, posterior.grid.metric)
+        return (find(()), Agreement()) if len(self.views) == 1 else find_agreement(find, partial(self._explain, alone))
 
-        def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
-            some = modes
-            if outliers:
-                trusted = [view for k, view in enumerate(self.views) if k not in outliers]
-                some = keep_likeliest(modes, trusted, radius_m, options)
-            return find_hypotheses(
-                self.views, some, first.refinement.refine, posterior.grid.metric, first.merge_radius_m, self.known,
-                self.times, outliers,
-            )  # fmt: skip
+    def _find_hypotheses(
+        self, modes: Sequence[Mode], metric: PoseMetric, outliers: tuple[int, ...]
+    ) -> tuple[Hypothesis, ...]:
+        """Refine modes against all touches except outliers."""
+        first = self.first
+        if outliers:
+            trusted = [view for k, view in enumerate(self.views) if k not in outliers]
+            modes = keep_likeliest(modes, trusted, self.start_radius_m, first.config.hypotheses)
+        return find_hypotheses(
+            self.views, modes, first.refinement.refine, metric, first.merge_radius_m, self.known, self.times, outliers
+        )
 
-        def at_best() -> NDArray[np.float64]:
-            own = alone
-            if first.source.searched:
-                own = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
-            with self.times.stage("refine"):
-                ious = [explain_alone(view, p, first.refinement.refine, radius_m, options)
-                        for view, p in zip(self.views, own, strict=True)]  # fmt: skip
-            return np.array(ious)
-
-        return (find(), Agreement()) if len(self.views) == 1 else find_agreement(find, at_best)
+    def _explain(self, alone: Sequence[PosePosterior]) -> NDArray[np.float64]:
+        """Return the imprint IoU (N,) of the pose that explains each touch best on its own."""
+        first = self.first
+        if first.source.searched:
+            alone = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
+        with self.times.stage("refine"):
+            ious = [explain_alone(view, p, first.refinement.refine, self.start_radius_m, first.config.hypotheses)
+                    for view, p in zip(self.views, alone, strict=True)]  # fmt: skip
+        return np.array(ious)
 
     def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
-        """Which one of three touches or more excludes all poses of the others; empty if none or several do."""
+        """Find the one touch of three or more that excludes all poses of the others; empty if none or several do."""
         if len(self.observations) < 3:
             return ()
         excluding = []
@@ -431,7 +435,7 @@ class _Query:
         return tuple(excluding) if len(excluding) == 1 else ()
 
     def leave_out(self, outliers: Sequence[int]) -> _Query:
-        """The same query of the other touches, in the first one's frame of them."""
+        """Make the same query of the other touches, in the frame of their first one."""
         left = [one for k, one in enumerate(self.observations) if k not in outliers]
         before, after = self.touches[0], left[0][1]
         prior = self.prior
@@ -441,7 +445,7 @@ class _Query:
 
 
 def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
-    """Return a touch as hypotheses in the first one's sensor frame are compared with it."""
+    """Return a touch as a view: its scene, and where its sensor is from the first touch's sensor."""
     scene = localizer.scene.match_touch(touch)
     T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
     return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
@@ -449,10 +453,10 @@ def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
 
 def _require_one_object(observations: Sequence[Observation]) -> None:
     if not observations:
-        raise TouchError("there is no touch to localise; give one at least")
+        raise TouchError("there is no touch to localise; give at least one")
     for localizer, touch in observations:
         localizer.require_own(touch)
     objects = {localizer.object.mesh.digest for localizer, _ in observations}
     if len(objects) > 1:
         names = ", ".join(dict.fromkeys(localizer.object.name for localizer, _ in observations))
-        raise TouchError(f"the touches are of several objects ({names}); locate each by its own touches")
+        raise TouchError(f"the localizers are of several objects ({names}); locate each object by its own touches")

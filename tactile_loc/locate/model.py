@@ -1,4 +1,4 @@
-"""What is built once of an object and a sensor, each a stage of the store: grid, shapes, encoder, bank."""
+"""Stages of the store that are built once for an object and a sensor: grid, shapes, encoder, bank."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 
 
 def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
-    """Return the key under which the grid of `sampler` in `scene` is stored."""
+    """Return the store key of the grid of `sampler` in `scene`."""
     return StageKey("grid", STAGE_VERSIONS["grid"], {
         "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
     }, scene.object.name)  # fmt: skip
 
 
 def make_shapes_key(grid: StageKey, scene: Scene) -> StageKey:
-    """Return the key under which the contact shapes of a grid are stored, as `scene` draws them."""
+    """Return the store key of a grid's contact shapes, drawn as in `scene`."""
     return StageKey("shapes", STAGE_VERSIONS["shapes"], {
         "grid": grid.digest, "renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD,
     })  # fmt: skip
@@ -43,7 +43,7 @@ def make_shapes_key(grid: StageKey, scene: Scene) -> StageKey:
 
 @dataclass(frozen=True, eq=False)
 class ShapeBank:
-    """The grid's contact shapes at full press, as 16-bit shares of `max_depth_m`, a shard of poses a file."""
+    """The grid's contact shapes at full press, as 16-bit fractions of `max_depth_m`; one shard of poses per file."""
 
     artifact: Artifact
     max_depth_m: float
@@ -57,7 +57,7 @@ class ShapeBank:
         """Yield contact depths (S, H, W), S > 0, in metres, cut at `press_depth_m`, in the grid's order."""
         press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
         for number, size in enumerate(self.artifact.load_json("sizes")):
-            if size:  # of a whole shard perhaps no pose makes enough contact
+            if size:  # a shard can be empty: none of its poses makes enough contact
                 yield self._decode(self.artifact.load_array(_name_shard(number)), press)
 
     def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
@@ -75,7 +75,7 @@ class ShapeBank:
 
 @dataclass(frozen=True, eq=False)
 class ObjectPoseModel:
-    """An object ready to be located: its grid and the contact shapes of the grid's poses."""
+    """An object's pose grid and the contact shapes of the grid's poses."""
 
     grid: PoseGrid
     shapes: ShapeBank
@@ -88,11 +88,9 @@ class ObjectPoseModel:
 
 
 def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress) -> ObjectPoseModel:
-    """Build, or fetch from the store, the grid of `sampler` and its contact shapes in `scene`."""
+    """Build the grid of `sampler` and its contact shapes in `scene`, or load them from the store."""
     grid = make_grid_key(scene, sampler)
-    artifact = store.build(
-        grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress), packed=True)
-    )
+    artifact = store.build(grid, lambda work: _sample_grid(work, scene, sampler, progress))
     contact = PoseGrid(np.array(artifact.load_array("T_sensor_object")), PoseMetric(scene.object))
     key = make_shapes_key(grid, scene)
     percent = sampler.options.min_contact_percent
@@ -102,9 +100,9 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
 
 
 def make_bank_key(shapes: StageKey, encoder: Encoder, press_depth_m: float, trained: str = "") -> StageKey:
-    """Return the key under which the bank of contact shapes, cut at `press_depth_m` metres, is stored.
+    """Return the store key of the bank of contact shapes cut at `press_depth_m` metres.
 
-    `trained` identifies what the encoder has learned, empty if it needs no training.
+    `trained` identifies what the encoder has learned; it is empty for an encoder that needs no training.
     """
     return StageKey("bank", STAGE_VERSIONS["bank"], {
         "shapes": shapes.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
@@ -115,11 +113,10 @@ def build_bank(
     model: ObjectPoseModel, scene: Scene, encoder: Encoder, press_depth_m: float, store: StageStore,
     progress: Progress, trained: str = "",
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres, from the store if there.
+    """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres: stored, or built now.
 
     `trained` is as for `make_bank_key`.
     """
-
     pressed = scene.press(press_depth_m)
 
     def encode(work: Workspace) -> None:
@@ -128,17 +125,17 @@ def build_bank(
             for depths in _press_shapes(model, pressed):
                 rows.append(encoder.encode(depths, press_depth_m, pressed.geometry))
                 advance(len(depths))
-        # vectors of what is mostly empty, unless they were learned
+        # the rows of an encoder that does not learn are mostly zeros: compress them
         work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
     return np.asarray(store.build(make_bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
 
 
 def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
-    """The contact depths (S, H, W), S > 0, of the grid's poses in a scene that presses them in; metres.
+    """Yield the contact depths (S, H, W), S > 0, metres, of the grid's poses at the scene's press.
 
-    Seen by parallel rays, or drawn where it just touches, a lighter press is a full one cut off. A pinhole camera sees
-    it from farther away.
+    A lighter press is a full press cut off, if rays are parallel or shapes are drawn as in the paper. A pinhole camera
+    sees a lighter press from farther away, so those shapes are rendered.
     """
     press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
     if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":
@@ -149,15 +146,14 @@ def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np
         yield pressed.render_grid_depths(poses[start : start + SHARD])
 
 
-def _grid(scene: Scene, sampler: GridSampler, progress: Progress) -> NDArray[np.float64]:
+def _sample_grid(work: Workspace, scene: Scene, sampler: GridSampler, progress: Progress) -> None:
     with progress.task("sampling the pose grid", 1) as advance:
-        poses = make_contact_grid(sampler, scene).T_sensor_object
+        work.save_array("T_sensor_object", make_contact_grid(sampler, scene).T_sensor_object, packed=True)
         advance(1)
-    return poses
 
 
 def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, progress: Progress) -> None:
-    """Render the grid shard by shard; shards that an interrupted build finished are not rendered again."""
+    """Render the grid shard by shard; skip the shards that an interrupted build finished."""
     kept: list[NDArray[Any]] = []
     sizes = []
     with progress.task("rendering contact shapes", len(grid)) as advance:
@@ -177,8 +173,8 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
             advance(len(poses))
     if not sum(sizes):
         raise GridError(
-            f"no pose of {scene.object.name} makes contact with {percent:g} % of the sensor; lower "
-            "grid.min_contact_percent or choose another face"
+            f"no pose of {scene.object.name} touches {percent:g} % of the sensor; lower grid.min_contact_percent or "
+            "choose another face"
         )
     work.save_array("kept", np.concatenate(kept))
     work.save_json("shards", len(sizes))
@@ -190,7 +186,7 @@ def _name_shard(number: int) -> str:
 
 
 def _encode(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.uint16]:
-    """Contact depths (S, H, W) as 16-bit shares of max_depth; a pixel in contact never rounds to no contact."""
+    """Encode contact depths (S, H, W) as 16-bit fractions; a pixel in contact never rounds to no contact."""
     codes = np.rint(depths_m * np.float32(NO_CONTACT / max_depth_m))
     touching = depths_m < np.float32(max_depth_m)
     return np.where(touching, np.minimum(codes, NO_CONTACT - 1), NO_CONTACT).astype(np.uint16)
@@ -200,7 +196,7 @@ WEIGHTS = "encoder.safetensors"
 
 
 def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> StageKey | None:
-    """Return the key under which what `encoder` learned from contact shapes is stored; None if it needs no training."""
+    """Return the store key of the weights that `encoder` learns from contact shapes; None if it needs no training."""
     if not encoder.capabilities.needs_training:
         return None
     return StageKey("encoder", STAGE_VERSIONS["encoder"], {
@@ -211,10 +207,10 @@ def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -
 def train_encoder(
     encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
 ) -> str:
-    """Train `encoder` on a problem, or load what was trained before under `key`; return what identifies the result.
+    """Train `encoder` on a problem, or load the weights stored under `key`; return what identifies them.
 
-    Without a key the encoder needs no training: it is left alone, and the result is empty. Of several processes that
-    torchrun started, the first stores what all of them train together. Raises what `fit` raises.
+    Without a key the encoder needs no training, and the result is empty. If torchrun started several processes, they
+    train together, and the first one stores the result. Raises what `fit` raises.
     """
     if key is None:
         return ""
@@ -223,7 +219,7 @@ def train_encoder(
         encoder.fit(problem(WorkspaceCheckpoints(work)))
         work.save_file(WEIGHTS, encoder.save_weights)
 
-    if rank() > 0 and store.get(key) is None:  # the first process holds the lock, and waits for this one in `fit`
+    if rank() > 0 and store.get(key) is None:  # the first process holds the lock and waits for this one in `fit`
         encoder.fit(problem(Checkpoints()))
     else:
         encoder.load_weights(store.build(key, fit).find_file(WEIGHTS))

@@ -1,4 +1,4 @@
-"""The embeddings of an object's places, and what an encoder learns of them: from the store, or made at first use."""
+"""The embeddings of an object's places, and the encoder trained on them: stored, or made at first use."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from tactile_loc.locate.model import STAGE_VERSIONS, train_encoder
 from tactile_loc.locate.scoring import Scores
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace
 
-TRAINING_VERSION = 1  # of how touches are drawn that an encoder learns places from
-ENCODED = 512  # places at once: what fits a cache
+TRAINING_VERSION = 1  # of how the touches are drawn from which an encoder learns
+ENCODED = 512  # places encoded at once: what fits a cache
 
 
 class PlaceBanks:
-    """Encodes an object's places, for each press depth anew; trains the encoder before, if it learns.
+    """Encodes an object's places at each press depth, after training the encoder if it learns.
 
-    `key` is the places' in the store.
+    `key` is the places' store key.
     """
 
     def __init__(
@@ -37,7 +36,7 @@ class PlaceBanks:
 
     @property
     def encoder_key(self) -> StageKey | None:
-        """The key under which what the encoder learned is stored; None if it needs no training."""
+        """The store key of the encoder's weights; None if it needs no training."""
         if not self.encoder.capabilities.needs_training:
             return None
         return StageKey("encoder", STAGE_VERSIONS["encoder"], {
@@ -47,7 +46,7 @@ class PlaceBanks:
 
     @cached_property
     def trained(self) -> str:
-        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
         return train_encoder(
             self.encoder, self.encoder_key,
             lambda kept: PlaceProblem(self.places, self.scene, self.sampler, self.progress, kept), self.store,
@@ -56,15 +55,13 @@ class PlaceBanks:
     def bank(self, press_depth_m: float) -> Scores:
         """Return the bank (N, D) of the places cut at a press depth, metres.
 
-        That of an encoder that learned is stored: a network takes longer to encode places than to read them.
+        Only the bank of an encoder that learned is stored: a network encodes places more slowly than they are read.
         """
         if not self.trained:
             return self._encode(press_depth_m)
         key = StageKey("bank", STAGE_VERSIONS["bank"], {"trained": self.trained, "press_depth_m": press_depth_m})
-        return np.asarray(self.store.build(key, lambda work: self._save(work, press_depth_m)).load_array("bank"))
-
-    def _save(self, work: Workspace, press_depth_m: float) -> None:
-        work.save_array("bank", self._encode(press_depth_m))
+        stored = self.store.build(key, lambda work: work.save_array("bank", self._encode(press_depth_m)))
+        return np.asarray(stored.load_array("bank"))
 
     def _encode(self, press_depth_m: float) -> Scores:
         starts = range(0, len(self.places), ENCODED)

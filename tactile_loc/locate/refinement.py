@@ -1,4 +1,4 @@
-"""Who refines: the chosen refiner, or the joint registration where that refiner cannot."""
+"""Refinement: by the chosen refiner, or by the joint registration where that refiner cannot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tactile_loc.locate.results.localization import Hypothesis
 
 @dataclass(frozen=True)
 class Refinement:
-    """The chosen refiner and the joint registration. `together` says which of them refines against several touches."""
+    """The chosen refiner and the joint registration. `together` decides which refines against several touches."""
 
     refiner: Refiner
     registration: JointRegistration
@@ -35,9 +35,9 @@ class Refinement:
         return one_at_a_time and self.refiner.capabilities.refines and self.together == "joint"
 
     def explain_others(self, name: str, searched: bool) -> str:
-        """Say which parts the joint registration does instead of the refiner `name`, and why; "" if none.
+        """Return which parts the joint registration does instead of the refiner `name`, and why; "" if none.
 
-        `searched` says whether the whole object is searched.
+        `searched`: the whole object is searched.
         """
         if self.refiner.capabilities.covariances:
             return ""
@@ -50,14 +50,14 @@ class Refinement:
         if not named:
             return ""
         return (
-            f"the joint registration does {named}; the refiner {name} refines one touch's hypotheses, as it gives no "
-            "covariance and is too slow for hundreds of poses"
+            f"the joint registration does {named}; the refiner {name} refines one touch's hypotheses, because it gives "
+            "no covariance and is too slow for hundreds of poses"
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Return hypotheses with the joint registration's covariances where the refiner gives none.
+        """Return hypotheses with the joint registration's covariances, given the touches, where the refiner gives none.
 
-        They are of the touches `views`. A pose that was not refined has none.
+        A pose that was not refined has none.
         """
         unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
         if not unknown or not self.refiner.capabilities.refines:

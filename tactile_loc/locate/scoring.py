@@ -1,4 +1,4 @@
-"""How alike a touch and each pose of the grid are: both encoded, and matched."""
+"""The similarity of a touch and each pose of the grid: both are encoded, then matched."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tactile_loc.core.slots.matcher import Matcher
 Scores = NDArray[np.float32]
 NewMatcher = Callable[[], Matcher]
 
-MOST_MATCHERS = 8  # as many are kept in memory, the last used
+MOST_MATCHERS = 8  # kept in memory, the last used
 
 
 class GridScores:
     """Scores touches against the banks of a grid, one bank for each press depth that occurs.
 
-    `bank` returns the bank (N, D) of a press depth in metres, `new_matcher` an empty matcher; a sensor presses at most
-    `max_depth_m` metres deep. `follow` says whether touches are compared at their own press whatever the encoder.
+    `bank` returns the bank (N, D) of a press depth in metres, `new_matcher` an empty matcher. `max_depth_m` is the
+    sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder.
     """
 
     def __init__(
@@ -36,9 +36,9 @@ class GridScores:
         self._matchers: dict[float, Matcher] = {}
 
     def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
-        """Return how alike (N,) each touch and each pose of the grid are, unitless, higher is more alike.
+        """Return the similarity (N,) of each touch to each pose of the grid, unitless; higher is more similar.
 
-        Touches of one press depth are matched together. Building banks is no part of the `times`.
+        Touches of one press depth are matched together. `times` does not include building banks.
         """
         press_m = [self.bank_press_m(touch.press_depth_m) for touch in touches]
         found: dict[int, Scores] = {}
@@ -53,7 +53,7 @@ class GridScores:
         return [found[number] for number in range(len(touches))]
 
     def matcher(self, press_depth_m: float) -> Matcher:
-        """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
+        """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
         matcher = self._matchers.pop(press_m, None) or self._index(press_m)
         self._matchers[press_m] = matcher  # the last used comes last
@@ -73,9 +73,9 @@ class GridScores:
         return matcher
 
     def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
-        """The embedding (1, D) of a touch."""
+        """Encode a touch: (1, D)."""
         shape = touch.contact_shape.press_to(press_depth_m)
-        # The press the shape is really cut at: below the bank's, its pixels without contact would count as contact.
+        # The press that the shape is really cut at: below the bank's, pixels without contact would count as contact.
         press_m = shape.press_depth_m
         embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
         return embedding

@@ -1,7 +1,8 @@
-"""The whole object searched: which of its places, from which direction and how turned, a touch may show.
+"""Search of the whole object: at which of its places, and with which yaw, a touch can have been made.
 
-A touch's patch around its deepest point, turned to many yaws, is compared with those of all places; the most alike are
-registered to the touch, drawn, and compared with it. What is left are the likeliest poses, with their imprint IoUs.
+The patch around a touch's deepest point, rotated to many yaws, is compared with the patches of all places. The most
+similar places are registered to the touch, rendered, and compared with it. The result is the likeliest poses with their
+imprint IoUs.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 5
-GAP_POINTS, GAP_PX = 30, 120  # points of a touch whose gap to the surface is measured, and the image they come from
+GAP_POINTS, GAP_PX = 30, 120  # points of a touch, and size of the image they come from
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
-    """Return the places of the scene's object, from the store or built now, and the key under which they are stored."""
+    """Return the places of the scene's object, stored or built now, and their store key."""
     obj = scene.object
     key = StageKey(STAGE, STAGE_VERSION, {"object": obj.describe(), "sampler": sampler.describe()}, obj.name)
 
@@ -55,26 +56,26 @@ def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress
 
 
 class PlaceSearch:
-    """Searches all places of an object for those that a touch may show, with the encoder and matchers given."""
+    """Searches all places of an object for the poses that a touch may show."""
 
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
         grid_options: Any, options: SearchOptions, bank: Callable[[float], Scores],
     ) -> None:  # fmt: skip
-        """`bank` returns the embeddings (N, D) of the places cut at a press depth, metres."""
+        """`bank` returns the embeddings (N, D) of the places, cut at a press depth in metres."""
         self.places, self.key, self.scene, self.encoder, self.options = places, key, scene, encoder, options
         self.registration = JointRegistration(
             RegistrationOptions(points=options.points, iterations=options.iterations, image_px=options.registration_px)
         )
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
-        self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; how near the truth is found
+        self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; for the true pose to count as found
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
 
     def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
-        """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`.
+        """Return the likeliest poses of a touch, and their imprint IoUs (K,) in coarse renders; adds to `times`.
 
-        With a `prior` half of the poses that are registered are those that it finds likeliest of many.
+        With a `prior`, half of the registered poses are the ones that it prefers among many.
         """
         view, options = View(touch, self.scene.match_touch(touch)), self.options
         with times.stage("match"):
@@ -88,7 +89,7 @@ class PlaceSearch:
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides what is found of a touch, but for the encoder, as JSON values."""
+        """Return what decides which poses are found, except the encoder and the touch, as JSON values."""
         return {
             "places": self.key.digest, "search": SEARCH_VERSION, "options": self.options.model_dump(mode="json"),
             "registration": self.registration.describe(),
@@ -96,9 +97,9 @@ class PlaceSearch:
         }  # fmt: skip
 
     def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
-        """Return the `count` most similar rotated places, and as many that a prior finds likeliest of the `pool` ones.
+        """Return the `count` most similar rotated places; with a prior, also the `count` that it prefers of the pool.
 
-        Each group are poses (K, 4, 4), metres, and by what they are ordered (K,).
+        Each group is poses (K, 4, 4), metres, and the values (K,) that order them.
         """
         if prior is None:
             return [self.alike(touch, count)]
@@ -112,26 +113,36 @@ class PlaceSearch:
         return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
 
     def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
-        """Return the poses (K, 4, 4), metres, of the `count` most alike rotated places, and how alike they are (K,)."""
-        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
-
+        """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
-        anchor_m, R_sensor_gel = find_anchor(touch)
-        depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
-        cut_m = np.minimum(depths_m, np.float32(press_m))
-        queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-        scores = matcher.scores(queries, weights)
-        best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
-        best = best[scores.ravel()[best] > -np.inf]  # a matcher may look at fewer
-        yaw, number = np.unravel_index(best, scores.shape)
-        poses = make_transform(R_sensor_gel, anchor_m) @ self.places.poses(number, self.yaws_rad[yaw])
-        return poses, scores.ravel()[best].astype(float)
+        T_sensor_anchor, codes = encode_rotated(touch, self.encoder, press_m, self.yaws_rad)
+        scores = matcher.scores(*codes)
+        yaw, number = find_highest(scores, count)
+        return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores[yaw, number].astype(float)
+
+
+def encode_rotated(
+    touch: Touch, encoder: Encoder, press_m: float, yaws_rad: NDArray[np.float64]
+) -> tuple[Poses, tuple[Scores, Scores]]:
+    """Return T_sensor_anchor (4, 4), metres, and the codes and weights (M, ...) of a touch rotated to M yaws."""
+    from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
+
+    anchor_m, R_sensor_gel = find_anchor(touch)
+    depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
+    cut_m = np.minimum(depths_m, np.float32(press_m))
+    return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_m, seen, press_m, CAMERA)
+
+
+def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
+    """Return the rows and columns (K,) of the `count` highest scores (M, N), without those of -inf, unsorted."""
+    best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
+    return np.unravel_index(best[scores.ravel()[best] > -np.inf], scores.shape)
 
 
 @dataclass(frozen=True, eq=False)
 class FoundTogether:
-    """The likeliest poses (K, 4, 4), metres, in the first of N touches' sensor frame, and their imprint IoUs (K, N)."""
+    """The likeliest poses (K, 4, 4), metres, in the first of N touches' sensor frames; their imprint IoUs (K, N)."""
 
     T_first_object: Poses
     ious: NDArray[np.float64]
@@ -145,9 +156,9 @@ class FoundTogether:
     def posteriors(
         self, views: Sequence[View], scalings: Sequence[TemperatureScaling], elsewhere: float
     ) -> list[PosePosterior]:
-        """Return what each touch says of the poses, in its own sensor's frame, its probabilities scaled as alone.
+        """Return the posterior of each touch over the poses, in its sensor's frame, scaled as for a single touch.
 
-        `elsewhere` is how probable it is that the true pose is near none of them.
+        `elsewhere` is the probability that the true pose is near none of them.
         """
         grids = [PoseGrid(view.T_sensor_first @ self.T_first_object, self.metric) for view in views]
         return [
@@ -159,18 +170,19 @@ class FoundTogether:
 def search_together(
     views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes, prior: Prior | None = None
 ) -> FoundTogether:
-    """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses of the first one's frame.
+    """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses in the first one's frame.
 
-    Every touch proposes the rotated places that are most like it. Those are kept whose surface is nearest to what all
-    touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
-    Where none of the best few explains the touches well, more are looked at.
+    Each touch proposes the rotated places most similar to it. Of these, the poses whose surface is nearest to all
+    touches are registered to all touches, rendered, and compared with each touch; no pose is near a better one. If none
+    of the first poses explains the touches well, more are registered.
     """
+    seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
     with times.stage("match"):
         poses = np.concatenate([
             invert(view.T_sensor_first) @ some
-            for view, one in zip(views, searches, strict=True)
-            for some, _ in one.propose(view.touch, one.options.candidates_together, _see_from(view, prior))
+            for view, one, from_here in zip(views, searches, seen, strict=True)
+            for some, _ in one.propose(view.touch, one.options.candidates_together, from_here)
         ])  # fmt: skip
         poses = _keep_nearest(views, search, poses, options.registered_widely)
     with times.stage("register"):
@@ -185,31 +197,27 @@ def search_together(
 
 
 def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
-    """Return how well the best of poses (K, 4, 4), metres, explains several touches or one: imprint IoU, their mean.
+    """Return how well the best of poses (K, 4, 4), metres, explains touches: mean imprint IoU, 0 to 1.
 
-    Those `count` whose surface is nearest to what the touches show are registered roughly, and drawn coarsely.
+    The `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
     """
     _, ious = _register(views, search, _keep_nearest(views, search, poses, count))
     return float(ious.mean(axis=1).max())
 
 
 def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
-    """Return at most `count` of poses (K, 4, 4) whose surface is nearest to the touches', none near to a better one."""
+    """Return the `count` of poses (K, 4, 4) whose surface is nearest to the touches, none near a better one."""
     return poses[keep_apart(poses, -_measure_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
-def _see_from(view: View, prior: Prior | None) -> Prior | None:
-    return None if prior is None else SeenFrom(prior, invert(view.T_sensor_first))
-
-
 def _register(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
-    """Register poses (K, 4, 4), metres, roughly to all touches; also return their imprint IoUs (K, N), coarsely."""
+    """Register poses (K, 4, 4), metres, roughly to all touches; return them and their coarse imprint IoUs (K, N)."""
     registered, options = search.registration.register_coarsely(views, poses), search.options
     return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)
 
 
 def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
-    """Return how far the touches' points are from the object's surface at poses (K, 4, 4): sums (K,), metres."""
+    """Return the summed distances (K,), metres, of the touches' points to the object's surface at poses (K, 4, 4)."""
     from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
     field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)

@@ -1,7 +1,7 @@
-"""Where candidate poses come from: a listed grid of poses, or a search of all places of the object.
+"""Sources of candidate poses: a listed grid of poses, or a search of all places of the object.
 
-Both sources score poses for touches, choose which of them are refined, and find the one that is true. The localizer
-asks its source and does not need to know which one it is.
+Both sources score poses for touches, choose which of them are refined, and find the true one. The localizer uses its
+source without knowing which kind it is.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tactile_loc.store.store import StageStore
 class PoseSource(ABC):
     """Scores poses for touches of one object by one sensor.
 
-    `searched`: only the likeliest poses are scored, so that the true one may be missing.
+    `searched`: only the likeliest poses are scored, so the true one may be missing.
     """
 
     searched: bool
@@ -44,15 +44,15 @@ class PoseSource(ABC):
     @property
     @abstractmethod
     def trained(self) -> str:
-        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
 
     @abstractmethod
     def score(
         self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
     ) -> list[tuple[PoseGrid, Scores]]:
-        """Return for each touch the poses compared with it, metres, and their scores (N,), unitless; adds to `times`.
+        """Return, for each touch, the poses compared with it, metres, and their scores (N,), unitless; adds to `times`.
 
-        A `prior` only says which poses of a whole object are scored besides the most similar ones.
+        A `prior` only adds poses of a whole object to the most similar ones.
         """
 
     @abstractmethod
@@ -60,19 +60,19 @@ class PoseSource(ABC):
         self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
         pose_set: NDArray[np.int64] | None,
     ) -> list[Mode]:  # fmt: skip
-        """Return the modes of the `fused` posterior of touches to refine, at least `top` if there are as many.
+        """Return the modes of the `fused` posterior to refine, at least `top` if there are that many.
 
-        `alone` is what each touch says; with a `pose_set`, indices (K,) of the fused grid, all its modes are among
-        them.
+        `alone` are the touches' own posteriors. `pose_set` are indices (K,) of the fused grid; all its modes are
+        returned too.
         """
 
     @abstractmethod
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the pose nearest to a touch's true one; -1 if the search found none near it."""
+        """Return the index of the pose nearest to a touch's true pose; -1 if the search found none near it."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Return what decides the scores but for encoder, sensor and touch, as JSON values."""
+        """Return what decides the scores, except encoder, sensor and touch, as JSON values."""
 
 
 class PlaceSource(PoseSource):
@@ -87,31 +87,31 @@ class PlaceSource(PoseSource):
 
     @property
     def trained(self) -> str:
-        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
         return self.banks.trained
 
     def score(
         self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
     ) -> list[tuple[PoseGrid, Scores]]:
-        """Search the whole object for each touch: the likeliest poses and their imprint IoUs."""
+        """Search the whole object for each touch; return the likeliest poses and their imprint IoUs."""
         return [self.search.score(touch, times, prior) for touch in touches]
 
     def propose(
         self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
         pose_set: NDArray[np.int64] | None,
     ) -> list[Mode]:  # fmt: skip
-        """Return the most probable poses that are apart: a tenth of all, or `top`."""
+        """Return the most probable poses that are far enough apart: `top`, or a tenth of all if that is more."""
         count = max(top, self.options.refined, len(fused.grid) // 10)
         modes = choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
         return modes if pose_set is None else modes + fused.modes(self.mode_radius_m, None, core=pose_set)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the pose nearest to a touch's true one; -1 if the search found none near it."""
+        """Return the index of the pose nearest to a touch's true pose; -1 if the search found none near it."""
         (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
         return -1 if distance_m > self.search.found_m else int(index)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the search and what the encoder learned, as JSON values; trains if need be."""
+        """Return what decides the scores, as JSON values; trains the encoder if necessary."""
         return {**self.search.describe(), "trained": self.trained}
 
 
@@ -124,18 +124,18 @@ class GridSource(PoseSource):
         self, sampler: GridSampler, scene: Scene, encoder: Encoder, new_matcher: NewMatcher, store: StageStore,
         progress: Progress, options: HypothesisOptions, mode_radius_m: float,
     ) -> None:  # fmt: skip
-        """`scene` is at the grid's image size and full press."""
+        """`scene` has the grid's image size and full press."""
         self.sampler, self.scene, self.encoder, self.new_matcher = sampler, scene, encoder, new_matcher
         self.store, self.progress, self.options, self.mode_radius_m = store, progress, options, mode_radius_m
 
     @cached_property
     def model(self) -> ObjectPoseModel:
-        """The object's grid and contact shapes: from the store, or built now."""
+        """The object's grid and contact shapes, stored or built now."""
         return build_model(self.scene, self.sampler, self.store, self.progress)
 
     @cached_property
     def trained(self) -> str:
-        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
         if not self.encoder.capabilities.needs_training:
             return ""
         model, scene, sampler = self.model, self.scene, self.sampler
@@ -147,7 +147,7 @@ class GridSource(PoseSource):
 
     @cached_property
     def banks(self) -> GridScores:
-        """The comparison of touches with the grid's banks, each from the store, or built at first use."""
+        """Compares touches with the grid's banks, each stored or built at first use."""
         return GridScores(self.encoder, self.new_matcher, self._bank, self.scene.geometry.max_depth_m)
 
     def _bank(self, press_depth_m: float) -> Scores:
@@ -156,11 +156,11 @@ class GridSource(PoseSource):
         )  # fmt: skip
 
     def matcher(self, press_depth_m: float) -> Matcher:
-        """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
+        """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         return self.banks.matcher(press_depth_m)
 
     def press_grid(self, touch: Touch) -> PoseGrid:
-        """Return the grid's poses, in metres, pressed as deep as the touch."""
+        """Return the grid's poses, in metres, at the touch's indentation."""
         return self.model.grid.raise_level(self.scene.geometry.max_depth_m - touch.indentation_m)
 
     def score(
@@ -174,7 +174,7 @@ class GridSource(PoseSource):
         self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
         pose_set: NDArray[np.int64] | None,
     ) -> list[Mode]:  # fmt: skip
-        """Return the fused posterior's modes; of several touches, those that explain all of them best at a glance."""
+        """Return the modes of the fused posterior; for several touches, the poses that explain all of them best."""
         modes = []
         if len(views) > 1:
             radius_m = self.options.start_radius * self.mode_radius_m
@@ -184,9 +184,9 @@ class GridSource(PoseSource):
         return modes or fused.modes(self.mode_radius_m, top)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the pose nearest to a touch's true one."""
+        """Return the index of the pose nearest to a touch's true pose."""
         return int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the grid, its shapes and what the encoder learned, as JSON values; trains if need be."""
+        """Return what decides the scores, as JSON values; trains the encoder if necessary."""
         return {"model": self.model.key.digest, "trained": self.trained}

@@ -1,4 +1,4 @@
-"""An object whose surface and symmetry are kept in the store: reading a mesh and finding its symmetry take seconds."""
+"""An object's surface and symmetry, kept in the store because it takes seconds to read a mesh and find its symmetry."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tactile_loc.store.workspace import Workspace
 
 logger = logging.getLogger(__name__)
 
-SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that no other file's triangles are part of
-SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # raise them when the same file is read, or judged, otherwise
+SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that refer to no other file's triangles
+SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # raise when the same file would give another surface or symmetry
 
 Kept = TypeVar("Kept")
 
 
 def load_stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
-    """Load an object as `load_object` does, its surface and its symmetry from the store if they are there."""
+    """Load an object as `load_object` does; take its surface and symmetry from the store if they are there."""
     return load_object(
         path, units, symmetry, read=lambda file: _load_surface(file, store),
         judge=lambda declared, mesh: _load_symmetry(declared, mesh, Path(path).stem, store),
@@ -42,7 +42,7 @@ def _load_surface(path: Path, store: StageStore) -> Surface:
     try:
         digest = hash_file(path)
     except StoreError:
-        return read_surface(path)  # which says why it cannot
+        return read_surface(path)  # reports why the file cannot be read
     described = {"file": digest, "suffix": path.suffix.lower(), "trimesh": metadata.version("trimesh")}
     key = StageKey("surface", SURFACE_VERSION, described, path.stem)
 
@@ -78,13 +78,13 @@ def _load_or_keep(
     store: StageStore, key: StageKey, make: Callable[[], Kept], save: Callable[[Kept, Workspace], None],
     load: Callable[[Artifact], Kept],
 ) -> Kept:  # fmt: skip
-    """What the store has, else what is made, and kept if it can be."""
+    """Load the artifact from the store, or make it and store it if possible."""
     found = store.get(key)
     if found is not None:
         return load(found)
     made = make()
     try:
         store.build(key, lambda work: save(made, work))
-    except StoreError as error:  # what is built next says so, if it cannot be kept either
-        logger.info("the %s is made again next time: %s", key.stage, error)
+    except StoreError as error:  # the next stage raises it if the store cannot be written at all
+        logger.info("cannot store the %s, so it is made again next time: %s", key.stage, error)
     return made

@@ -1,4 +1,4 @@
-"""Touches given by a path: a folder or pattern of many, each located for itself, or a list of several of one object."""
+"""Touches from paths: a folder or pattern of separate touches, or a list of several touches of one object."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import NoContactError, TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import axis_angle
@@ -47,7 +48,7 @@ TOGETHER = 32  # touches read and located at once
 
 @dataclass(frozen=True, eq=False)
 class LocatedFile:
-    """What became of one touch's file: its best hypothesis and the verdict or, in a sentence, why there is none.
+    """The result of one touch's file: its best hypothesis and verdict, or the `problem` in one sentence.
 
     A file that cannot be read has no verdict.
     """
@@ -58,51 +59,54 @@ class LocatedFile:
     verdict: Verdict | None = None
 
     def make_row(self) -> dict[str, str]:
-        """Return it as a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
+        """Return a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
+        row = {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
         if self.best is None:
-            return {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
-        best = self.best
-        T = best.T_sensor_object
-        angle_deg, axis = axis_angle(T[:3, :3])
-        cells = [
-            self.path.name, self.verdict or "", f"{best.probability:.4f}", f"{best.imprint_iou:.3f}",
-            *(f"{1e3 * v:.3f}" for v in T[:3, 3]), f"{angle_deg:.2f}", *(f"{v:.4f}" for v in axis),
-        ]  # fmt: skip
-        return dict(zip(COLUMNS, [*cells, ""], strict=True))
+            return row
+        row |= {"probability": f"{self.best.probability:.4f}", "imprint_iou": f"{self.best.imprint_iou:.3f}"}
+        return row | make_pose_cells(self.best.T_sensor_object)
+
+
+def make_pose_cells(T: NDArray[np.float64]) -> dict[str, str]:
+    """Return a pose (4, 4), metres, as cells of a table: x, y, z in mm, the rotation in degrees, and its axis."""
+    angle_deg, axis = axis_angle(T[:3, :3])
+    places = {f"{name}_mm": f"{1e3 * v:.3f}" for name, v in zip("xyz", T[:3, 3], strict=True)}
+    axes = {f"axis_{name}": f"{v:.4f}" for name, v in zip("xyz", axis, strict=True)}
+    return {**places, "turn_deg": f"{angle_deg:.2f}", **axes}
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path means many touches: a folder, or a pattern such as folder/*.png."""
+    """Whether a path means many touches: a folder, or a pattern such as `folder/*.png`."""
     return os.path.isdir(path) or ("*" in path.name and not os.path.exists(path))
 
 
 def is_list(path: Path) -> bool:
-    """Whether a path is, by its name, a list of touches."""
+    """Whether a path's name is that of a list of touches."""
     return path.suffix.lower() == ".toml"
 
 
 def find_touches(folder: Path) -> list[Path]:
-    """Return the touches of a folder or pattern, in the order of names. Raises TouchError when there is none."""
+    """Return the touches of a folder or pattern, sorted by name. Raises TouchError when there is none."""
     if os.path.isdir(folder):
-        # of what `simulate` wrote, the contact shapes: the images show the same touches, and a sheet of all of them
+        # `simulate` writes contact shapes, photos of the same touches and an overview; take the contact shapes
         simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
         candidates = simulated or folder.iterdir()
         if any(path.with_suffix(".png").is_file() for path in simulated):
-            log.warning("contact shapes were located; for their photos, give --touch '%s'", folder / "touch-*.png")
+            log.warning("contact shapes were located; to locate the photos, give --touch '%s'", folder / "touch-*.png")
     else:
         candidates = folder.parent.glob(folder.name)
     files = sorted(path for path in candidates if path.suffix.lower() in SUFFIXES and path.is_file())
     if not files:
-        raise TouchError(f"{folder} holds no touch; give files {', '.join(sorted(SUFFIXES))}")
+        raise TouchError(f"{folder} holds no touch; give files of type {', '.join(sorted(SUFFIXES))}")
     return files
 
 
 def localize_files(
     localizer: Localizer, files: Sequence[Path], press_depth_m: float | None = None
 ) -> Iterator[tuple[LocatedFile, Localization | None]]:
-    """Locate the touch of each file for itself, in their order; None where that fails.
+    """Locate the touch of each file separately, in their order; the localisation is None where that fails.
 
-    `press_depth_m`, metres, is how deep the press was where a file does not say.
+    `press_depth_m`, metres, is the press depth of files that do not state it.
     """
     for first in range(0, len(files), TOGETHER):
         yield from _localize_batch(localizer, files[first : first + TOGETHER], press_depth_m)
@@ -129,11 +133,16 @@ def _localize_batch(
 
 
 def write_table(path: Path, located: Iterable[LocatedFile]) -> Path:
-    """Write a row a file as CSV, atomically, and return the path. Raises OutputError."""
+    """Write one row per file as CSV, atomically, and return the path. Raises OutputError."""
+    return write_csv(path, COLUMNS, (one.make_row() for one in located))
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, str]]) -> Path:
+    """Write rows as CSV, atomically, with empty cells for missing columns; return the path. Raises OutputError."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", restval="")
+    writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
     writer.writeheader()
-    writer.writerows(one.make_row() for one in located)
+    writer.writerows(rows)
     return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
 
 
@@ -149,7 +158,6 @@ def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
 
 
 def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
-    """The same localizer, but for its sensor, which is given by name, folder or file."""
     kind = find_sensor_kind(sensor)
     chosen = SlotConfig(name=kind, options={"path": sensor}) if kind else SlotConfig(name=sensor)
     config = localizer.config.model_copy(update={"sensor": chosen})
@@ -157,19 +165,16 @@ def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
 
 
 def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
-    """Read one touch of a list, with what the list says of its sensor's pose. Raises TactileLocError for bad input."""
+    """Read one touch of a list, with its sensor's pose from the list. Raises TactileLocError for bad input."""
     touch = localizer.read_touch(listed.path, listed.unit, listed.press_depth_m)
-    if listed.T_base_sensor is not None:
-        touch = dataclasses.replace(touch, T_base_sensor=listed.T_base_sensor)
-    if listed.T_base_sensor_std_m is not None:
-        touch = dataclasses.replace(touch, T_base_sensor_std_m=listed.T_base_sensor_std_m)
-    if listed.T_base_sensor_std_rad is not None:
-        touch = dataclasses.replace(touch, T_base_sensor_std_rad=listed.T_base_sensor_std_rad)
+    names = ("T_base_sensor", "T_base_sensor_std_m", "T_base_sensor_std_rad")
+    given = {name: value for name in names if (value := getattr(listed, name)) is not None}
+    touch = dataclasses.replace(touch, **given)
     return touch if listed.mount is None else _add_mount_error(touch, listed.mount)
 
 
 def _add_mount_error(touch: Touch, mount: Mount) -> Touch:
-    """The touch, its sensor's pose known no better than the flange's and the mount together tell."""
+    """Return the touch with the mount's error added to that of the flange's pose."""
     std_m, std_rad = mount.find_std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
     return dataclasses.replace(
         touch, T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),

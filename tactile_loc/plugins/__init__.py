@@ -1,46 +1,44 @@
-"""The built-in components, registered by the same entry point and hook as anybody else's."""
+"""The built-in components. They are registered through the same entry point and hook as third-party plugins."""
 
 from __future__ import annotations
 
 from tactile_loc.plugin import INTERFACE_VERSION, ComponentSpec, hookimpl
 
 LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
-# slot, name, class, what it is, and what to install for it
+# slot, name, class, summary, and the extra to install
 BUILT_IN = [
     ("sensor", "gelslim", "sensors.presets:GelSlim", "GelSlim with the paper's camera"),
     ("sensor", "gelsight-mini", "sensors.presets:GelSightMini", "GelSight Mini, nominal"),
-    ("sensor", "digit", "sensors.presets:Digit", "DIGIT, nominal, its gel taken for flat"),
+    ("sensor", "digit", "sensors.presets:Digit", "DIGIT, nominal, with a flat gel"),
     ("sensor", "digit-curved", "sensors.presets:CurvedDigit", "DIGIT, nominal, with its curved gel"),
     ("sensor", "file", "sensors.file:FileSensor", "any sensor described by a TOML file"),
-    ("sensor", "calibrated", "sensors.calibrated:CalibratedSensor", "a sensor that was calibrated for images", LEARNED),
+    ("sensor", "calibrated", "sensors.calibrated:CalibratedSensor", "a sensor calibrated from its images", LEARNED),
     ("renderer", "heightmap", "renderers.heightmap:HeightmapRenderer",
-     "one height map a rotation, all translations cut from it; fastest"),
+     "one height map for each rotation, shared by all translations; fastest"),
     ("renderer", "raycast", "renderers.raycast:RaycastRenderer", "exact ray casting (open3d)"),
-    ("renderer", "zbuffer", "renderers.zbuffer:ZBufferRenderer", "exact, triangle by triangle, a pose at a time"),
+    ("renderer", "zbuffer", "renderers.zbuffer:ZBufferRenderer", "exact, draws each triangle of each pose"),
     ("renderer", "pyrender", "renderers.pyrender.renderer:PyrenderRenderer",
      "OpenGL through EGL, headless, as in the paper"),
-    ("grid", "face", "grids.face:FaceGrid", "x, y and yaw on one face, optional small tilts"),
+    ("grid", "face", "grids.face:FaceGrid", "x, y and yaw on one face, with optional small tilts"),
     ("grid", "hopf", "grids.hopf:HopfGrid", "all rotations (Hopf/HEALPix) times the plane"),
-    ("grid", "whole", "grids.whole:WholeGrid",
-     "every direction, by the places of the object that touch first: the default"),
-    ("encoder", "pixel", "encoders.pixel:PixelEncoder", "direct comparison of contact shapes, no training"),
+    ("grid", "whole", "grids.whole:WholeGrid", "all directions: the places that can touch first (default)"),
+    ("encoder", "pixel", "encoders.pixel:PixelEncoder", "compares contact shapes directly, no training"),
     ("encoder", "moco", "encoders.moco.encoder:MocoEncoder",
-     "learned by contrast in simulation, for one object", LEARNED),
+     "contrastive network, trained in simulation for one object", LEARNED),
     ("matcher", "dense", "matchers.dense:DenseMatcher", "exact, one matrix product"),
     ("matcher", "faiss", "matchers.faiss:FaissMatcher", "faiss: exact (flat) or approximate"),
-    ("refiner", "none", "refiners.none:NoRefiner", "the grid pose as it is"),
+    ("refiner", "none", "refiners.none:NoRefiner", "returns the grid pose unchanged"),
     ("refiner", "joint", "refiners.joint:JointRefiner",
-     "point to plane on the object's surface, one pose against all touches at once; knows how sure it is"),
+     "point-to-plane registration of one pose to all touches at once, with a covariance"),
     ("refiner", "icp", "refiners.icp:IcpRefiner", "point-to-plane ICP (open3d)"),
     ("refiner", "filterreg", "refiners.filterreg.refiner:FilterRegRefiner",
-     "point-to-plane EM with a Gaussian mixture, as in the paper; many candidates at once"),
+     "point-to-plane EM with a Gaussian mixture, as in the paper; all candidates at once"),
     ("refiner", "kiss-icp", "refiners.kiss:KissIcpRefiner",
      "point-to-point ICP with a robust kernel (kiss-icp)", KISS),
     ("refiner", "render", "refiners.render.refiner:RenderRefiner",
-     "renders the pose and compares every pixel; the most accurate on clean touches, slower"),
+     "renders the pose and compares every pixel; slower, most accurate on clean touches"),
     ("fuser", "product", "fusers.product:ProductFuser", "product of the touches' probabilities and the prior"),
-    ("fuser", "kinematic", "fusers.kinematic:KinematicFuser",
-     "contact or no contact only, whatever the touches show: the paper's baseline"),
+    ("fuser", "kinematic", "fusers.kinematic:KinematicFuser", "uses contact or no contact only: the paper's baseline"),
 ]  # fmt: skip
 
 

@@ -1,7 +1,7 @@
-"""A distribution over poses, as pictures show it: over the object's surface, and over rotations.
+"""A distribution over poses for pictures: over the object's surface, and over rotations.
 
-Over the surface: where the sensor's centre touches. Over rotations: the turn about the sensor's axis (yaw), and the
-side of the object that faces the sensor.
+On the surface: where the sensor's centre touches. Over rotations: the yaw about the sensor's axis, and the side of the
+object that faces the sensor.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 Array = NDArray[np.float64]
 
-PATCHES = 1500  # edges are split until so many squares of their length cover the surface
+PATCHES = 1500  # squares of the longest edge's length that would cover the surface
 MOST_SPLITS = 40
 REACH = 3.0  # standard deviations to which a pose's probability is spread
 YAW_BINS, MOST_YAWS = 36, 120
@@ -29,9 +29,9 @@ SAME_SIDE_DEG, CAP_DEG = 0.5, 60.0
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDistribution:
-    """Probability over a surface: `mass` (V,) of each vertex, which sums to one, and `area_m2` (V,) that it stands for.
+    """Probability over a surface: `mass` (V,) of each vertex, with sum one, and the vertex's `area_m2` (V,).
 
-    `spread_m` is the standard deviation by which each pose's probability is spread along the surface, metres.
+    `spread_m` is the standard deviation of the spread of each pose's probability along the surface, metres.
     """
 
     mesh: TriangleMesh
@@ -46,7 +46,7 @@ class SurfaceDistribution:
 
 
 def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.int64]:
-    """Return the vertex (N,) that is nearest to the sensor's centre at each pose (N, 4, 4), metres."""
+    """Return the vertex (N,) nearest to the sensor's centre at each pose (N, 4, 4), metres."""
     from scipy.spatial import cKDTree
 
     centres_m = transform_points(invert(T_sensor_object), geometry.gel_middle_m[None])[:, 0]
@@ -56,10 +56,10 @@ def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: 
 def spread_over_surface(
     mesh: TriangleMesh, T_sensor_object: Poses, weights: Array, geometry: SensorGeometry, spread_m: float
 ) -> SurfaceDistribution:
-    """Return where on the surface the sensor's centre touches, given poses (N, 4, 4) and their weights (N,), sum one.
+    """Return where the sensor's centre touches the surface, from poses (N, 4, 4) and their weights (N,) with sum one.
 
-    A pose counts where the surface is nearest to the sensor's centre. Its weight is spread over the vertices around, by
-    area and by a Gaussian of `spread_m` metres, but not to the back of a wall.
+    Each pose counts at the vertex nearest to the sensor's centre. Its weight is spread over nearby vertices, by area
+    and by a Gaussian of `spread_m` metres, but not to the back of a wall.
     """
     fine = split_long_edges(mesh, choose_edge_m(mesh))
     touched = find_touched_vertices(fine, T_sensor_object, geometry)
@@ -69,7 +69,7 @@ def spread_over_surface(
 
 
 def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) -> Array:
-    """Spread masses (V,) to the vertices around; what it sums to stays the same."""
+    """Spread masses (V,) to nearby vertices; their sum stays the same."""
     from scipy.spatial import cKDTree
 
     tree, normals = cKDTree(mesh.vertices_m), compute_vertex_normals(mesh)
@@ -85,35 +85,34 @@ def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) ->
 
 
 def choose_edge_m(mesh: TriangleMesh) -> float:
-    """Return how long an edge may be, metres, for a smooth picture of this surface."""
+    """Return the longest edge, metres, for a smooth picture of this surface."""
     return float(np.sqrt(mesh.face_areas.sum() / PATCHES))
 
 
 def split_long_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
-    """Return the same surface with no edge longer than `longest_m` metres: longest edges are halved until none is."""
+    """Return the same surface without edges longer than `longest_m` metres, by halving the longest edges."""
     vertices, faces = mesh.vertices_m, mesh.faces
     for _ in range(MOST_SPLITS):
         split = _split_longest(vertices, faces, longest_m)
         if split is None:
             break
         vertices, faces = split
-    places, same = np.unique(vertices, axis=0, return_inverse=True)  # neighbours halved their edge one after the other
+    places, same = np.unique(vertices, axis=0, return_inverse=True)  # neighbours may halve a common edge separately
     return TriangleMesh(places, same.ravel()[faces])
 
 
 def _split_longest(
     vertices_m: Array, faces: NDArray[np.int64], longest_m: float
 ) -> tuple[Array, NDArray[np.int64]] | None:
-    """Halve the longest edge of every face that is too long; None when there is none."""
+    """Halve the longest edge of every face that is too long; return None when there is none."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], -1)
     lengths = np.linalg.norm(vertices_m[ends[..., 0]] - vertices_m[ends[..., 1]], axis=-1)
     long = lengths.max(axis=1) > longest_m
     if not long.any():
         return None
-    # Turned so that the longest edge leads from the first corner to the second. A neighbour halves it at the same
-    # middle, now or in a later turn, for it is too long there, too.
-    turn = lengths[long].argmax(axis=1)
-    a, b, c = (faces[long][np.arange(len(turn)), (turn + k) % 3] for k in range(3))
+    # The longest edge leads from a to b. A neighbour halves it at the same middle, now or in a later round.
+    first = lengths[long].argmax(axis=1)
+    a, b, c = (faces[long][np.arange(len(first)), (first + k) % 3] for k in range(3))
     edges, where = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)
     middle = len(vertices_m) + where.ravel()
     halves = [np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)]
@@ -127,7 +126,7 @@ def compute_vertex_areas(mesh: TriangleMesh) -> Array:
 
 
 def compute_vertex_normals(mesh: TriangleMesh) -> Array:
-    """Return unit normals (V, 3), the mean of the faces around, weighted by their areas; zero where there are none."""
+    """Return unit normals (V, 3), the area-weighted mean over the faces around each vertex; zero without faces."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     normals = np.zeros_like(mesh.vertices_m)
     for corner in range(3):
@@ -137,7 +136,7 @@ def compute_vertex_normals(mesh: TriangleMesh) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class YawHistogram:
-    """Probability by turn about the sensor's +z: `yaw_deg` (B,) are the bars' middles, `mass` (B,) sums to one."""
+    """Probability by yaw about the sensor's +z: `yaw_deg` (B,) are the middles of bars, `mass` (B,) has the sum one."""
 
     yaw_deg: Array
     mass: Array
@@ -146,11 +145,11 @@ class YawHistogram:
 
 @dataclass(frozen=True, eq=False)
 class SideMap:
-    """Probability `mass` (Y, X), which sums to one, of which side of the object faces the sensor.
+    """Probability `mass` (Y, X), with sum one, by the side of the object that faces the sensor.
 
-    "one": a single side, `normal` (3,) in the object frame; "lean": how far that side leans towards the sensor's x and
-    y, degrees; "globe": the side's azimuth and elevation in the object frame, degrees, in bins of equal area. `x` and
-    `y` are the bins' edges.
+    "one" is a single side with `normal` (3,) in the object frame. "lean": bins are the lean of that side towards the
+    sensor's x and y, degrees. "globe": bins are the azimuth and elevation of the side in the object frame, degrees, of
+    equal area. `x` and `y` are the edges of the bins.
     """
 
     kind: Literal["one", "lean", "globe"]
@@ -161,22 +160,18 @@ class SideMap:
 
 
 def compute_yaw_rad(R: Array) -> Array:
-    """Return the turn (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
+    """Return the yaw (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
 
-    R = Rz(yaw) A, with A the smallest rotation that brings the side that faces the sensor there (`align_to_z`).
+    R = Rz(yaw) A. A is the smallest rotation that brings the facing side to the sensor (`align_to_z`). Its axis has
+    no z, so A[0, 1] = A[1, 0].
     """
-    v = R[:, 2, :]  # what the sensor's +z is in the object frame
-    x = np.zeros_like(v)
-    x[:, 0] = 1.0
-    below = v[:, 2] > -1 + 1e-9
-    swing = np.where(below, v[:, 0] / np.maximum(1 + v[:, 2], 1e-12), 0.0)
-    x -= swing[:, None] * (v + np.array([0.0, 0.0, 1.0]))
-    turned = np.einsum("nij,nj->ni", R, x)
-    return np.arctan2(turned[:, 1], turned[:, 0])
+    yaw = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
+    flipped = R[:, 2, 2] <= -1 + 1e-9  # both arguments vanish; A is diag(1, -1, -1)
+    return np.where(flipped, np.arctan2(R[:, 1, 0], R[:, 0, 0]), yaw)
 
 
 def count_yaws(R: Array, weights: Array) -> YawHistogram:
-    """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw: a bar a yaw of a lattice, or of ten degrees."""
+    """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw, with bars for each lattice yaw or 10 degrees."""
     yaw_deg = np.degrees(compute_yaw_rad(R)) % 360.0
     values, which = np.unique(np.round(yaw_deg, 2) % 360.0, return_inverse=True)
     step_deg = float(np.diff(values).min()) if len(values) > 1 else 360.0 / YAW_BINS

@@ -1,4 +1,4 @@
-"""The reports of evaluations: from one touch, and from several contacts by their number."""
+"""The reports of evaluations: from one touch, and by the number of contacts."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import encode_gallery
 
 METRIC_NAMES = {"add": "ADD", "mssd": "MSSD", "add-s": "ADD-S"}
-FIRST_LINE = "chosen"  # what the curves begin with, if the evaluation has it
-CONTACTS_LINE = "best-1"  # whose medians head the page of several contacts
-UNITS = {"metres": 1e3, "normalised": 1.0}  # of statistics, and what they are multiplied by to be drawn: mm, shares
+FIRST_LINE = "chosen"  # of the curves, if the evaluation has it
+CONTACTS_LINE = "best-1"  # of the main numbers for several contacts
+UNITS = {"metres": 1e3, "normalised": 1.0}  # of statistics, with the factors to mm and shares
 DIGITS = 6
 
 Run = Mapping[str, Any]
@@ -34,7 +34,7 @@ def make_evaluation_page(path: Path) -> Page:
         Section("summary", "", {"numbers": _list_numbers(runs, _choose_first(lines))}),
         Section("medians", "Medians", _tabulate_medians(runs)),
         Section("errors", "Errors", _list_choices(runs, lines, metrics)),
-        Section("posterior", "Can the probabilities be trusted?", _tabulate_posteriors(runs)),
+        Section("posterior", "Calibration of the probabilities", _tabulate_posteriors(runs)),
         Section("times", "Times", _tabulate_times(runs)),
         Section("gallery", "Best, median and worst touches", {"pictures": _collect_gallery(path.parent, runs)}),
         _describe_settings(document, runs),
@@ -56,7 +56,7 @@ def make_contacts_page(path: Path) -> Page:
     document, runs = _read(path, fusion_tables.SCHEMA_VERSION)
     sections = [
         Section("summary", "", {"numbers": [_summarise_contacts(run) for run in runs]}),
-        Section("curves", "Errors by the number of contacts", {"lines": ["all", *runs[0]["lines"]]}),
+        Section("curves", "Errors by number of contacts", {"lines": ["all", *runs[0]["lines"]]}),
         Section("medians", "Medians", _tabulate_contacts(runs)),
         _describe_settings(document, runs),
     ]
@@ -67,14 +67,14 @@ def make_contacts_page(path: Path) -> Page:
 
 
 def _read(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
-    """A document and its runs, each with a "name": its object's, with the encoder's where there are several."""
+    """Return a document and its runs. A run's "name" is its object, and also its encoder if there are several."""
     document = read_document(path)
     found = document.get("schema_version")
     if found != version:
-        raise ResultError(f"{path} is of version {found}, and this tactile-loc reads version {version}; make it again")
+        raise ResultError(f"{path} has version {found}, and this tactile-loc reads version {version}; make it again")
     runs = document["runs"]
     if not runs:
-        raise ValueError("it holds no run")
+        raise ValueError("it has no runs")
     several = len({run["encoder"] for run in runs}) > 1
     return document, [
         {**run, "name": f"{run['object']}, {run['encoder']}" if several else str(run["object"])} for run in runs
@@ -82,7 +82,7 @@ def _read(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
 
 
 def _describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Section:
-    """Every run's object and configuration, and the versions."""
+    """Return the section with the object and configuration of every run, and the versions."""
     settings = [
         (
             run["name"],
@@ -91,13 +91,13 @@ def _describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Sect
         )
         for run in runs
     ]
-    return Section("made", "Made with", {"runs": settings, "versions": list(document["versions"].items())})
+    return Section("made", "Settings", {"runs": settings, "versions": list(document["versions"].items())})
 
 
 def _describe_protocol(document: Mapping[str, Any], counted: str, what: str) -> str:
     protocol = document["protocol"]
     return (
-        f"{protocol[counted]} {what} of each object, noise {protocol['noise']}, seed {protocol['seed']}; "
+        f"{protocol[counted]} {what} for each object, noise {protocol['noise']}, seed {protocol['seed']}; "
         f"protocol {protocol['version']}; {document['created']}"
     )
 
@@ -117,13 +117,13 @@ def _list_numbers(runs: Sequence[Run], line: str) -> list[tuple[str, str, str]]:
     covered = np.mean([run["posterior"]["coverage"] for run in runs], axis=0)
     of_all = f"the median of {len(runs)} medians" if len(runs) > 1 else f"of {runs[0]['object']}"
     sets = [
-        (_name_set(level), f"{100 * held:.0f} %", f"of the true poses; right would be {100 * level:.0f} %")
+        (_name_set(level), f"{100 * held:.0f} %", f"of the true poses; ideal: {100 * level:.0f} %")
         for level, held in zip(_list_levels(runs[0]), covered, strict=True)
     ]
     return [
         (f"median ADD, {line}", f"{middle_mm} mm", of_all),
-        ("of a random pose's mean", f"{share:.3f}", "the same, as a share"),
-        ("ambiguous", f"{100 * ambiguous:.0f} %", "of the touches: a distant pose makes that contact, within noise"),
+        ("normalised", f"{share:.3f}", "the same, divided by the mean of random poses"),
+        ("ambiguous touches", f"{100 * ambiguous:.0f} %", "a distant pose makes the same contact, within noise"),
         *sets,
     ]
 
@@ -147,7 +147,7 @@ def _tabulate_medians(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _list_choices(runs: Sequence[Run], lines: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
-    """What can be chosen for the plots of errors."""
+    """Return the choices for the plots of errors."""
     objects = {"": "all, by line", **{str(i): run["name"] for i, run in enumerate(runs)}}
     return {
         "objects": objects if len(runs) > 1 else {"0": runs[0]["name"]},
@@ -158,7 +158,7 @@ def _list_choices(runs: Sequence[Run], lines: Sequence[str], metrics: Sequence[s
 
 
 def _tabulate_posteriors(runs: Sequence[Run]) -> dict[str, Any]:
-    header = ["object", *map(_name_set, _list_levels(runs[0])), "NLL (nats)", "of knowing nothing", "entropy (nats)",
+    header = ["object", *map(_name_set, _list_levels(runs[0])), "NLL (nats)", "uniform NLL (nats)", "entropy (nats)",
               "expected error (mm)", "spread (mm)"]  # fmt: skip
     rows = []
     for run in runs:
@@ -178,7 +178,7 @@ def _tabulate_times(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
-    """What each picture shows, and the picture: those of the folder alone, whatever a run calls itself."""
+    """Return the label and the data URI of each picture in the folder; a run's name cannot lead out of it."""
     found = []
     for run in runs:
         path = folder / f"gallery-{run['object']}-{run['encoder']}.png"
@@ -189,7 +189,7 @@ def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]
 
 
 def _collect_errors(run: Run) -> dict[str, Any]:
-    """What scripts draw of a run; mm, nats, ms."""
+    """Return the values of a run for scripts, in mm, nats, ms."""
     errors = {
         line: {metric: [_round(1e3 * e) for e in values] for metric, values in by_metric.items()}
         for line, by_metric in run["errors_m"].items()
@@ -234,7 +234,7 @@ def _count_contacts(entry: Mapping[str, Any]) -> str:
 
 
 def _collect_quartiles(run: Run) -> dict[str, Any]:
-    """What scripts draw of a run: medians and quartiles, mm, or as shares."""
+    """Return medians and quartiles of a run for scripts, in mm and as shares."""
     lines = {
         line: {
             "contacts": [entry["contacts"] for entry in entries],

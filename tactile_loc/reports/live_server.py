@@ -1,6 +1,6 @@
-"""A small web server for whoever sits at this machine: the page of a live run, and each new frame as an event.
+"""A small local web server: the page of a live run, and each new frame as an event.
 
-It listens on 127.0.0.1 alone, and answers nobody who calls it by another name.
+It listens only on 127.0.0.1, and refuses requests for other host names.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
-ALIVE_S = 10.0  # a browser hears from the server at least so often
-SHORTEST_S = 0.1  # from one frame that is shown to the next
-LAST_S = 1.0  # that a browser has to hear of the end
+ALIVE_S = 10.0  # at most between two messages to a browser
+SHORTEST_S = 0.1  # at least between two frames
+LAST_S = 1.0  # for browsers to receive the end
 HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 
 MakeState = Callable[[], dict[str, Any]]
 
 
 class Board:
-    """What is shown now, for many who wait for it: JSON that is made when the first of them asks."""
+    """The newest state for all waiting browsers. Its JSON is made when the first of them asks."""
 
     def __init__(self) -> None:
         self._changed, self._making = threading.Condition(), threading.Lock()
         self._version = 0
-        self._make: MakeState = dict  # nothing
+        self._make: MakeState = dict  # an empty state
         self._made = 0, ""
         self._watchers = 0
         self.ended = False
 
     def show(self, make: MakeState) -> None:
-        """Show what `make` returns; what was shown before is gone."""
+        """Replace the state by the result of `make`."""
         with self._changed:
             self._version, self._make = self._version + 1, make
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Say that nothing more will come, and wait until those who watch have heard it, but not for long."""
+        """Announce the end, and wait up to LAST_S seconds until all browsers have received it."""
         with self._changed:
             self.ended = True
             self._changed.notify_all()
@@ -57,7 +57,7 @@ class Board:
 
     @contextmanager
     def watch(self) -> Iterator[None]:
-        """Count whoever watches in the block."""
+        """Count a watching browser during the block."""
         with self._changed:
             self._watchers += 1
         try:
@@ -68,7 +68,7 @@ class Board:
                 self._changed.notify_all()
 
     def wait_for_newer(self, version: int, timeout_s: float) -> tuple[int, str]:
-        """Wait for what is newer than `version`, and return its version and JSON; the same version, where none came."""
+        """Wait for a state newer than `version`; return its version and JSON, or the same version if none came."""
         with self._changed:
             self._changed.wait_for(lambda: self._version > version or self.ended, timeout_s)
             newest, make = self._version, self._make
@@ -81,9 +81,9 @@ class Board:
 
 
 class LiveServer:
-    """Serves a page (HTML) at `url`, and what is shown to it; a context.
+    """Context that serves a page (HTML) at `url`, and the states of its `board`.
 
-    `port` 0 takes one that is free. Raises ConfigError where the port is taken or not allowed.
+    `port` 0 takes a free port. Raises ConfigError if the port is taken or not allowed.
     """
 
     def __init__(self, page: str, port: int) -> None:
@@ -94,7 +94,7 @@ class LiveServer:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise ConfigError(
-                f"the view cannot be served on port {port} ({reason}); choose another --port, or 0 for any that is free"
+                f"the view cannot use port {port} ({reason}); choose another --port, or 0 for a free one"
             ) from error
         self.url = f"http://{HOST}:{self._server.server_port}/"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="view", daemon=True)
@@ -116,7 +116,7 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of browsers that hang up, and of all else what it was."""
+        """Log errors other than closed connections."""
         error = sys.exception()
         if not isinstance(error, ConnectionError):
             logger.error("the view cannot show a frame (%s: %s)", type(error).__name__, error)
@@ -127,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
     board: Board
 
     def do_GET(self) -> None:
-        """Answer with the page, or with events as they come."""
+        """Answer with the page, or with a stream of events."""
         if self.headers.get("Host", "").rpartition(":")[0] not in NAMES:
             self.send_error(HTTPStatus.FORBIDDEN)
         elif self.path == "/":
@@ -142,7 +142,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Keep the terminal for the run."""
+        """Write no access log to the terminal."""
 
     def _begin(self, kind: str, length: int | None = None) -> None:
         self.send_response(HTTPStatus.OK)
@@ -152,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _generate_events(self) -> Iterator[str]:
-        """What is shown, whenever it is another, and a word now and then meanwhile; at last, that it ended."""
+        """Yield each new state, a sign of life in between, and the end."""
         version, pause = 0, threading.Event()
         while True:
             ended = self.board.ended

@@ -1,4 +1,4 @@
-"""The page of a live run, and what it shows of each frame: image, contact shape, pose, and how sure it is."""
+"""The page of a live run, and its state for each frame: image, contact shape, pose and uncertainty."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from tactile_loc.tasks.live import LiveRecord, LiveResult
 
 Array = NDArray[np.float64]
 
-NUMBERS = (  # of an element, its label, and what it means
-    ("verdict", "verdict", "how far the pose can be trusted"),
-    ("probability", "probability", "of this pose among all"),
-    ("imprint", "imprint IoU", "how well it explains the touch"),
+NUMBERS = (  # name of the element, label, meaning
+    ("verdict", "verdict", "whether the pose can be trusted"),
+    ("probability", "probability", "of this pose"),
+    ("imprint", "imprint IoU", "how well the pose explains the touch"),
     ("place", "x, y, z (mm)", "of the object in the sensor's frame"),
-    ("turn", "turned", "from the sensor's frame"),
-    ("rate", "rate", "frames a second"),
+    ("turn", "rotation", "from the sensor's frame"),
+    ("rate", "rate", "frames per second"),
 )
 NOTHING = "-"
 
 
 def make_live_page(localizer: Localizer, about: str) -> Page:
-    """Return the page that shows frames as they come; `about` says of what."""
+    """Return the page that shows frames as they arrive; `about` names their source."""
     geometry, mesh = localizer.sensor.geometry, reduce_mesh(localizer.object.mesh)
     frame = pictures.Frame.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
@@ -49,7 +49,7 @@ def make_live_page(localizer: Localizer, about: str) -> Page:
 
 
 def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | None:
-    """Return the contact shape that a frame's pose makes, pressed as its touch is; None without either."""
+    """Return the contact shape predicted by a frame's pose at the touch's press depth; None without pose or touch."""
     touch, T = result.touch, result.located.T_sensor_object
     if touch is None or T is None:
         return None
@@ -58,7 +58,7 @@ def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | Non
 
 
 def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
-    """Return what the page shows of a frame, as JSON values; `made` (H, W) is the contact shape that its pose makes."""
+    """Return the page's state for a frame, as JSON values; `made` (H, W) is the contact shape predicted by its pose."""
     geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
     shape = None if touch is None else touch.contact_shape
     T = result.located.T_sensor_object
@@ -80,19 +80,19 @@ def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Loc
 
 
 def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
-    """What elements of the page say, by their names."""
+    """Return the texts of the page's elements by their names."""
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
         "says": record.says or record.name, "verdict": record.word,
         "verdict-more": explain_verdict(record.verdict),
         **{name: NOTHING if share is None else format_percent(share) for name, share in shares.items()},
         **_write_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
-        "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",
+        "rate-more": f"{record.number + 1} frames, {record.dropped} dropped for newer ones",
     }  # fmt: skip
 
 
 def _write_pose(record: LiveRecord) -> dict[str, str]:
-    """Where the object is, mm and degrees, and standard deviations."""
+    """Return texts of the object's pose, mm and degrees, with standard deviations."""
     if record.T_sensor_object is None:
         return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
     words = format_pose_words(np.array(record.T_sensor_object), record.std)
@@ -103,20 +103,16 @@ def _write_pose(record: LiveRecord) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _measure_reach_mm(mesh: TriangleMesh) -> float:
-    """The object's largest extent, mm."""
-    return 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
-
-
 def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:
-    """The range along x, y, z, mm, that holds the sensor, and the object wherever it touches."""
+    """Return the range along x, y, z, mm, that holds the sensor, and the object at any pose in contact."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    reach_mm, z = _measure_reach_mm(mesh) + scene.MARGIN_MM, 1e3 * geometry.surface_m
+    diagonal_mm = 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
+    reach_mm, z = diagonal_mm + scene.MARGIN_MM, 1e3 * geometry.surface_m
     return [[x0 - reach_mm, x1 + reach_mm], [y0 - reach_mm, y1 + reach_mm], [z - scene.MARGIN_MM, z + reach_mm]]
 
 
 def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
-    """The object as it is, on the gel (4, 4): where it is looked at before anything is known."""
+    """Return the unrotated object's pose on the gel (4, 4), for the view before the first result."""
     T = np.eye(4)
     T[:3, 3] = -mesh.vertices_m.mean(axis=0)
     T[2, 3] = geometry.surface_m - mesh.vertices_m[:, 2].min()
@@ -124,7 +120,7 @@ def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
 
 
 def _place_camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
-    """From where the sensor, and the object at T (4, 4), are seen."""
+    """Return a camera that sees the sensor, and the object at T (4, 4)."""
     housing = scene.build_empty_pad(geometry, np.eye(4))["housing"]
     corners = np.stack([housing[k] for k in "xyz"], axis=1)
     seen_mm = np.concatenate([1e3 * transform_points(T, mesh.vertices_m), corners])

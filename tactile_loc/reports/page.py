@@ -1,6 +1,6 @@
-"""The page: one HTML file with everything in it, plotly included. It works offline and asks no server for anything.
+"""The page: one self-contained HTML file, including plotly. It works offline and contacts no server.
 
-The page of a live run asks the server that it came from for more, and no other.
+Only the page of a live run contacts a server: the one that it came from.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ JSON_OPTIONS: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page. `name` is that of its anchor and of its macro in the page's template; that takes `values`."""
+    """A part of a page. `name` is the name of its anchor, and of the template's macro that takes `values`."""
 
     name: str
     heading: str
@@ -36,7 +36,7 @@ class Section:
 class Page:
     """A report. `title` and `about` are plain text; `data` are JSON values for `scripts`, names of assets.
 
-    `template`, templates/NAME.html.j2, has a macro for each section. A page that `connects` may ask its own server.
+    `template`, templates/NAME.html.j2, has a macro for each section. A page that `connects` may contact its server.
     """
 
     template: str
@@ -60,7 +60,7 @@ def render(page: Page) -> str:
 
 @cache
 def load_templates() -> Environment:
-    """Return the templates that come with the package. Whatever comes from a file or a user is shown as it is."""
+    """Return the templates of the package. They escape all texts from files and users."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("tactile_loc.reports")
@@ -70,13 +70,13 @@ def load_templates() -> Environment:
 
 
 def read_asset(name: str) -> str:
-    """Return the text of a script or style sheet that comes with the package."""
+    """Return the text of a script or style sheet of the package."""
     return resources.files("tactile_loc.reports").joinpath("assets", name).read_text(encoding="utf-8")
 
 
 @contextmanager
 def name_damage(path: Path) -> Iterator[None]:
-    """Say in one sentence what a result's document lacks, or holds that it should not. Raises ResultError."""
+    """Turn errors from a damaged document into a ResultError."""
     try:
         yield
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, StopIteration) as error:

@@ -1,4 +1,4 @@
-"""Pictures of a page, as data URIs: contact shapes and their differences, photos, files that lie beside a result."""
+"""Pictures of a page as data URIs: contact shapes and their differences, photos, and files beside a result."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from tactile_loc.reports.scene import trace_outlines_mm, write_number
 log = logging.getLogger(__name__)
 
 DEPTHS, DIFFERENCES = "viridis", "RdBu_r"
-EMPTY, UNSEEN, FIRST = 0, 1, 2  # places in the palette: transparent, dim, and the first colour
+EMPTY, UNSEEN, FIRST = 0, 1, 2  # indices in the palette: transparent, dim, and the first colour
 UNSEEN_RGBA = (128, 136, 148, 90)
-MOST_APART = 0.25  # of the press depth: where the colours of differences end
-EQUAL = 0.04  # of that: differences below are drawn as none
+MOST_APART = 0.25  # of the press depth: the end of the colour scale for differences
+EQUAL = 0.04  # of MOST_APART: smaller differences are transparent
 WIDEST_PX, COLOURS = 1400, 255  # of a picture of the gallery
 
 
@@ -56,17 +56,17 @@ class Frame:
 
     @property
     def ticks_x(self) -> list[tuple[float, str]]:
-        """Round numbers along the lower border, and how they are written."""
+        """Round numbers along the lower border, with their texts."""
         return [(x, write_number(x)) for x in list_round_values(self.left, self.right)]
 
     @property
     def ticks_y(self) -> list[tuple[float, str]]:
-        """Round numbers along the left border, and how they are written."""
+        """Round numbers along the left border, with their texts."""
         return [(y, write_number(y)) for y in list_round_values(self.top, self.bottom)]
 
     @property
     def bar_mm(self) -> float:
-        """The longest round length, 1, 2 or 5 times a power of ten, of at most a quarter of the width."""
+        """The longest length of 1, 2 or 5 times a power of ten within a quarter of the width."""
         power = 10.0 ** np.floor(np.log10(self.width / 4))
         return float(max(k * power for k in (1, 2, 5) if k * power <= self.width / 4 * 1.0001))
 
@@ -78,9 +78,9 @@ def draw_shape(shape: ContactShape, geometry: SensorGeometry) -> str:
 
 
 def draw_difference(made: ContactShape, observed: ContactShape, geometry: SensorGeometry) -> str:
-    """Return by how much deeper `made` presses than `observed` (H, W) as a data URI: red deeper, blue less deep.
+    """Return the difference of two contact shapes (H, W) as a data URI: red where `made` is deeper than `observed`.
 
-    The colours end at MOST_APART of the press depth; where both agree it is transparent.
+    The colours end at MOST_APART of the press depth. The picture is transparent where both agree.
     """
     deeper = (observed.depth_m - made.depth_m) / np.float32(MOST_APART * observed.press_depth_m)
     return _encode_shares(0.5 + 0.5 * deeper, np.abs(deeper) > EQUAL, geometry.observed_mask, DIFFERENCES)
@@ -102,7 +102,7 @@ def encode_photo(image: NDArray[np.uint8]) -> str:
 def encode_gallery(path: Path) -> str | None:
     """Return a PNG as a data URI, at most WIDEST_PX wide and with at most COLOURS colours; None if there is none.
 
-    A picture that cannot be read is left out with a warning.
+    An unreadable picture gives a warning and None.
     """
     if not path.is_file():
         return None
@@ -111,7 +111,7 @@ def encode_gallery(path: Path) -> str | None:
     try:
         small = Image.fromarray(load_image(path, "RGB")[1])
     except UNREADABLE:
-        log.warning(f"{path} cannot be read as a picture and is left out of the report")
+        log.warning("%s cannot be read as a picture; the report leaves it out", path)
         return None
     if small.width > WIDEST_PX:
         small = small.resize((WIDEST_PX, math.ceil(small.height * WIDEST_PX / small.width)), Image.Resampling.LANCZOS)
@@ -119,7 +119,7 @@ def encode_gallery(path: Path) -> str | None:
 
 
 def write_gradient(name: str, steps: int = 9) -> str:
-    """Return a colour scale as CSS, from its low end on the left to its high end on the right."""
+    """Return a colour scale as CSS, from low on the left to high on the right."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -129,7 +129,7 @@ def write_gradient(name: str, steps: int = 9) -> str:
 def _encode_shares(
     share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArray[np.bool_], colours: str
 ) -> str:
-    """Shares (H, W), 0 to 1, in colours where they are shown."""
+    """Return shares (H, W), 0 to 1, as a data URI, with colours where they are `shown`."""
     from matplotlib import colormaps
     from PIL import Image
 
@@ -143,7 +143,7 @@ def _encode_shares(
 
 
 def _encode_image(image: Any, **options: Any) -> str:
-    """A PIL image as a PNG data URI."""
+    """Return a PIL image as a PNG data URI."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG", optimize=True, **options)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,4 +1,4 @@
-"""A report of any result: find out what a path names, make its page, write it."""
+"""The report of any result: find the result, make its page, and write it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class Source:
 
     @property
     def folder(self) -> Path:
-        """The folder that holds the result."""
+        """The folder of the result."""
         return self.path.parent
 
 
 def find_source(path: Path) -> Source:
-    """Return the result that a path names: its folder, or one of its files. Raises ResultError if it names none."""
+    """Return the result in a folder, or that a file belongs to. Raises ResultError if there is none."""
     if os.path.isdir(path):
         return _find_in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
@@ -53,18 +53,18 @@ def make_page(source: Source) -> Page:
     }  # fmt: skip
     with name_damage(source.path):
         page = makers[source.kind](source.path)
-        json.dumps(page.data, **JSON_OPTIONS)  # refuses a number that is not finite
+        json.dumps(page.data, **JSON_OPTIONS)  # raises for a number that is not finite
     return page
 
 
 def write_report(source: Source, out: Path | None = None) -> Path:
-    """Write the report of a result, beside it unless `out` says where, and return its path.
+    """Write the report of a result to `out`, by default beside the result, and return its path.
 
     Raises ResultError when the result cannot be read, OutputError when the report cannot be written.
     """
     path = source.folder / DEFAULT_NAME if out is None else out
     if path.suffix.lower() not in (".html", ".htm"):
-        raise OutputError(f"a report is written as .html, not as {path.name}; choose another --out")
+        raise OutputError(f"--out {path.name} must end in .html; choose another name")
     with name_damage(source.path):
         return write_page(make_page(source), path)
 
@@ -79,13 +79,12 @@ def _find_in_folder(folder: Path) -> Source:
     found = [Source(kind, folder / f"{name}.json") for name, kind in KINDS.items()]
     found = [source for source in found if source.path.is_file()]
     if not found:
-        hint = ""
-        if (folder / "results.csv").is_file():
-            hint = "; of a folder of touches, give the folder of one"
-        raise ResultError(f"{folder} holds no result: none of {_list_names()}{hint}")
+        of_touches = (folder / "results.csv").is_file()
+        advice = "give the folder of one of its touches" if of_touches else "give a folder that has one"
+        raise ResultError(f"{folder} has none of {_list_names()}; {advice}")
     if len(found) > 1:
         names = " and ".join(source.path.name for source in found)
-        raise ResultError(f"{folder} holds several results, {names}; give one of these files")
+        raise ResultError(f"{folder} has several results, {names}; give one of these files")
     return found[0]
 
 

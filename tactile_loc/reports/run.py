@@ -1,4 +1,4 @@
-"""The report of a run: one touch, or several at once, and where the object is."""
+"""The report of a run: the object's pose from one touch, or from several together."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
 
-ALL = 0.999999  # of the probability: what is missing is rounding
-COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)", "turn (°)", "about the axis")
-SPACING_MM = 4.0  # of the grid, if its options do not say
-SPREAD = 0.5  # of the grid's spacing: what is between its poses
+ALL = 0.999999  # of the probability: the rest is rounding
+COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
+SPACING_MM = 4.0  # of a grid without this option
+SPREAD = 0.5  # of the grid's spacing, for the gaps between its poses
 LEAST_SPREAD_MM = 0.5
-BEFORE = ("model",)  # stages that are no part of a localisation
+BEFORE = ("model",)  # stages before the localisation
 
 
 def make_run_page(path: Path) -> Page:
@@ -35,26 +35,25 @@ def make_run_page(path: Path) -> Page:
 
 
 def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
-    """Return the page of a result that has been read."""
+    """Return the page of a result."""
     data = collect_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
-    notes = [*record.object.notes, *list_doubts(record)]
+    header = [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
+    notes, seconds = [*record.object.notes, *list_doubts(record)], record.seconds.get("model")
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(record)), "notes": notes}),
-        Section(
-            "candidates", "Candidates", {"header": _list_heads(record), "rows": _list_rows(record), "truth": truth}
-        ),
+        Section("candidates", "Candidates", {"header": header, "rows": _list_rows(record), "truth": truth}),
         Section("contact", "Contact shapes", _describe_contact(record, arrays)),
         Section("distribution", "Distribution", _describe_distribution(record, arrays, data)),
-        Section("times", "Times", {"built": _write_build_time(record)}),
-        Section("made", "Made with", _describe_settings(record)),
+        Section("times", "Times", {"built": "" if seconds is None else f"{seconds:.3g}"}),
+        Section("made", "Settings", _describe_settings(record)),
     ]
     title = f"{record.object.name} on {record.sensor_name}"
     return Page("run", title, _write_about(record), sections, data, ["solids.js", "run.js"])
 
 
 def collect_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
-    """Return what the scripts of a run's page draw, as JSON values; millimetres, degrees, per cent."""
+    """Return the values for the scripts of a run's page; millimetres, degrees, per cent."""
     poses = np.array([h.T_sensor_object for h in record.hypotheses], float)
     T_true = record.touch.T_sensor_object
     truth = None if T_true is None else np.array(T_true, float)
@@ -69,19 +68,17 @@ def collect_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
 
 
 def find_surface(record: ResultRecord, arrays: ResultArrays) -> SurfaceDistribution:
-    """Return where on the surface the first touch's sensor may be."""
-    options = record.configuration.get("grid", {}).get("options", {})
-    spacing_mm = options.get("spacing_mm")
+    """Return where on the surface the sensor of the first touch may be."""
+    spacing_mm = record.configuration.get("grid", {}).get("options", {}).get("spacing_mm")
     spread_mm = max(SPREAD * float(spacing_mm if isinstance(spacing_mm, (int, float)) else SPACING_MM), LEAST_SPREAD_MM)
     geometry = arrays.touches[0].geometry
     return spread_over_surface(arrays.mesh, arrays.T_sensor_object, arrays.weights, geometry, 1e-3 * spread_mm)
 
 
 def _describe_candidate(h: HypothesisRecord, T: NDArray[np.float64]) -> dict[str, Any]:
-    error_mm = None if h.error_m is None else 1e3 * h.error_m
     return {
         "rank": h.rank, "probability": h.probability, "imprint_iou": h.imprint_iou, "T": scene.list_rows_mm(T),
-        "error_mm": error_mm,
+        "error_mm": None if h.error_m is None else 1e3 * h.error_m,
     }  # fmt: skip
 
 
@@ -101,39 +98,31 @@ def _write_about(record: ResultRecord) -> str:
     touch = record.touch
     what = f"touch {touch.name}" if touch.path is not None else f"simulated touch, noise {touch.noise}"
     if record.other_touches:
-        what = f"{1 + len(record.other_touches)} touches at once, the first: {touch.name}"
-    pressed = f"pressed {1e3 * touch.press_depth_m:.2f} mm deep"
+        what = f"{1 + len(record.other_touches)} touches together, the first: {touch.name}"
+    pressed = f"press depth {1e3 * touch.press_depth_m:.2f} mm"
     return f"{what}, {pressed}; {record.searched}; {record.created}"
 
 
 def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     best = record.hypotheses[0]
     x, y, z, angle_deg, axis = format_pose(np.array(best.T_sensor_object))
-    turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
-    yield "best pose: x, y, z", f"{x}, {y}, {z} mm", turned
+    rotated = f"of the object in the sensor's frame, rotated {angle_deg}° about {axis}"
+    yield "best pose: x, y, z", f"{x}, {y}, {z} mm", rotated
     if record.verdict is not None:
         yield "verdict", name_verdict(record.verdict), explain_verdict(record.verdict)
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
     if (found := record.pose_set) is not None:
         size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
-        size += ", or one that was not found" if found.elsewhere else ""
-        holds = f"holds the one nearest to the truth so often, as judged by {found.examples} simulated examples"
+        size += ", or a pose that was not found" if found.elsewhere else ""
+        holds = f"holds the pose nearest to the truth this often, by {found.examples} simulated examples"
         yield f"{found.coverage:.1%} set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
-    yield (
-        "probability",
-        format_percent(best.probability),
-        f"of the best candidate, {best.grid_poses} grid poses together",
-    )
-    errors = record.errors
-    if errors is not None:
-        closest = f"RMS of surface; the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
+    probability = format_percent(best.probability)
+    yield "probability", probability, f"of the best candidate; sum over {best.grid_poses} grid poses"
+    if (errors := record.errors) is not None:
+        closest = f"RMS surface distance; of the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
         yield "error", format_millimetres(errors.best_m), closest
-
-
-def _list_heads(record: ResultRecord) -> list[str]:
-    return [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
 
 
 def _list_rows(record: ResultRecord) -> list[list[str]]:
@@ -147,12 +136,12 @@ def _list_rows(record: ResultRecord) -> list[list[str]]:
 
 
 def _describe_contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
-    """The touches, what each candidate would show instead, and the differences."""
+    """Return the touches, the contact shape of each candidate, and the differences."""
     records = [record.touch, *record.other_touches]
     ious = record.hypotheses[0].imprint_ious or [record.hypotheses[0].imprint_iou]
     press_mm = 1e3 * max(touch.shape.press_depth_m for touch in arrays.touches)
     apart = f"{pictures.MOST_APART * press_mm:.2f}"
-    words = (f"\N{MINUS SIGN}{apart} and less", "pressed in less … more than the touch (mm)", f"+{apart} and more")
+    words = (f"\N{MINUS SIGN}{apart} or less", "pressed in less … more than the touch (mm)", f"+{apart} or more")
     return {
         "touches": [_describe_touch(*one) for one in zip(records, ious, arrays.touches, strict=True)],
         "depths": (
@@ -160,7 +149,7 @@ def _describe_contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, A
             ("0", "depth from full penetration (mm)", f"{press_mm:.2f}"),
         ),
         "differences": (pictures.write_gradient(pictures.DIFFERENCES), words),
-        "cards": [(h.rank, _write_card(h), _draw_shown(i, arrays.touches)) for i, h in enumerate(record.hypotheses)],
+        "cards": [(h.rank, _write_card(h), _draw_made(i, arrays.touches)) for i, h in enumerate(record.hypotheses)],
     }
 
 
@@ -178,23 +167,21 @@ def _describe_touch(record: TouchRecord, imprint_iou: float, touch: TouchArrays)
 
 
 def _write_card(h: HypothesisRecord) -> str:
-    off = "" if h.error_m is None else f", {format_millimetres(h.error_m)} off"
-    return f"{format_percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{off}"
+    error = "" if h.error_m is None else f", error {format_millimetres(h.error_m)}"
+    return f"{format_percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{error}"
 
 
-def _draw_shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
-    """What candidate `number` would show to each touch's sensor, and how that differs from the touch."""
+def _draw_made(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
+    """Draw the contact shape of candidate `number` for each touch, and its difference to the touch."""
+    made = [(touch.make_shape(number), touch) for touch in touches]
     return [
-        (
-            pictures.draw_shape(touch.make_shape(number), touch.geometry),
-            pictures.draw_difference(touch.make_shape(number), touch.shape, touch.geometry),
-        )
-        for touch in touches
+        (pictures.draw_shape(shape, t.geometry), pictures.draw_difference(shape, t.shape, t.geometry))
+        for shape, t in made
     ]
 
 
 def _describe_distribution(record: ResultRecord, arrays: ResultArrays, data: dict[str, Any]) -> dict[str, Any]:
-    held = f"they hold {100 * arrays.mass:.3g} % of the probability"
+    held = f"they have {100 * arrays.mass:.3g} % of the probability"
     return {
         "kept": len(arrays.log_p),
         "searched": record.grid_poses,
@@ -206,18 +193,15 @@ def _describe_distribution(record: ResultRecord, arrays: ResultArrays, data: dic
 
 
 def _write_side(side: dict[str, Any]) -> str:
-    """Which sides of the object can face the sensor, in words."""
+    """Describe the sides of the object that can face the sensor."""
     normal = "({:.2f}, {:.2f}, {:.2f})".format(*side["normal"])
     if side["kind"] == "one":
-        return f"All poses of the grid lie on one side of the object, {normal} in its own frame."
+        return (
+            f"In all poses of the grid, the same side of the object faces the sensor: {normal} in the object's frame."
+        )
     if side["kind"] == "lean":
-        return f"Around the side {normal} of the object's own frame:"
-    return f"Any side can face the sensor; most probable is {normal} in the object's own frame."
-
-
-def _write_build_time(record: ResultRecord) -> str:
-    seconds = record.seconds.get("model")
-    return "" if seconds is None else f"{seconds:.3g}"
+        return f"Around the side {normal} in the object's frame:"
+    return f"Any side can face the sensor; the most probable is {normal} in the object's frame."
 
 
 def _describe_settings(record: ResultRecord) -> dict[str, Any]:

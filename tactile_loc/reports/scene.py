@@ -1,6 +1,6 @@
-"""What a browser draws in space: the object on the sensors' pads, and the distribution over the object's surface.
+"""The scenes in 3D that a browser draws: the object on the sensors' pads, and the distribution over its surface.
 
-Values for scripts, in mm; on the pads in the first touch's sensor frame, on the surface in the object's.
+All values are for scripts, in mm: pads in the sensor frame of the first touch, the surface in the object frame.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex
 Array = NDArray[np.float64]
 
 ELEVATION_DEG = 28.0
-ASIDE_DEG = 25.0  # a peak is seen from the side, lest it be flat
+ASIDE_DEG = 25.0  # the view of a peak is from the side, so that it looks solid
 FIELD_DEG = 45.0
-ROOM = 1.12  # around what is seen
+ROOM = 1.12  # factor on the camera's distance
 MOST_CREASES = 20_000
 MARGIN_MM = 16.0  # for numbers around the pads
-DECADES = 3  # shown of the density over the surface
+DECADES = 3  # range of the density's colour scale
 NAMED = 5  # candidates marked on the surface
-LIFT_MM, TOGETHER_MM = 1.5, 4.0  # marks are so far above the surface, and those so near to one another are one
+LIFT_MM, TOGETHER_MM = 1.5, 4.0  # height of marks above the surface, and distance below which they are merged
 AROUND_MM, AXES_MM = 14.0, 10.0
 
 
 def build_sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dict[str, Any]:
-    """Return the object and the sensors under it, and from where both are seen at the candidates' poses (K, 4, 4)."""
+    """Return the object, the sensors under it, and a camera, for the candidates' poses (K, 4, 4)."""
     pads = [build_pad(touch) for touch in arrays.touches]
     bounds = compute_bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
     view = choose_view(arrays.mesh, poses[0], ELEVATION_DEG)
@@ -57,7 +57,7 @@ def build_sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) 
 def build_surface_scene(
     found: SurfaceDistribution, poses: Poses, truth: Array | None, geometry: SensorGeometry
 ) -> dict[str, Any]:
-    """Return the object painted with the density, and where candidates (K, 4, 4) and the truth touch it."""
+    """Return the object coloured by the density, with marks where candidates (K, 4, 4) and the truth touch it."""
     density = np.log10(np.maximum(100 * 1e-6 * found.density, 1e-30))  # per cent per square millimetre
     high = float(density.max())
     points_mm = 1e3 * found.mesh.vertices_m
@@ -78,7 +78,7 @@ def build_surface_scene(
 
 
 def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry: SensorGeometry) -> dict[str, Any]:
-    """Where the first candidates and the truth are, a little above the surface; those that are near share a mark."""
+    """Return marks of the first candidates and the truth, a little above the surface; near ones share a mark."""
     names = [*map(str, range(1, 1 + min(NAMED, len(poses)))), *([] if truth is None else ["true"])]
     named = np.stack([*poses[:NAMED], *([] if truth is None else [truth])])
     vertices = find_touched_vertices(mesh, named, geometry)
@@ -89,12 +89,12 @@ def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry
 
 
 def pack_array(values: NDArray[Any], kind: str) -> str:
-    """Return an array's numbers, little-endian float32 ("<f4") or int32 ("<i4"), row by row, as base64."""
+    """Return an array as base64 of little-endian float32 ("<f4") or int32 ("<i4"), row by row."""
     return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
 
 
 def pack_mesh(mesh: TriangleMesh) -> dict[str, str]:
-    """Return a surface, its corners in mm."""
+    """Return a surface with vertices in mm."""
     return {"vertices_mm": pack_array(1e3 * mesh.vertices_m, "<f4"), "faces": pack_array(mesh.faces, "<i4")}
 
 
@@ -158,9 +158,9 @@ def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable
 
 
 def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -> dict[str, dict[str, float]]:
-    """Return plotly's camera that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
+    """Return a camera for plotly that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
 
-    Plotly's unit is the geometric mean of the ranges, its origin their middle, its angle of view FIELD_DEG.
+    Plotly's unit is the geometric mean of the ranges, its origin is their middle, and its field of view is FIELD_DEG.
     """
     low, high = np.array(bounds, float).T
     unit, middle = float(np.prod(high - low) ** (1 / 3)), 0.5 * (low + high)
@@ -173,7 +173,7 @@ def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View
 
 
 def choose_view_on(point: Array, centre: Array) -> View:
-    """Return a view from which a point (3,) of a surface lies in front of the surface's centre."""
+    """Return a view in which a point (3,) of a surface lies in front of the surface's centre."""
     x, y, z = point - centre
     azimuth_deg = float(np.degrees(np.arctan2(x, -y)))
     elevation_deg = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
@@ -181,7 +181,7 @@ def choose_view_on(point: Array, centre: Array) -> View:
 
 
 def build_triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
-    """Return the frame's axes, `length_mm` long, at the lower left of a box (3, 2), mm, as it is seen: lines, names."""
+    """Return lines and names of the frame's axes, `length_mm` long, at the lower left corner of a box (3, 2), mm."""
     corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
     origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
     lines = join_lines([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
@@ -203,29 +203,29 @@ def list_pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]
 
 
 def write_number(value: float) -> str:
-    """Write a number shortly, with a true minus."""
+    """Write a number with a typographic minus."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _stack_points(columns: Mapping[str, Any]) -> Array:
-    """Points (P, 3) of their coordinates."""
+    """Return points (P, 3) from their coordinates."""
     return np.stack([columns[k] for k in "xyz"], axis=1)
 
 
 def _split_columns(points: Array) -> dict[str, list[float]]:
-    """Points (P, 3) by coordinate."""
+    """Return the coordinates of points (P, 3)."""
     return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
 
 
 def _move_triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
-    """Triangles (F, 3, 3), mm, moved by a transform in metres, as plotly's mesh."""
+    """Move triangles (F, 3, 3), mm, by a transform in metres; return them as plotly's mesh."""
     corners = transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)) * 1e3
     numbers = np.arange(len(corners)).reshape(-1, 3)
     return _split_columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
 
 
 def join_lines(lines: Sequence[Array]) -> dict[str, list[float | None]]:
-    """Return lines (P, 3) as one, with gaps between them."""
+    """Return lines (P, 3) as a single line with gaps."""
     columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
     for line in lines:
         for k, name in enumerate("xyz"):

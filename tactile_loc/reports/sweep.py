@@ -1,4 +1,4 @@
-"""The report of a sweep: every combination, error against time, what each component does, and what failed."""
+"""The report of a sweep: every combination, error against time, the effect of each component, and failures."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 
-FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option": what a combination is made of
+FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option"
 NOT_COMPONENTS = ("object", "noise", "seed", "count")
-SHOWN_FACTORS = ("object", "encoder", "refiner")  # if none varies
+SHOWN_FACTORS = ("object", "encoder", "refiner")  # if no factor varies
 MEDIAN = "_median_mm"
-LINES = ("chosen", "reg-1", "best-1", "reg-10", "best-10", "best-50", "closest")  # in the order of what is asked for
+LINES = ("chosen", "reg-1", "best-1", "reg-10", "best-10", "best-50", "closest")  # in the order of interest
 TABLE_LINES = ("best-1", "reg-1", "chosen", "closest")
 OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")
-TIMES = {"total_ms": "time a touch, one pose refined (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
+TIMES = {"total_ms": "time per touch, one pose refined (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
          "refine_ms": "refine (ms)", "model_s": "building the model (s)"}  # fmt: skip
 UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
 MOST_BEST = 4  # objects whose best combination is named
@@ -45,10 +45,10 @@ def make_sweep_page(path: Path) -> Page:
     sections = [
         Section("summary", "", summary),
         *([Section("time", "Error against time", _describe_times(rows, times))] if lines and times else []),
-        *([Section("effects", "What each component does", {"factors": kinds})] if kinds else []),
+        *([Section("effects", "Effect of each component", {"factors": kinds})] if kinds else []),
         Section("rows", "Combinations", _tabulate_rows(good, factors, lines)),
-        *([Section("failed", "What failed", _tabulate_failed(failed, factors))] if failed else []),
-        Section("made", "Made with", _describe_settings(document, rows)),
+        *([Section("failed", "Failed combinations", _tabulate_failed(failed, factors))] if failed else []),
+        Section("made", "Settings", _describe_settings(document, rows)),
     ]
     others = [column for column in dict.fromkeys([*TIMES, *OTHERS]) if column in rows[0]]
     columns = [*factors, *(line + MEDIAN for line in lines), *others]
@@ -59,18 +59,18 @@ def make_sweep_page(path: Path) -> Page:
 
 
 def read_rows(document: Mapping[str, Any]) -> list[Row]:
-    """Return a sweep's rows: texts of what it is made of, numbers of what came of it, None where there is none.
+    """Return a sweep's rows: factors as texts, results as numbers, and None for missing values.
 
     Raises ValueError when there is no row.
     """
     rows = [{column: _read_value(column, value) for column, value in row.items()} for row in document["rows"]]
     if not rows:
-        raise ValueError("it holds no combination")
+        raise ValueError("it has no combinations")
     return rows
 
 
 def is_factor(column: str) -> bool:
-    """Whether a column says what a combination is made of, rather than what came of it."""
+    """Return whether a column is a factor, part of a combination, and not a result."""
     return column in FACTORS or (column.partition(".")[0] in SLOTS and "." in column)
 
 
@@ -80,12 +80,12 @@ def find_varying(rows: Sequence[Row]) -> list[str]:
 
 
 def find_components(rows: Sequence[Row]) -> list[str]:
-    """Return the factors that vary and are of the method's making: components and their options."""
+    """Return the components and options that vary."""
     return [factor for factor in find_varying(rows) if factor not in NOT_COMPONENTS]
 
 
 def find_measured_lines(rows: Sequence[Row]) -> list[str]:
-    """Return the lines whose median error is known of any row."""
+    """Return the lines whose median error is known for any row."""
     columns = [c.removesuffix(MEDIAN) for c in rows[0] if c.endswith(MEDIAN)]
     known = [line for line in columns if any(isinstance(row[line + MEDIAN], float) for row in rows)]
     return sorted(known, key=lambda line: LINES.index(line) if line in LINES else len(LINES))
@@ -104,7 +104,7 @@ def _read_value(column: str, value: Any) -> Any:
 def _write_about(document: Mapping[str, Any], rows: Sequence[Row]) -> str:
     objects = list(dict.fromkeys(str(row.get("object")) for row in rows))
     touches = {str(row.get("count")) for row in rows} - {"None"}
-    count = f"{touches.pop()} simulated touches a combination; " if len(touches) == 1 else ""
+    count = f"{touches.pop()} simulated touches for each combination; " if len(touches) == 1 else ""
     noises = ", ".join(dict.fromkeys(str(row.get("noise")) for row in rows if row.get("noise")))
     noise = f"noise {noises}; " if noises else ""
     return f"objects {', '.join(objects)}; {count}{noise}{document.get('created', '')}"
@@ -113,7 +113,7 @@ def _write_about(document: Mapping[str, Any], rows: Sequence[Row]) -> str:
 def _list_numbers(rows: Sequence[Row], failed: int, lines: Sequence[str]) -> Iterator[tuple[str, str, str]]:
     factors = find_varying(rows)
     yield "combinations", str(len(rows)), f"that differ in {', '.join(factors) or 'nothing'}"
-    yield "failed", str(failed), "combinations that ended with an error"
+    yield "failed", str(failed), "combinations with an error"
     if not lines:
         return
     column = lines[0] + MEDIAN
@@ -131,7 +131,7 @@ def _describe_times(rows: Sequence[Row], times: Mapping[str, str]) -> dict[str, 
 
 
 def _tabulate_rows(rows: Sequence[Row], factors: Sequence[str], lines: Sequence[str]) -> dict[str, Any]:
-    """The headings, (text, whether it is a factor's), and the cells, (text, number to sort by or None, the same)."""
+    """Return headings, (text, is a factor), and rows of cells, (text, number for sorting or None, is a factor)."""
     measures = [line + MEDIAN for line in TABLE_LINES if line in lines]
     columns = [*factors, *measures, *(column for column in OTHERS if rows and column in rows[0])]
     return {
@@ -147,7 +147,7 @@ def _format_cell(column: str, value: Any) -> tuple[str, str | None, bool]:
 
 
 def _write_heading(column: str) -> str:
-    """A column's name; a measure's with its unit in brackets."""
+    """Return a column's name, for a measure with its unit in brackets."""
     if is_factor(column):
         return column
     name = column.replace("_median", "")

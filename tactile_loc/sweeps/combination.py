@@ -1,4 +1,4 @@
-"""A plan's full product: what is evaluated, in which order, the key of each result, and the stages that it needs."""
+"""The combinations of a plan: their order, their keys, and the stages that they need."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from tactile_loc.store.keys import StageKey, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
 
-ROW_VERSION = 1  # raised when a row of the same combination would hold other numbers
+ROW_VERSION = 1  # raise it when a row of the same combination would hold other numbers
 KEY_DIGITS = 16
 STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
 @dataclass(frozen=True)
 class Combination:
-    """One row to be: an object, a component for each slot, a noise and a seed (all in `config`), and how many touches.
+    """One row of a sweep: an object, a component for each slot, a noise and a seed (in `config`), and a touch count.
 
-    `key` is a hash of everything that decides the row; `place` its position along each axis of the plan.
+    `key` is a hash of everything that decides the row. `place` is its position along each axis of the plan.
     """
 
     object: str
@@ -52,8 +52,8 @@ class Combination:
 def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     """Return all combinations, ordered by object, slots, noise and seed, and the objects by name.
 
-    Everything that they need is tried: meshes are read and components made. Raises TactileLocError, also for
-    components that exclude each other and for a grid that lists no poses.
+    All meshes are read and all components made, so errors appear now. Raises TactileLocError, also for components
+    that exclude each other and for a grid that lists no poses.
     """
     objects = _load(plan.objects)
     described: dict[str, tuple[Component, Any]] = {}
@@ -74,13 +74,13 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
 def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
     """Return combinations in an order in which neighbours share little: first objects differ, then sensors, and so on.
 
-    So workers seldom wait for one another's stages, and an interrupted sweep has seen something of everything.
+    Workers then seldom wait for each other's stages, and an interrupted sweep has rows of all kinds.
     """
     return sorted(combinations, key=lambda combination: combination.place[::-1])
 
 
 def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
-    """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
+    """Return a hash of everything that decides a row; `components` is the result of `describe_components`."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
     text = write_canonical_json({
         "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
@@ -91,10 +91,10 @@ def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, compon
 
 
 def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any]] | None = None) -> dict[str, Any]:
-    """Return what identifies the component of each slot, and the sensor's geometry.
+    """Return the description of each slot's component, and of the sensor's geometry.
 
-    Each choice is made once and kept in `known`. Raises TactileLocError for one that cannot be made, for components
-    that exclude each other, and for a grid that lists no poses.
+    `known` keeps the components for later calls. Raises TactileLocError for a component that cannot be made, for
+    components that exclude each other, and for a grid that lists no poses.
     """
     known = {} if known is None else known
     made = {}
@@ -109,8 +109,7 @@ def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any
     components = {slot: component for slot, (component, _) in made.items()}
     if components["grid"].capabilities.places:
         raise ConfigError(
-            f"a sweep compares with all poses of a grid, and the grid {config.grid.name!r} lists none; choose a "
-            "grid that lists its poses, such as face"
+            f"a sweep needs a grid that lists its poses, and {config.grid.name!r} does not; choose for instance face"
         )
     require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
     return {slot: described for slot, (_, described) in made.items()}
@@ -119,10 +118,10 @@ def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any
 def find_missing_stages(
     combinations: Iterable[Combination], objects: Mapping[str, ObjectModel], store: Path
 ) -> dict[str, int]:
-    """Return how many artifacts of each of STAGES these combinations need that the store lacks; nothing is built.
+    """Return the number of artifacts of each of STAGES that these combinations need and the store lacks.
 
-    Encoders that follow the press depth need a bank for each depth that touches have: of these, one is counted. What
-    needs a grid, shapes or a training that the store lacks counts as lacking too.
+    Nothing is built. Encoders that follow the press depth need a bank for each depth of the touches; one is counted.
+    Stages that depend on a missing grid, shapes or training count as missing.
     """
     known = StageStore(store)
     missing = {
@@ -132,7 +131,7 @@ def find_missing_stages(
 
 
 def list_model_keys(localizer: Localizer) -> list[StageKey]:
-    """Return the keys of a localizer's model, in the order of building: the bank at full press comes last."""
+    """Return the keys of a localizer's model, in the order of building; the last is the bank at full press."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
     grid = make_grid_key(scene, localizer.sampler)
     shapes = make_shapes_key(grid, scene)
@@ -143,11 +142,11 @@ def list_model_keys(localizer: Localizer) -> list[StageKey]:
 
 
 def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
-    """The stages, each with what identifies it, that a combination needs and its localizer's store lacks."""
+    """Return the stages, each with an identifier, that a combination needs and its localizer's store lacks."""
     *learned, bank = list_model_keys(localizer)
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
-    whole = all(has(key) is not None for key in learned)  # then asking the localizer for keys builds nothing
+    whole = all(has(key) is not None for key in learned)  # if so, asking the localizer for keys builds nothing
     fitted = one.config.temperature is not None
     if not fitted and whole:
         fitted = has(localizer.probabilities.temperature_key()) is not None
@@ -160,12 +159,14 @@ def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]
 
 
 def _load(configs: Sequence[ObjectConfig]) -> dict[str, tuple[ObjectConfig, ObjectModel]]:
-    """The objects by name. Raises ConfigError for two of one name: their rows could not be told apart."""
+    """Return the objects by name. Raises ConfigError for two objects of the same name."""
     found: dict[str, tuple[ObjectConfig, ObjectModel]] = {}
     for config in configs:
         obj = load_object(config.path, config.units, config.symmetry)
         if obj.name in found:
             other = found[obj.name][0].path
-            raise ConfigError(f"{other} and {config.path} are both called {obj.name}; rename one, or sweep them apart")
+            raise ConfigError(
+                f"{other} and {config.path} are both called {obj.name}; rename one, or run them separately"
+            )
         found[obj.name] = (config, obj)
     return found

@@ -1,4 +1,4 @@
-"""Two sweeps side by side, for instance of two versions: what became better, worse, or is only in one of them."""
+"""The comparison of two sweeps, for instance of two versions: better, worse, failed, or in only one of them."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ERROR = "error_mm"
-CHANGED = 1.10  # a ratio of medians beyond which an error counts as worse or better
+CHANGED = 1.10  # ratio of medians from which an error counts as worse or better
 WORSE, BETTER, ONLY_OLD, ONLY_NEW, FAILED = "worse", "better", "only in old", "only in new", "failed"
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The line compared, its `table`, and the versions that differ, by name: (old, new).
+    """The compared line of the protocol, its `table`, and the versions that differ, by name: (old, new).
 
-    The table has a row for each combination of either sweep: what tells it from others (texts, empty where a component
-    lacks an option), old_mm, new_mm, their ratio (NaN where there is none), and what changed (empty: nothing much).
+    The table has a row for each combination of either sweep. Its columns are the texts that identify it (empty where a
+    component lacks an option), old_mm, new_mm, their ratio (NaN if there is none), and the change (empty if small).
     """
 
     line: str
@@ -37,14 +37,14 @@ class Comparison:
     versions: Mapping[str, tuple[str, str]]
 
     def count(self, change: str) -> int:
-        """Return how many combinations changed like this."""
+        """Return the number of combinations with this change."""
         return int((self.table["change"] == change).sum())
 
 
 def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Comparison:
-    """Join two records of sweeps, as `read_sweep` returns them, by combination and compare the medians of `line`.
+    """Join two records of sweeps from `read_sweep` by combination, and compare the medians of `line`.
 
-    Combinations are the same when object, touches, components and all options that both sweeps know are.
+    Combinations are the same if object, touches, components, and the options known to both sweeps are the same.
     """
     import pandas as pd
 
@@ -60,7 +60,7 @@ def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Compar
 
 
 def summarise(comparison: Comparison) -> str:
-    """Say in one sentence how many combinations changed how."""
+    """Return the numbers of combinations by change, in one sentence."""
     marks = (WORSE, BETTER, FAILED, ONLY_OLD, ONLY_NEW)
     counts = ", ".join(f"{comparison.count(mark)} {mark}" for mark in marks if comparison.count(mark))
     percent = f"{100 * (CHANGED - 1):.0f} %"
@@ -68,7 +68,7 @@ def summarise(comparison: Comparison) -> str:
 
 
 def format_texts(comparison: Comparison) -> pd.DataFrame:
-    """Return the table as it is written: errors in mm and ratios as texts, empty where there is none."""
+    """Return the table with errors in mm and ratios as texts, empty if there is none."""
     errors = {name: comparison.table[name].map(_format_mm) for name in ("old_mm", "new_mm")}
     ratio = comparison.table["ratio"].map(lambda value: "" if np.isnan(value) else f"{value:.3f}")
     return comparison.table.assign(**errors, ratio=ratio)
@@ -82,7 +82,7 @@ def write_comparison(out: Path, comparison: Comparison) -> list[Path]:
 
 
 def _format_markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[str]:
-    yield f"# Two sweeps: {comparison.line}\n"
+    yield f"# Comparison of two sweeps: {comparison.line}\n"
     yield f"Median error of `{comparison.line}`, mm. {summarise(comparison)}.\n"
     yield format_markdown([list(table.columns), *table.to_numpy().tolist()])
     yield "Versions that differ:\n"
@@ -91,7 +91,7 @@ def _format_markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[st
 
 
 def _describe(record: Mapping[str, Any], line: str) -> pd.DataFrame:
-    """What each row is, as texts, by IDENTITY, SETTINGS and all options "slot.component.option"; and its error, mm."""
+    """Return the texts that identify each row (IDENTITY, SETTINGS, options "slot.component.option"); its error, mm."""
     import pandas as pd
 
     found = []
@@ -113,9 +113,9 @@ def _list_options(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _index_by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
-    """Rows by what they are; options that the other sweep's components do not have are left out if nothing is lost.
+    """Index rows by identity: the columns in `shared`, or all of them if the shared ones are ambiguous.
 
-    Of rows of one identity the first counts.
+    Of rows with the same identity, the first is kept.
     """
     names = rows.columns.drop(ERROR) if rows.duplicated(shared).any() else shared
     named = rows.set_index(rows[names].fillna("").agg("\n".join, axis=1))
@@ -123,9 +123,9 @@ def _index_by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
 
 
 def _name_rows(rows: pd.DataFrame) -> pd.DataFrame:
-    """What tells rows apart: of IDENTITY what differs, the object always, and options that differ within a component.
+    """Return the columns that distinguish rows: the object, whatever else of IDENTITY differs, and options that differ.
 
-    An option is called "slot.option", and empty where a component lacks it.
+    An option is called "slot.option", and is empty where a component lacks it.
     """
     options = [name for name in rows.columns if "." in name]
     varied = [name for name in (*IDENTITY, *options) if name == "object" or rows[name].nunique() > 1]

@@ -1,4 +1,4 @@
-"""Imported by a local worker as it begins: its output goes to a file, and it ends with the sweep, not by Ctrl-C."""
+"""Start of a local worker, which imports this module: its output goes to a file, and it ignores Ctrl-C."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import signal
 
 LOG = "TACTILE_LOC_WORKER_LOG"
-"""The variable that names the file; without it nothing happens."""
+"""The environment variable that names the file. Without it, the import does nothing."""
 
 
 def detach(path: str) -> None:
-    """Send this process's output to the file `path`, added to its end, and have it ignore Ctrl-C."""
+    """Append this process's output to the file `path`, and ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for stream in (1, 2):

@@ -1,4 +1,4 @@
-"""Pictures of a sweep: error against time with the Pareto front, and what each component changes."""
+"""Pictures of a sweep: error against time with the Pareto front, and the effect of each component."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ MARKERS = "osD^vP*Xh<>"
 FRONT, INK, FAINT = "#c53030", "#1a202c", "#cbd5e0"
 BY_COLOUR = ("refiner", "encoder", "matcher", "renderer", "grid", "fuser", "sensor")  # the first that varies
 MOST_LISTED = 60
-PANEL, LETTER = 7.2, 0.068  # inches: a panel's width, and that of a listed letter
-LIST_LINE = 0.19  # inches of height a listed combination takes
-LEAST_MM = 1e-6  # a smaller error has no logarithm of its own
+PANEL, LETTER = 7.2, 0.068  # inches: the widths of a panel and of a letter in the list
+LIST_LINE = 0.19  # inches: the height of a line in the list
+LEAST_MM = 1e-6  # smaller errors are clipped before taking logarithms
 DIGIT, LINE, MARKER = 5.6, 10.0, 7.0  # points: width of a character, height of a label, size of a point's marker
 OFFSETS = [(5, 3), (5, -12), (-5, 3), (-5, -12), (0, 8), (0, -17), (5, 13), (-5, 13), (5, -22), (-5, -22), (9, -5)]
 
 
 @dataclass(frozen=True)
 class Point:
-    """One component for each slot: the geometric means over objects of errors, mm, and times a touch, ms."""
+    """One component for each slot, with geometric means over objects of the error, mm, and the time per touch, ms."""
 
     label: str
     choices: tuple[int, ...]
@@ -43,7 +43,7 @@ class Point:
 
 
 def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
-    """Return a point for each combination of components that ended well on all objects, in the plan's order."""
+    """Return a point for each combination of components that succeeded on all objects, in the plan's order."""
     medians = sweep.compute_medians(line)
     of_noise = medians[medians["noise"] == noise]
     logs = np.log(of_noise[["error_mm", "time_ms"]].clip(lower=LEAST_MM))
@@ -56,7 +56,7 @@ def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
 
 
 def find_pareto_front(found: Sequence[Point]) -> list[Point]:
-    """Return the points that no other beats in both error and time, by rising time."""
+    """Return the points that no other point beats in both error and time, by increasing time."""
     front: list[Point] = []
     for point in sorted(found, key=lambda p: (p.time_ms, p.error_mm)):
         if not front or point.error_mm < front[-1].error_mm:
@@ -65,10 +65,10 @@ def find_pareto_front(found: Sequence[Point]) -> list[Point]:
 
 
 def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Return, for each slot that varies and each of its choices, natural logarithms (K,) of error ratios.
+    """Return natural logarithms (K,) of error ratios for each choice of each slot that varies.
 
-    A ratio is that of the error with this choice to the geometric mean over all choices of the slot, all else the same;
-    K counts what else there is: objects, noises, and the other slots' choices, where no choice failed.
+    A ratio divides the error with this choice by the geometric mean over all choices of the slot, everything else being
+    equal. K counts the settings of everything else (objects, noises, other slots) in which no choice failed.
     """
     medians, labels = sweep.compute_medians(line), name_choices(sweep.plan)
     logs = medians.assign(log=np.log(medians["error_mm"].clip(lower=LEAST_MM)))
@@ -82,10 +82,10 @@ def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.f
 
 
 def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
-    """Draw a panel for each noise, a numbered point for each combination of components, and list their names.
+    """Draw a panel for each noise, with a numbered point for each combination of components, and a list of their names.
 
-    Error and time are geometric means over the objects of medians over touches. The Pareto front is drawn, and its
-    names are bold. Returns None when no combination ended well on all objects.
+    Error and time are geometric means over objects of medians over touches. Names on the Pareto front are bold. Returns
+    None when no combination succeeded on all objects.
     """
     panels = {noise: found for noise in sweep.plan.noises if (found := list_points(sweep, line, noise))}
     if not panels:
@@ -102,7 +102,7 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
         _draw_points(left, found, front, numbers, style)
         left.set_title(f"noise: {noise}", size=11)
         left.set_ylabel(f"median error of {line} (mm)")
-        left.set_xlabel("median time a touch, one pose refined (ms)")
+        left.set_xlabel("median time per touch, one pose refined (ms)")
         _write_list(right, found, front, numbers)
     objects = [one.path.rpartition("/")[2] for one in sweep.plan.objects]
     among = "" if len(objects) == 1 else "geometric mean over "
@@ -113,10 +113,10 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
 
 
 def draw_effects(sweep: Sweep, line: str) -> Figure | None:
-    """Draw a panel for each slot that varies: by what factor each of its choices changes the error.
+    """Draw a panel for each slot that varies: the factor by which each of its choices changes the error.
 
-    A dot is one setting of everything else; the line its geometric mean, with its value. Returns None when no slot
-    varies, or none has all its choices anywhere.
+    Each dot is one setting of everything else; the line is their geometric mean. Returns None when no slot varies, or
+    every setting has a failed choice.
     """
     found = {slot: ratios for slot, ratios in compute_effects(sweep, line).items() if min(map(len, ratios.values()))}
     if not found:
@@ -127,10 +127,8 @@ def draw_effects(sweep: Sweep, line: str) -> Figure | None:
     for axes, (slot, ratios) in zip(panels.flat, found.items(), strict=True):
         _draw_effect(axes, slot, ratios)
     _scale_ratios(panels[-1, 0], np.concatenate([r for ratios in found.values() for r in ratios.values()]))
-    panels[-1, 0].set_xlabel(
-        f"error of {line} by this choice / geometric mean over the slot's choices, all else the same"
-    )
-    figure.suptitle("What each component changes: left is better", size=13, weight="bold")
+    panels[-1, 0].set_xlabel(f"error of {line} with this choice / geometric mean over the slot's choices")
+    figure.suptitle("Effect of each component, all else equal (left is better)", size=13, weight="bold")
     return figure
 
 
@@ -144,12 +142,12 @@ class _Style:
         self._colour, self._marker = [*slots, None, None][:2]
 
     def choose(self, point: Point) -> dict[str, Any]:
-        """How a point is drawn."""
+        """Return the colour and the marker of a point."""
         colour = COLOURS[self._index(point, self._colour) % len(COLOURS)]
         return {"color": colour, "marker": MARKERS[self._index(point, self._marker) % len(MARKERS)]}
 
     def make_handles(self) -> list[Any]:
-        """What explains colours, markers and the front."""
+        """Return the entries of the legend."""
         from matplotlib.lines import Line2D
 
         shown: list[Any] = [Line2D([], [], color=FRONT, lw=1.4, label="Pareto front")]
@@ -191,7 +189,7 @@ def _draw_points(
 def _write_list(
     axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int]
 ) -> None:  # fmt: skip
-    """The names of the numbered points, the best first."""
+    """Write the names of the numbered points, the best first."""
     axes.set_axis_off()
     ordered = sorted(found, key=lambda p: (p not in front, numbers[p.choices]))
     rows = sorted(ordered[:MOST_LISTED], key=lambda p: numbers[p.choices])
@@ -202,11 +200,11 @@ def _write_list(
             0, y, text, transform=axes.transAxes, size=8, va="center", weight="bold" if point in front else "normal"
         )
     if len(ordered) > len(rows):
-        axes.set_title(f"the front and the best others, {len(rows)} of {len(ordered)}", size=9, loc="left")
+        axes.set_title(f"the Pareto front and the next best, {len(rows)} of {len(ordered)}", size=9, loc="left")
 
 
 def _locate_points(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
-    """Where points (N, 2) lie in a panel, in points of 1/72 inch, about: margins are still to be laid out."""
+    """Return the approximate positions (N, 2) of points in a panel, in 1/72 inch, before margins are laid out."""
     figure = axes.get_figure()
     height = (figure.get_figheight() if figure else 1.0) / axes.get_gridspec().nrows  # type: ignore[union-attr]
     logs = np.log([(p.time_ms, p.error_mm) for p in found])
@@ -215,7 +213,7 @@ def _locate_points(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
 
 
 def _draw_effect(axes: Axes, slot: str, ratios: Mapping[str, NDArray[np.float64]]) -> None:
-    """Choices from top to bottom; the axis holds natural logarithms of ratios."""
+    """Draw the choices of a slot from top to bottom; the axis has natural logarithms of ratios."""
     axes.axvline(0, color=FAINT, lw=1.2, zorder=1)
     for place, (values, colour) in enumerate(zip(ratios.values(), COLOURS * len(ratios), strict=False)):
         spread = np.linspace(-0.22, 0.22, len(values)) if len(values) > 1 else np.zeros(1)
@@ -232,7 +230,7 @@ def _draw_effect(axes: Axes, slot: str, ratios: Mapping[str, NDArray[np.float64]
 
 
 def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
-    """Tick an axis of natural logarithms with ratios."""
+    """Label an axis of natural logarithms with ratios."""
     reach = max(0.1, 1.08 * float(np.abs(values).max()))
     tried = (1, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000, 10000) if reach > 1 else (1, 1.1, 1.25, 1.5, 2)
     up = [t for t in tried if np.log(t) <= reach]
@@ -249,9 +247,9 @@ def _find_leading_digit(value: float) -> int:
 
 @dataclass(frozen=True)
 class NumberLabel:
-    """One label of the points `members` (indices), which all but coincide, written at `offset_pt` from the first.
+    """One label for nearly coincident points, whose indices are `members`, written at `offset_pt` from the first.
 
-    The text begins, ends or is centred there, as the first number of the offset is positive, negative or zero.
+    The text begins there if the first number of the offset is positive, ends there if negative, else it is centred.
     """
 
     text: str
@@ -265,9 +263,9 @@ class NumberLabel:
 
 
 def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list[NumberLabel]:
-    """Return labels for points (N, 2), in points of 1/72 inch, with these numbers.
+    """Return labels for points (N, 2), in 1/72 inch, with these numbers.
 
-    Points that all but coincide share one. The first of OFFSETS where nothing is covered is taken, if there is one.
+    Nearly coincident points share a label. Each label takes the first of OFFSETS where it covers nothing, if any.
     """
     markers = [_make_box(x, y - MARKER / 2, MARKER, MARKER, 0) for x, y in places_pt]
     taken: list[Bbox] = []
@@ -286,7 +284,7 @@ def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list
 
 
 def write_ranges(numbers: Sequence[int]) -> str:
-    """Write whole numbers in order: 1, 3-5."""
+    """Write whole numbers in ascending order, with ranges: 1, 3-5."""
     runs: list[list[int]] = []
     for number in sorted(numbers):
         if runs and number == runs[-1][-1] + 1:
@@ -298,7 +296,7 @@ def write_ranges(numbers: Sequence[int]) -> str:
 
 
 def _make_box(x: float, y: float, width: float, height: float, side: float) -> Bbox:
-    """A box right of x, left of it or about it, as `side` is positive, negative or zero."""
+    """Make a box right of x, left of it or around it, if `side` is positive, negative or zero."""
     from matplotlib.transforms import Bbox
 
     left = x - width * (0.5 if side == 0 else 0.0 if side > 0 else 1.0)

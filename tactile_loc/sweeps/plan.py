@@ -1,4 +1,4 @@
-"""What a sweep is to try: several values for each key, from a TOML file, the command line, or both."""
+"""The plan of a sweep: several values for each key, from a TOML file, the command line, or both."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tactile_loc.io.config import (
 from tactile_loc.io.toml import read_toml
 from tactile_loc.store.keys import write_canonical_json
 
-SETTINGS = ("shape_px", "temperature", "drawing")  # of all combinations of a sweep
+SETTINGS = ("shape_px", "temperature", "drawing")  # the same for all combinations of a sweep
 KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", *SETTINGS)
 DEFAULT_COUNT, DEFAULT_NOISE = 150, "strong"
 
@@ -35,8 +35,8 @@ DEFAULT_COUNT, DEFAULT_NOISE = 150, "strong"
 class Plan:
     """The values of everything that a sweep varies; it evaluates their full product.
 
-    `slots` holds the choices of each slot with all their options; `count` simulated touches are asked about for each
-    combination. `settings` are RunConfig's SETTINGS, for all of them.
+    `slots` has the choices of each slot with all their options. Each combination is evaluated on `count` simulated
+    touches, with the same `settings` (RunConfig's SETTINGS).
     """
 
     objects: tuple[ObjectConfig, ...]
@@ -54,10 +54,10 @@ class Plan:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any], source: str = "the plan") -> Plan:
-        """Make a plan of KEYS and one value or a list of values for each.
+        """Make a plan from one value or a list of values for each of KEYS.
 
-        What is left out is as in an evaluation: all demo objects, each slot's default, strong noise, seed 0. Raises
-        ConfigError that names `source`, or PluginError, in one sentence, for whatever is unknown or ill-typed.
+        Missing keys have the defaults of an evaluation: all demo objects, each slot's default, strong noise, seed 0.
+        Raises ConfigError that names `source`, or PluginError, for unknown or ill-typed values.
         """
         for key in values:
             if key not in KEYS:
@@ -85,12 +85,12 @@ class Plan:
 
 
 def _read_objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
-    """Objects without repetitions; paths are absolute, since workers may run elsewhere."""
+    """Return the objects without duplicates; paths are absolute, since workers may run elsewhere."""
     found = []
     for entry in entries:
         table = entry if isinstance(entry, dict) else {"path": entry}
         if not table.get("path"):
-            raise ConfigError(f"{source} has an object without a path: {entry!r}; write a name or {{path = ...}}")
+            raise ConfigError(f"{source} has an object without a path, {entry!r}; write a name or {{path = ...}}")
         chosen: ObjectConfig = validate_options(ObjectConfig, table, f"object of {source}")
         if chosen.path not in DEMO_OBJECTS or os.path.isfile(chosen.path):
             chosen = chosen.model_copy(update={"path": str(Path(chosen.path).expanduser().absolute())})
@@ -108,13 +108,13 @@ def _read_component(slot: str, entry: Any, source: str) -> SlotConfig:
     if isinstance(entry, str):
         entry = {"name": entry}
     if not (isinstance(entry, dict) and isinstance(entry.get("name"), str)):
-        raise ConfigError(f"{source} has the {slot} {entry!r}; write a name, or a table with name and options")
+        raise ConfigError(f"{source} has {slot} = {entry!r}; write a name, or a table with name and options")
     chosen = SlotConfig(name=entry["name"], options={k: v for k, v in entry.items() if k != "name"})
     return _resolve_sensor(chosen) if slot == "sensor" else chosen
 
 
 def _resolve_sensor(chosen: SlotConfig) -> SlotConfig:
-    """A sensor by its name, or by the path of its description or calibration, which becomes absolute."""
+    """Resolve a sensor's name, or the path of its description or calibration, which becomes absolute."""
     path = chosen.options.get("path")
     if kind := find_sensor_kind(chosen.name):
         path = chosen.name
@@ -133,25 +133,25 @@ def _read_noises(values: Sequence[Any]) -> tuple[str, ...]:
 
 def _require_one(values: tuple[int, ...], source: str) -> int:
     if len(values) > 1:
-        raise ConfigError(f"{source} has several counts; give one, so that all combinations are asked about the same")
+        raise ConfigError(f"{source} has several values for 'count'; give one for all combinations")
     return values[0]
 
 
 def _read_settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """The other settings of a run, as they are after validation."""
+    """Return the validated SETTINGS."""
     config = RunConfig.from_dict({key: values[key] for key in SETTINGS if key in values}, source)
     return {key: getattr(config, key) for key in SETTINGS}
 
 
 def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequence[Any]]) -> tuple[SlotConfig, ...]:
-    """Return every component with every combination of the option values, all options resolved, each choice once.
+    """Return every component with every combination of the option values, without duplicates; all options are resolved.
 
-    An option goes to the components that have it; one that none has is refused. Raises PluginError or ConfigError.
+    An option goes to the components that have it. Raises PluginError or ConfigError, also for an option of none.
     """
     known = {chosen.name: set(registry().load(slot, chosen.name).Options.model_fields) for chosen in named}
     foreign = [option for option in options if not any(option in fields for fields in known.values())]
-    if foreign:  # of the first component, whose error names the options that it has
-        _resolve(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})
+    if foreign:
+        _resolve(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})  # raises, and names the known options
     found: dict[str, SlotConfig] = {}
     for chosen in named:
         own = {option: values for option, values in options.items() if option in known[chosen.name]}
@@ -162,7 +162,7 @@ def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequenc
 
 
 def find_varied_options(choices: Sequence[SlotConfig]) -> list[str]:
-    """Return the options that tell choices of the same component apart, in the order of its options."""
+    """Return the options that differ between choices of the same component, in the order of its options."""
     varied: dict[str, None] = {}
     for chosen in choices:
         twins = [other for other in choices if other.name == chosen.name]
@@ -173,13 +173,13 @@ def find_varied_options(choices: Sequence[SlotConfig]) -> list[str]:
 
 
 def name_choice(chosen: SlotConfig, varied: Sequence[str]) -> str:
-    """Name a choice: its component, and those of its options that vary."""
+    """Name a choice by its component and its varied options."""
     shown = [f"{option}={_shorten(chosen.options[option])}" for option in varied if option in chosen.options]
     return " ".join([chosen.name, *shown])
 
 
 def name_choices(plan: Plan) -> dict[str, list[str]]:
-    """Return the name of each choice of each slot, with those of its options that vary."""
+    """Return the name of each choice of each slot, with its varied options."""
     return {
         slot: [name_choice(one, find_varied_options(choices)) for one in choices]
         for slot, choices in plan.slots.items()
@@ -208,7 +208,7 @@ _OPENING, _CLOSING = "[{(", "]})"
 
 
 def split_values(text: str) -> list[str]:
-    """Split "a,b" at its commas, but not within brackets or quotes; empty parts are dropped."""
+    """Split "a,b" at commas outside brackets and quotes; drop empty parts."""
     parts, depth, quote = [""], 0, ""
     for character in text:
         if quote:
@@ -224,12 +224,12 @@ def split_values(text: str) -> list[str]:
 
 
 def split_all(words: Iterable[str]) -> list[str]:
-    """Return the values of a flag that may be repeated, and hold several values each time."""
+    """Return the values of a repeatable flag, each of which may hold several."""
     return [value for word in words for value in split_values(word)]
 
 
 def list_values(value: Any, key: str, source: str) -> list[Any]:
-    """Return the values of a key: a list's, or the one that stands alone. Raises ConfigError for an empty list."""
+    """Return the values of a key as a list. Raises ConfigError for an empty list."""
     values = value if isinstance(value, list) else [value]
     if not values:
         raise ConfigError(f"{source} has no value for {key!r}; give one, or leave the entry out")
@@ -237,7 +237,7 @@ def list_values(value: Any, key: str, source: str) -> list[Any]:
 
 
 def read_whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[int, ...]:
-    """Return whole numbers, each once. Raises ConfigError for anything else, or one below `least`."""
+    """Return whole numbers without duplicates. Raises ConfigError for other values, or numbers below `least`."""
     found = []
     for entry in list_values(value, key, source):
         is_number = isinstance(entry, int) and not isinstance(entry, bool)
@@ -248,9 +248,9 @@ def read_whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[i
 
 
 def read_options(given: Any, source: str) -> Options:
-    """Return {slot: {option: values}} from words "slot.option=value,value" or from such a table.
+    """Return {slot: {option: values}} from words "slot.option=value,value", or from such a table.
 
-    Words of the same option add up. Raises ConfigError for another form or an unknown slot.
+    The values of repeated options are joined. Raises ConfigError for another form or an unknown slot.
     """
     if isinstance(given, dict):
         return _read_table(given, source)
@@ -266,7 +266,7 @@ def read_options(given: Any, source: str) -> Options:
 
 
 def merge_options(first: Options, second: Options) -> Options:
-    """Return the options of both; where both have one, the second's values."""
+    """Return the options of both; the second's values replace those of the first."""
     return {slot: {**first.get(slot, {}), **second.get(slot, {})} for slot in {**first, **second}}
 
 
@@ -275,7 +275,7 @@ def _read_table(table: dict[str, Any], source: str) -> Options:
     for slot, options in table.items():
         if not isinstance(options, dict):
             raise ConfigError(f"{source} has option.{slot} = {options!r}; write it as option.grid.spacing_mm = [3, 4]")
-        parse_overrides(f"{slot}.{option}=0" for option in options)  # refuses a slot that is none
+        parse_overrides(f"{slot}.{option}=0" for option in options)  # raises for an unknown slot
         found[slot] = {
             option: list_values(values, f"option.{slot}.{option}", source) for option, values in options.items()
         }

@@ -1,4 +1,4 @@
-"""The files that a sweep leaves: sweep.csv, .parquet, .md and .json, and two pictures; sweep.json is what is read."""
+"""The files of a sweep: sweep.csv, .parquet, .md, .json, and two pictures. Other commands read sweep.json."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ FAILED = "failed"
 def require_line(line: str) -> str:
     """Return `line` if it is one of the protocol's. Raises ConfigError otherwise."""
     if line not in LINES:
-        raise ConfigError(f"there is no line {line!r}.{did_you_mean(line, LINES)} Lines: {', '.join(LINES)}")
+        raise ConfigError(f"there is no line {line!r}.{did_you_mean(line, LINES)} The lines are {', '.join(LINES)}")
     return line
 
 
 def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     """Write all results into the folder `out` and return their paths.
 
-    Pivots and pictures are of the errors of `line`, one of the protocol's LINES; pictures are left out where there is
-    nothing to draw. Raises OutputError.
+    Summary and pictures show the errors of `line`, one of the protocol's LINES. A picture without data is left out.
+    Raises OutputError.
     """
     document, table = format_json(record_sweep(sweep, line)), format_csv(sweep.table)
     written = write_texts(out, "sweep", csv=table, md=format_summary(sweep, line), json=document)
@@ -46,14 +46,14 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
         figure = draw(sweep, line)
         path = out / f"{name}.png"
         if figure is None:
-            path.unlink(missing_ok=True)  # of a sweep that had something to draw
+            path.unlink(missing_ok=True)  # an older sweep may have drawn it
         else:
             written.append(save_figure(path, figure))
     return written
 
 
 def format_csv(table: pd.DataFrame) -> str:
-    """Return a table as CSV; what has no value is empty, truth is written as in JSON."""
+    """Return a table as CSV; missing values are empty, booleans are written as in JSON."""
     truths = table.select_dtypes("boolean").columns
     written = table.assign(**{name: table[name].map({True: "true", False: "false"}) for name in truths})
     return str(written.to_csv(index=False, lineterminator="\n"))
@@ -70,7 +70,7 @@ def write_parquet(path: Path, table: pd.DataFrame) -> Path:
 
 
 def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
-    """Return everything as JSON values: plan, versions, builds of each stage, and each row with its settings."""
+    """Return plan, versions, numbers of built stages, and each row with its settings, as JSON values."""
     configurations = {one.key: one.describe() for one in sweep.combinations}
     return {
         "schema_version": SCHEMA_VERSION,
@@ -87,46 +87,44 @@ def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
 
 
 def read_sweep(folder: Path) -> dict[str, Any]:
-    """Read a sweep's sweep.json. Raises ConfigError when there is none, or it is none."""
+    """Read the sweep.json of a folder. Raises ConfigError when it is missing or damaged."""
     path = folder / "sweep.json"
     try:
         found = read_json(path)
         _require_rows(found["rows"])
         _ = dict(found["versions"])
     except FileNotFoundError as error:
-        raise ConfigError(f"there is no {path}; give the --out folder of a sweep that has ended") from error
+        raise ConfigError(f"there is no {path}; give the --out folder of a finished sweep") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(
-            f"{path} cannot be read as a sweep's ({type(error).__name__}); run that sweep again"
-        ) from error
+        raise ConfigError(f"{path} is damaged ({type(error).__name__}); run that sweep again") from error
     return dict(found)
 
 
 def _require_rows(rows: list[dict[str, Any]]) -> None:
-    """Refuse rows that do not say what was combined, and what came of it."""
+    """Raise an error that `read_sweep` catches for rows without their combination or with bad errors."""
     if not rows:
         raise ValueError("it has no row")
-    json.dumps(rows, ensure_ascii=False).encode()  # half a letter could not be written again
+    json.dumps(rows, ensure_ascii=False).encode()  # raises for half a surrogate pair, which cannot be written again
     for row in rows:
         chosen = [row["configuration"][slot] for slot in SLOTS]
         said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]
         medians = [value for name, value in row.items() if name.endswith("_median_mm")]
         if not said or not all(value is None or isinstance(value, int | float) for value in medians):
-            raise ValueError("an error is no number")
+            raise ValueError("an error is not a number")
 
 
 def format_summary(sweep: Sweep, line: str) -> str:
-    """Return a table for each noise: the median ADD of `line`, mm, the best of each object in bold; then the errors."""
+    """Return a table for each noise, with the median ADD of `line`, mm, and the list of failures, as Markdown."""
     plan = sweep.plan
-    seeds = f", the mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
+    seeds = f", mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
     parts = [f"# Sweep: {line}\n"]
     parts.append(
-        f"Median surface distance (ADD, symmetry regarded) of `{line}` over {plan.count} simulated touches, mm{seeds}; "
-        "the best of each column is bold."
+        f"Median surface distance (ADD, symmetric poses equal) of `{line}` over {plan.count} simulated touches, "
+        f"mm{seeds}. The best value of each column is bold."
     )
     same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
     if same:
-        parts.append(f"The same everywhere: {', '.join(same)}.")
+        parts.append(f"Common to all rows: {', '.join(same)}.")
     medians = sweep.compute_medians(line)
     for noise in plan.noises:
         parts.append(f"\n## Noise: {noise}\n\n{_format_pivot(pivot(medians, noise))}")
@@ -135,14 +133,14 @@ def format_summary(sweep: Sweep, line: str) -> str:
 
 
 def pivot(medians: pd.DataFrame, noise: str) -> pd.DataFrame:
-    """Return the errors of `Sweep.compute_medians` with one noise, mm: a row a label, a column an object."""
+    """Return the errors of `Sweep.compute_medians` with one noise, mm: a row for each label, a column per object."""
     found = medians[medians["noise"] == noise]
     wide = found.pivot(index=[*SLOTS, "label"], columns="object", values="error_mm").droplevel(list(SLOTS))
     return wide[list(found["object"].unique())]
 
 
 def _format_pivot(errors_mm: pd.DataFrame) -> str:
-    """A pivot, the best of each column in bold."""
+    """Return a pivot as Markdown, with the best value of each column in bold."""
     best = errors_mm.min()
     rows = [
         [str(label), *(_format_cell(value, best[name]) for name, value in row.items())]

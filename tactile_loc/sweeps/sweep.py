@@ -1,4 +1,4 @@
-"""A whole sweep: what is missing is evaluated, every finished row kept; and its table, a row a combination."""
+"""A sweep: it evaluates the missing combinations, keeps every finished row, and makes the table of all rows."""
 
 from __future__ import annotations
 
@@ -32,28 +32,27 @@ MOMENTARY = (*TIMES, "model_s", "built")
 MEASURED = (*ERRORS, *COVERAGES, "nll_nats", *TIMES, "model_s")
 WHOLE = ("seed", "count", "grid_poses")
 TEXTS = ("object", *SLOTS, "noise", "error", "key", "built")
-NAMED = ("encoder", "refiner")  # where no slot varies
+NAMED = ("encoder", "refiner")  # in labels, if no slot varies
 
 log = logging.getLogger(__name__)
 
 
 class Workers(Protocol):
-    """Whoever does jobs: `LocalWorkers` or `DaskWorkers`."""
+    """Runs jobs: `LocalWorkers` or `DaskWorkers`."""
 
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key."""
+        """Yield the outcome of every job as it ends; `objects` has each job's object by the job's key."""
         ...
 
 
 class FinishedRows:
-    """The rows of a sweep's folder, each in OUT/rows/KEY.json as soon as it is there. A traceback lies beside them in
-    OUT/errors/KEY.txt."""
+    """The finished rows of a sweep, in OUT/rows/KEY.json, and tracebacks, in OUT/errors/KEY.txt."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
 
     def read(self, key: str) -> Outcome | None:
-        """Return the outcome of this key; None if there is none, or none that can be read."""
+        """Return the outcome of this key; None if it is missing or damaged."""
         try:
             found = read_json(self._locate_row(key))
             return Outcome(found["key"], found["measured"], tuple(found["built"]), found["error"])
@@ -72,7 +71,7 @@ class FinishedRows:
         write_json(self._locate_row(outcome.key), record)
 
     def tidy(self) -> None:
-        """Remove what a sweep that was killed was writing here."""
+        """Remove unfinished files of a killed sweep."""
         for name in ("rows", "errors"):
             remove_abandoned(self.out / name)
 
@@ -82,7 +81,7 @@ class FinishedRows:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A plan's combinations and what became of each; `done` of them were evaluated now, the others before."""
+    """A plan's combinations and their outcomes; `done` of them were evaluated now, the others before."""
 
     plan: Plan
     combinations: Sequence[Combination]
@@ -100,10 +99,11 @@ class Sweep:
         return make_table(self.rows)
 
     def compute_medians(self, line: str) -> pd.DataFrame:
-        """Return a row for each object, noise and choice of components, in the plan's order: means over seeds.
+        """Return means over seeds, in a row for each object, noise and choice of components, in the plan's order.
 
-        `error_mm` is the median error of `line`, `time_ms` the median time a touch; NaN where a combination failed. The
-        column of a slot holds the place of the component among the slot's choices, `label` names those that vary.
+        `error_mm` is the median error of `line`, and `time_ms` the median time for a touch; both are NaN where a
+        combination failed. The column of a slot has the index of its choice. `label` names the choices of slots that
+        vary.
         """
         labels, named = name_choices(self.plan), find_varying_slots(self.plan) or NAMED
         known = {"error_mm": self.table[f"{line}_median_mm"], "time_ms": self.table["total_ms"]}
@@ -117,12 +117,12 @@ class Sweep:
 
     @property
     def failed(self) -> int:
-        """How many combinations ended with an error."""
+        """The number of combinations that ended with an error."""
         return sum(bool(outcome.error) for outcome in self.outcomes.values())
 
     @property
     def built(self) -> dict[str, int]:
-        """How many artifacts of each stage the sweep's processes have built."""
+        """The number of artifacts of each stage that the sweep has built."""
         stages = Counter(name.split()[0] for outcome in self.outcomes.values() for name in outcome.built)
         return dict(sorted(stages.items()))
 
@@ -130,10 +130,10 @@ class Sweep:
 def run_sweep(
     plan: Plan, out: Path, store: Path, workers: Workers, progress: Progress | None = None
 ) -> Sweep:  # fmt: skip
-    """Evaluate every combination of `plan` that `out` has no row of, and keep each row there as soon as it ends.
+    """Evaluate every combination of `plan` without a row in `out`, and write each row there as soon as it is finished.
 
-    A combination that fails is a row with its error; such rows are tried again. `store` is the stage store's folder,
-    which all workers share. Raises TactileLocError, before anything runs, for whatever is wrong with the plan or `out`.
+    The row of a failed combination holds its error; the next call tries it again. All workers share the stage store in
+    the folder `store`. Raises TactileLocError for a bad plan or `out`, before anything runs.
     """
     require_tables()
     combinations, objects = combine(plan)
@@ -141,7 +141,7 @@ def run_sweep(
     kept = FinishedRows(out)
     kept.tidy()
     outcomes = find_finished(combinations, kept)
-    for key in outcomes:  # a sweep that was killed may have kept a row and no more
+    for key in outcomes:  # a killed sweep may have written a row without removing its journal
         BuildJournal.forget(store, key)
     missing = [one for one in order_for_running(combinations) if one.key not in outcomes]
     if missing:
@@ -150,7 +150,7 @@ def run_sweep(
 
 
 def find_finished(combinations: Sequence[Combination], kept: FinishedRows) -> dict[str, Outcome]:
-    """Return the outcomes, by key, of the combinations that were evaluated without an error before."""
+    """Return the outcomes, by key, of the combinations that earlier sweeps evaluated without an error."""
     found = {one.key: kept.read(one.key) for one in combinations}
     return {key: outcome for key, outcome in found.items() if outcome is not None and not outcome.error}
 
@@ -176,17 +176,17 @@ def _run(
 def _show(
     progress: Progress, advance: Callable[[int], None], last: Combination, outcomes: Mapping[str, Outcome]
 ) -> None:  # fmt: skip
-    """Advance the bar, with the combination that ended last and how many have failed."""
+    """Advance the progress bar, with the last combination and the number of failures."""
     failed = sum(bool(outcome.error) for outcome in outcomes.values())
     names = [last.object, last.config.encoder.name, last.config.refiner.name]
     text = " ".join([*names, *([f"({failed} failed)"] if failed else [])])
-    log.info("%d combinations are done; the last was %s.", len(outcomes), text)
+    log.info("%d combinations are finished; the last was %s.", len(outcomes), text)
     progress.note(text)
     advance(1)
 
 
 def average_all(values: pd.Series) -> float:
-    """Return the mean of values; NaN if any is."""
+    """Return the mean of values; NaN if any of them is NaN."""
     return float(values.mean(skipna=False))
 
 
@@ -197,12 +197,12 @@ def list_columns(plan: Plan) -> list[str]:
 
 
 def list_varied_columns(plan: Plan) -> list[str]:
-    """Return "slot.option" for each option that tells choices of one component apart."""
+    """Return "slot.option" for each option that differs between choices of one component."""
     return [f"{slot}.{option}" for slot, choices in plan.slots.items() for option in find_varied_options(choices)]
 
 
 def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, Outcome]) -> list[Row]:
-    """Return a row of all columns for each combination, as JSON values; None where there is no value."""
+    """Return a row of all columns for each combination, as JSON values; missing values are None."""
     columns, varied = list_columns(plan), list_varied_columns(plan)
     rows = []
     for one in combinations:
@@ -225,9 +225,9 @@ def _identify(one: Combination, varied: Sequence[str]) -> Row:
 
 
 def make_table(rows: Sequence[Row]) -> pd.DataFrame:
-    """Return rows as a table whose columns have the types that they always have, even when nothing succeeded.
+    """Return rows as a table. The types of its columns are fixed, even if no combination succeeded.
 
-    A column of an option has the type of its values; lists and mixtures are written as JSON.
+    The column of an option has the type of its values; lists and mixtures are written as JSON.
     """
     import pandas as pd
 
@@ -250,12 +250,11 @@ def _make_column(values: Sequence[Any], name: str) -> pd.Series:
 
 
 def require_tables() -> None:
-    """Raise MissingLibraryError when there is nothing to write tables with."""
+    """Raise MissingLibraryError when a library for writing tables is missing."""
     try:
         import pandas  # noqa: F401
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise MissingLibraryError(
-            f"a sweep writes its tables with pandas and pyarrow, and {error.name} is not installed: "
-            "pip install 'tactile-loc[sweep]'"
+            f"a sweep needs {error.name}, which is not installed: pip install 'tactile-loc[sweep]'"
         ) from error

@@ -1,5 +1,4 @@
-"""Workers evaluate combinations: processes of this machine, or of a Dask cluster elsewhere. Dask gives what a worker
-that dies had to another one."""
+"""Workers that evaluate combinations: local processes or a Dask cluster. Dask reassigns the jobs of a dead worker."""
 
 from __future__ import annotations
 
@@ -38,24 +37,24 @@ COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
 TIMES = (*(f"{stage}_ms" for stage in STAGES), "total_ms")
 
 JOURNALS = "sweep-builds"  # a folder of the store
-RETRIES = 2  # of a combination that fails for another reason than itself, such as a broken connection
+RETRIES = 2  # for failures outside the evaluation, such as a broken connection
 CONNECT_S = 10
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-LOCAL_FAILURES = 1  # deaths of local workers that a combination survives, among others and once more alone
-LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # that Dask writes to
+LOCAL_FAILURES = 1  # deaths of local workers after which a combination is tried again, in each of two rounds
+LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # used by Dask
 
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://.+")
-# OpenGL contexts and numba's simplest threads belong to one thread at a time, and a Dask worker may have several.
+# A Dask worker may have several threads, but OpenGL contexts and numba's workqueue allow only one at a time.
 _ALONE = threading.Lock()
 
 
 class ClusterError(TactileLocError):
-    """A Dask cluster cannot be reached or started, or is gone."""
+    """A Dask cluster cannot be reached or started, or has stopped."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A combination as a worker gets it; `store` is the folder of the stage store, the same for all workers."""
+    """A combination for a worker; `store` is the folder of the stage store that all workers share."""
 
     key: str
     config: RunConfig
@@ -65,9 +64,9 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job: `measured`, or an `error` (one sentence) and, if it was not raised on purpose, its `trace`.
+    """The outcome of a job: `measured`, or an `error` (one sentence), with its `trace` if it was unexpected.
 
-    `built` names the stages, "stage digest", that were built for it, by processes that were killed at it as well.
+    `built` names the stages, "stage digest", that were built for it, also by processes that were then killed.
     """
 
     key: str
@@ -78,9 +77,9 @@ class Outcome:
 
 
 class BuildJournal(list[StageKey]):
-    """The keys that a store's instance builds for a job, noted in a file of the store as well, until `forget`.
+    """The keys of the stages built for a job, also kept in a file of the store until `forget`.
 
-    A file that cannot be written is no reason to fail: only what a killed process has built is then forgotten.
+    If the file cannot be written, only the stages built by killed processes are lost from the list.
     """
 
     def __init__(self, store: Path, key: str) -> None:
@@ -100,12 +99,12 @@ class BuildJournal(list[StageKey]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of all stages, "stage digest", those of killed processes first."""
+        """The names of all stages, "stage digest"; those of killed processes come first."""
         return tuple(dict.fromkeys([*self._earlier, *map(str, self)]))
 
     @staticmethod
     def forget(store: Path, key: str) -> None:
-        """Remove a job's file: its outcome is kept elsewhere, and no worker can take it along by dying."""
+        """Remove a job's file, after its outcome has been written."""
         with suppress(OSError):
             _locate_journal(store, key).unlink(missing_ok=True)
 
@@ -115,7 +114,7 @@ def _locate_journal(store: Path, key: str) -> Path:
 
 
 def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
-    """Evaluate a combination on its object; whatever goes wrong is in the outcome."""
+    """Evaluate a combination on its object. The outcome holds any error."""
     with _ALONE:
         store = StageStore(job.store)
         store.built = built = BuildJournal(job.store, job.key)
@@ -124,7 +123,7 @@ def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
             measured = _measure(job, obj, store)
         except TactileLocError as raised:
             error = str(raised)
-        except Exception as raised:  # noqa: BLE001 - a stranger's component may raise anything
+        except Exception as raised:  # noqa: BLE001 - a component may raise anything
             error, trace = f"{type(raised).__name__}: {raised}", traceback.format_exc()
         return Outcome(job.key, measured, built.names, " ".join(error.split()), trace)
 
@@ -133,7 +132,7 @@ def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
     config = job.config
     if make_combination_key(config, obj, job.count, describe_components(config)) != job.key:
         raise ConfigError(
-            "the worker's tactile-loc, its plugins or its sensor file are others than where the sweep was started; "
+            "the worker's tactile-loc, plugins or sensor file differ from those of the machine that started the sweep; "
             "install the same versions there"
         )
     localizer = Localizer(config, obj, store)
@@ -148,8 +147,8 @@ def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
 def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None]:
     """Return ERRORS (mm, and shares of a random pose's mean), COVERAGES, nll_nats and TIMES (medians, ms).
 
-    Numbers have six digits. None stands for what is not finite: the likelihood where a matcher did not look at the true
-    pose.
+    Numbers have six digits. None stands for a number that is not finite, such as the likelihood if a matcher did not
+    score the true pose.
     """
     errors = []
     for line in LINES:
@@ -171,19 +170,19 @@ Outcomes = Generator[Outcome, None, None]
 
 @dataclass(frozen=True)
 class LocalWorkers:
-    """So many processes of this machine, each with so many threads; what they write to the terminal goes to `log`."""
+    """Local processes: their number, the threads of each, and the file `log` for their output."""
 
     workers: int
     threads: int
     log: Path
 
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key.
+        """Yield the outcome of every job as it ends; `objects` has each job's object by the job's key.
 
-        However the iteration ends, so do the workers. Raises MissingLibraryError, ClusterError, or OutputError when the
-        log cannot be written.
+        The workers end with the iteration. Raises MissingLibraryError, ClusterError, or OutputError when the log cannot
+        be written.
         """
-        why = f"its worker died each time; perhaps there is too little memory, see {self.log}"
+        why = f"its worker died each time, perhaps for lack of memory; see {self.log}"
         with _start_cluster(self) as address, _connect(address) as client:
             yield from _run_twice(client, jobs, objects, why, at_once=self.workers)
 
@@ -195,17 +194,17 @@ class DaskWorkers:
     address: str
 
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key.
+        """Yield the outcome of every job as it ends; `objects` has each job's object by the job's key.
 
         Raises MissingLibraryError or ClusterError.
         """
         _require_dask()
         if not _ADDRESS.fullmatch(self.address):
             raise ClusterError(f"{self.address!r} is no address of a Dask scheduler; write it as tcp://host:8786")
-        why = "its Dask workers died, several times; perhaps they have too little memory, see their logs"
+        why = "its Dask workers died each time, perhaps for lack of memory; see their logs"
         with _redirect_logs(logging.NullHandler()), _connect(self.address) as client:
             if not client.scheduler_info()["workers"]:
-                log.warning("the Dask cluster at %s has no workers yet; waiting for some", self.address)
+                log.warning("the Dask cluster at %s has no workers yet; waiting for them", self.address)
             yield from _run_twice(client, jobs, objects, why)
 
 
@@ -213,15 +212,17 @@ log = logging.getLogger(__name__)
 
 
 def count_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _run_twice(
     client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], why: str, at_once: int | None = None
 ) -> Outcomes:
-    """Yield the outcome of every job. One that Dask gives up, because workers died while they had it, may have been
-    only near the one that kills them: it is tried once more after the others, alone."""
+    """Yield the outcome of every job.
+
+    Dask gives up a job if its workers died, but another job may have killed them: each is tried once more, alone.
+    """
     given_up: list[Job] = []
     for some in itertools.chain([jobs], ([job] for job in given_up)):
         with closing(_run(client, some, objects, at_once)) as running:
@@ -235,33 +236,31 @@ def _run_twice(
 def _run(
     client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], at_once: int | None
 ) -> Generator[tuple[Job, Outcome | None], None, None]:
-    """Yield each job with its outcome; None where too many workers died. At most `at_once` are submitted at a time, so
-    that few others wait at a worker that dies. Cancels them all at the end."""
+    """Yield each job with its outcome, or with None where too many workers died. Cancels all jobs at the end.
+
+    At most `at_once` jobs are submitted at a time, so that few jobs are on a worker when it dies.
+    """
     from distributed import as_completed
 
     token = uuid.uuid4().hex[:8]
-    held: dict[str, Any] = {}  # an object is sent once: as the result of a task, which Dask can make again
+    held: dict[str, Any] = {}  # an object is sent once: as the result of a task, which Dask can repeat
     futures: dict[Any, Job] = {}
     waiting, running = deque(jobs), as_completed(loop=client.loop)
-
-    def submit() -> None:
-        while waiting and (at_once is None or len(futures) < at_once):
-            job = waiting.popleft()
-            obj = objects[job.key]
-            if obj.name not in held:
-                held[obj.name] = client.submit(_return_object, obj, key=f"object-{obj.name}-{token}")
-            name = f"combination-{job.key}-{token}"
-            future = client.submit(evaluate_job, job, held[obj.name], key=name, retries=RETRIES)
-            futures[future] = job
-            running.add(future)
-
     try:
-        submit()
-        for future in running:
+        while waiting or futures:
+            while waiting and (at_once is None or len(futures) < at_once):
+                job = waiting.popleft()
+                obj = objects[job.key]
+                if obj.name not in held:
+                    held[obj.name] = client.submit(_return_object, obj, key=f"object-{obj.name}-{token}")
+                name = f"combination-{job.key}-{token}"
+                future = client.submit(evaluate_job, job, held[obj.name], key=name, retries=RETRIES)
+                futures[future] = job
+                running.add(future)
+            future = next(running)
             job = futures.pop(future)
             outcome = _read_outcome(future, job, client.scheduler.address)
-            future.release()  # else it would be done again if the worker that holds its result died
-            submit()
+            future.release()  # otherwise Dask repeats it if the worker that holds its result dies
             yield job, outcome
     finally:
         client.cancel(list(futures))
@@ -272,7 +271,7 @@ def _read_outcome(future: Any, job: Job, address: str) -> Outcome | None:
 
     if future.status in ("cancelled", "lost"):
         raise ClusterError(
-            f"the Dask scheduler at {address} is gone; what was finished is kept, run the same command again"
+            f"the Dask scheduler at {address} has stopped; finished rows are kept, so run the same command again"
         )
     error = future.exception() if future.status == "error" else None
     if isinstance(error, KilledWorker):
@@ -287,14 +286,14 @@ def _return_object(obj: ObjectModel) -> ObjectModel:
 
 @contextmanager
 def _connect(address: str) -> Iterator[Any]:
-    """A client, closed at the end."""
+    """Yield a client, and close it at the end."""
     from distributed import Client
 
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(
-            f"there is no Dask scheduler at {address} ({type(error).__name__}); check it runs"
+            f"there is no Dask scheduler at {address} ({type(error).__name__}); start it, or correct --scheduler"
         ) from error
     try:
         yield client
@@ -304,9 +303,9 @@ def _connect(address: str) -> Iterator[Any]:
 
 @contextmanager
 def _start_cluster(local: LocalWorkers) -> Iterator[str]:
-    """The address of a scheduler of this process with workers of their own processes, which end with the block.
+    """Yield the address of a scheduler in this process, with workers in separate processes that end with the block.
 
-    Dask's limits of memory and of silence are switched off: a worker is killed when the machine says so.
+    Dask's own limits of memory and of time without contact are off: only the operating system kills a worker.
     """
     _require_dask()
     import dask
@@ -334,10 +333,13 @@ def _start_cluster(local: LocalWorkers) -> Iterator[str]:
 
 
 def _end(cluster: Any) -> None:
-    """Kill the workers, then close the cluster: they hold nothing any more, and whatever is stored is whole at any
-    moment, while on a busy machine an orderly end takes longer than Dask waits for it."""
+    """Kill the workers, then close the cluster.
+
+    On a busy machine, an orderly end takes longer than Dask waits for it. The workers hold no results any more, and
+    the store is always consistent.
+    """
     for nanny in cluster.workers.values():
-        nanny.close_gracefully("the sweep has ended")  # what ends now is not started again
+        nanny.close_gracefully("the sweep has ended")  # so that Dask does not restart the worker
         if (pid := nanny.pid) is not None:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
@@ -347,7 +349,7 @@ def _end(cluster: Any) -> None:
 
 @contextmanager
 def _set_environment(threads: int) -> Iterator[None]:
-    """The environment in which workers start, also those that replace one that died: how many threads each has."""
+    """Set the environment in which workers start and restart, with their number of threads."""
     before = dict(os.environ)
     os.environ.update(dict.fromkeys(THREADS, str(threads)), DASK_LOGGING__DISTRIBUTED="warning")
     try:
@@ -371,7 +373,7 @@ def _open_log(path: Path) -> Iterator[logging.Handler]:
 
 @contextmanager
 def _redirect_logs(handler: logging.Handler) -> Iterator[None]:
-    """Send what Dask logs to a handler: what concerns a sweep's user is said by its errors."""
+    """Send Dask's log to a handler. Errors of the sweep tell the user what matters."""
     loggers = [logging.getLogger(name) for name in LOGS]
     before = [(logger.handlers, logger.propagate) for logger in loggers]
     for logger in loggers:
@@ -388,5 +390,5 @@ def _require_dask() -> None:
         import distributed  # noqa: F401
     except ImportError as error:
         raise MissingLibraryError(
-            "a sweep runs on dask.distributed, which is not installed: pip install 'tactile-loc[sweep]'"
+            "a sweep needs dask.distributed, which is not installed: pip install 'tactile-loc[sweep]'"
         ) from error

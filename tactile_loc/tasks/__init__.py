@@ -1,1 +1,1 @@
-"""What is built on the method: tracking, the next touch, identification, mounts, replay and live."""
+"""Tasks built on the method: tracking, the next touch, identification, mounts, replay and live frames."""

@@ -1,9 +1,8 @@
-"""A folder of meshes as a library, and `identification.json`: which object touches are of. SI units."""
+"""A folder of meshes as a library, and `identification.json`, the result of an identification. SI units."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +23,9 @@ SCHEMA_VERSION = 1
 
 
 class PoseRecord(Record):
-    """A pose of an object, if it is the one."""
+    """A pose of an object, if it is the right object."""
 
-    probability: float = Field(description="of this pose, given that it is this object, 0 to 1")
+    probability: float = Field(description="of this pose, given this object, 0 to 1")
     T_sensor_object: Matrix = Field(description="(4, 4), m, in the first touch's sensor frame")
     imprint_iou: float = Field(description="how well it explains the touches, 0 to 1")
 
@@ -36,15 +35,13 @@ class KnownObjectRecord(Record):
 
     name: str = Field(description="the object's name")
     probability: float = Field(description="that the touches are of this object, 0 to 1")
-    alike: float = Field(description="how alike it is at a glance, unitless, higher is more alike")
-    rough_iou: float = Field(
-        description="how well a rough search of it explains the touches, 0 to 1; 0: it was not worth one"
-    )
+    alike: float = Field(description="similarity at a glance, unitless, higher is more similar")
+    rough_iou: float = Field(description="mean imprint IoU of a rough search, 0 to 1; 0 without a search")
     misfit_nats: float | None = Field(
-        validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # as it was once called
-        description="by how much its best pose explains the touches less than fully; null: it was not located",
+        validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # its former name
+        description="the evidence that its best pose lacks to explain the touches fully; null: it was not located",
     )
-    poses: list[PoseRecord] = Field(description="where it would be, the most probable first")
+    poses: list[PoseRecord] = Field(description="its possible poses, the most probable first")
 
 
 class IdentificationRecord(Record):
@@ -60,7 +57,7 @@ class IdentificationRecord(Record):
 
 
 def read_library(folder: Path, config: RunConfig, store: StageStore, progress: Progress) -> Library:
-    """Open the meshes of a folder as a library, each located as `config` says but for its object.
+    """Open the meshes of a folder as a library; `config` has the other settings of their localizers.
 
     Raises ObjectError when there is no such folder, or no mesh in it.
     """
@@ -68,19 +65,17 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
         raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)
     if not files:
-        raise ObjectError(f"{folder} holds no mesh; give a folder of files {', '.join(SELF_CONTAINED)}")
-    return Library(list(_models(files, config, store, progress)))
-
-
-def _models(files: list[Path], config: RunConfig, store: StageStore, progress: Progress) -> Iterator[Localizer]:
+        raise ObjectError(f"{folder} holds no mesh; give a folder with files of type {', '.join(SELF_CONTAINED)}")
+    models = []
     for path in files:
         chosen = config.object.model_copy(update={"path": str(path)})
         obj = load_stored_object(path, chosen.units, chosen.symmetry, store)
-        yield Localizer(config.model_copy(update={"object": chosen}), obj, store, progress)
+        models.append(Localizer(config.model_copy(update={"object": chosen}), obj, store, progress))
+    return Library(models)
 
 
 def make_identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
-    """Gather what touches, given by their names, say of the objects."""
+    """Make the record of an identification of touches, given by their names."""
     return IdentificationRecord(
         touches=touches, identified=None if found.best is None else found.best.name, none=found.none,
         objects=[

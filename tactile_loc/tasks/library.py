@@ -1,8 +1,8 @@
-"""Many objects looked through: which of them may touches be of?
+"""A library of objects, and two quick comparisons of all of them with touches.
 
-At a glance: some places of each object, encoded once and for few press depths, are compared with the touch, turned to
-few yaws. That costs a thousandth of locating an object, but noise misleads it. Those that are most alike are
-looked into: a few of the poses that the glance saw are registered roughly to all touches, which costs a thirtieth.
+At a glance, some places of each object, encoded once for a few press depths, are compared with the touch at a few yaws.
+That costs a thousandth of locating an object, but noise misleads it. The most similar objects are searched roughly: a
+few poses from the glance are registered roughly to all touches, which costs a thirtieth.
 """
 
 from __future__ import annotations
@@ -15,31 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, ObjectError, quote
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.places import CAMERA
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.locate.localizer import Localizer, make_view
-from tactile_loc.locate.search import PlaceSearch, compute_rough_iou
+from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, encode_rotated, find_highest
 from tactile_loc.store.keys import StageKey
+from tactile_loc.store.workspace import Workspace
 
 Codes = NDArray[np.float16]  # (levels, places, D)
 
 STAGE, STAGE_VERSION = "glances", 1
 LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and places are compared
-MOST_PLACES = 2000  # of an object, evenly out of all
+MOST_PLACES = 2000  # per object, evenly spread
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
-PROPOSED, REGISTERED = 1000, 30  # rotated places of an object that each touch is most like; poses of them all
+PROPOSED, REGISTERED = 1000, 30  # rotated places per object and touch; poses registered to all touches
 
 
 @dataclass(frozen=True, eq=False)
 class Glance:
-    """How alike one touch, turned by each of YAWS_RAD, and places of each of K objects are.
+    """The similarity of one touch, rotated by each of YAWS_RAD, to places of each of K objects.
 
-    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` are of M yaws and each object's
-    places (M, N), unitless, higher is more alike.
+    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` (M, N) of each object are for M
+    yaws and N places, unitless; higher is more similar.
     """
 
     touch: Touch
@@ -48,41 +49,38 @@ class Glance:
 
     @property
     def alike(self) -> NDArray[np.float64]:
-        """How alike the touch and the most alike place of each object are (K,), unitless, higher is more alike."""
+        """The similarity of the touch to the most similar place of each object (K,), unitless."""
         return np.array([scores.max() for scores in self.scores], float)
 
     def poses(self, k: int, search: PlaceSearch, count: int) -> Poses:
-        """Return the poses (C, 4, 4), metres, of the `count` rotated places of object k, searched so, most alike."""
-        scores = self.scores[k]
-        best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
-        best = best[scores.ravel()[best] > -np.inf]  # a matcher may look at fewer
-        yaw, number = np.unravel_index(best, scores.shape)
+        """Return the poses (C, 4, 4), metres, of the `count` most similar rotated places of object k."""
+        yaw, number = find_highest(self.scores[k], count)
         return self.T_sensor_anchor @ search.places.poses(number * _step(search), YAWS_RAD[yaw])
 
 
 class Library:
-    """The objects that a touch may be of, each with its localizer, all of one sensor. Raises TactileLocError.
+    """The objects that a touch may be of, each with its localizer, all with one sensor. Raises TactileLocError.
 
-    Objects are told apart by their names; in which order they are given changes nothing.
+    Each object needs its own name. The order of the objects does not matter.
     """
 
     def __init__(self, models: Sequence[Localizer]) -> None:
         if not models:
-            raise ObjectError("there is no object to identify; give one at least")
+            raise ObjectError("there is no object to identify; give at least one")
         others = [model for model in models if not isinstance(model, Localizer)]
         if others:
-            raise ObjectError(f"{quote(others[0])} is no Localizer; make one of each object with Localizer.create")
+            raise ObjectError(f"{quote(others[0])} is not a Localizer; make one for each object with Localizer.create")
         self.models = tuple(sorted(models, key=lambda model: model.object.name))
         self.names = [model.object.name for model in self.models]
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
-            raise ObjectError(f"two objects are called {twice[0]}; give each a name of its own")
+            raise ObjectError(f"two objects are called {twice[0]}; give each its own name")
         listed = [model.object.name for model in self.models if not model.sampler.capabilities.places]
         if listed:
-            raise ConfigError(f"{listed[0]} is searched by listed poses; to identify objects choose the grid whole")
+            raise ConfigError(f"{listed[0]} has a grid of listed poses; to identify objects, choose the grid whole")
         if self.models[0].encoder.capabilities.needs_training:
             raise ConfigError(
-                "objects are told apart by an encoder that learns nothing of any one of them; choose --encoder pixel"
+                "the encoder has to be trained on one object, so it cannot compare several; choose --encoder pixel"
             )
         self.progress = self.models[0].progress
         self._matchers: dict[float, list[Matcher]] = {}
@@ -92,7 +90,7 @@ class Library:
 
     @cached_property
     def searches(self) -> list[PlaceSearch]:
-        """What searches each object: from the store, or built now."""
+        """The search of each object, stored or built now."""
         found = []
         with self.progress.task("opening objects", len(self)) as advance:
             for model in self.models:
@@ -102,24 +100,18 @@ class Library:
         return found
 
     def glance(self, touch: Touch) -> Glance:
-        """Return how alike a touch and some places of each object are. Raises TouchError for another sensor's."""
-        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
-
+        """Compare a touch with some places of each object. Raises TouchError for another sensor's touch."""
         for model in self.models:
             model.require_own(touch)
         level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
         press_m = min(level_m, touch.press_depth_m)
-        anchor_m, R_sensor_gel = find_anchor(touch)
-        depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, YAWS_RAD)
-        cut_m = np.minimum(depths_m, np.float32(press_m))
-        queries, weights = self.models[0].encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-        scores = tuple(matcher.scores(queries, weights) for matcher in self._matchers_of(level_m))
-        return Glance(touch, make_transform(R_sensor_gel, anchor_m), scores)
+        T_sensor_anchor, codes = encode_rotated(touch, self.models[0].encoder, press_m, YAWS_RAD)
+        return Glance(touch, T_sensor_anchor, tuple(matcher.scores(*codes) for matcher in self._matchers_of(level_m)))
 
     def look_into(self, k: int, glances: Sequence[Glance]) -> float:
-        """Return how well object k explains touches that were glanced at, roughly: imprint IoU, their mean, 0 to 1.
+        """Return how well object k explains touches, from their glances: mean imprint IoU of a rough search, 0 to 1.
 
-        Several touches know their `T_base_sensor`.
+        Several touches need their `T_base_sensor`.
         """
         model, search = self.models[k], self.searches[k]
         views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
@@ -130,10 +122,7 @@ class Library:
         return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
 
     def _matchers_of(self, level_m: float) -> list[Matcher]:
-        """What compares touches with each object's codes of a level, an object each: it may look at some rows only.
-
-        They are made when they are first asked for.
-        """
+        """Return one matcher per object, which compares touches with its codes at a press depth, made at first use."""
         if level_m not in self._matchers:
             level, chosen = LEVELS_M.index(level_m), self.models[0].config.matcher
             self._matchers[level_m] = made = []
@@ -144,25 +133,24 @@ class Library:
 
     @cached_property
     def _codes(self) -> list[Codes]:
-        return [_codes(model, search) for model, search in zip(self.models, self.searches, strict=True)]
+        return [_encode_places(model, search) for model, search in zip(self.models, self.searches, strict=True)]
 
 
-def _codes(model: Localizer, search: PlaceSearch) -> Codes:
-    """The codes (L, N, D) of some of an object's places, cut at each of LEVELS_M: from the store, or encoded now."""
+def _encode_places(model: Localizer, search: PlaceSearch) -> Codes:
+    """The codes (L, N, D) of some of an object's places, cut at each of LEVELS_M; stored, or encoded now."""
     key = StageKey(STAGE, STAGE_VERSION, {
         "places": search.key.digest, "encoder": model.encoder.describe(), "levels_m": list(LEVELS_M),
         "most": MOST_PLACES,
     }, model.object.name)  # fmt: skip
     some = slice(None, None, _step(search))
 
-    def encoded() -> Codes:
+    def save(work: Workspace) -> None:
         levels = [model.encoder.encode(search.places.depths(m, some), m, CAMERA) for m in LEVELS_M]
-        return np.stack(levels).astype(np.float16)
+        work.save_array("codes", np.stack(levels).astype(np.float16))
 
-    stored = model.store.build(key, lambda work: work.save_array("codes", encoded()))
-    return stored.load_array("codes")
+    return model.store.build(key, save).load_array("codes")
 
 
 def _step(search: PlaceSearch) -> int:
-    """From one place of an object that a glance sees to the next."""
+    """The step from one place of an object that a glance sees to the next."""
     return -(-len(search.places) // MOST_PLACES)

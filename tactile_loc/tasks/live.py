@@ -1,4 +1,4 @@
-"""Frames as they come, located one after the other: each for itself, or tracked from one to the next."""
+"""Live frames, located one after another: each separately, or tracked from one to the next."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from tactile_loc.tasks.tracker import Tracker
 
 Floats = NDArray[np.float64]
 
-RECENT = 20  # frames that the rate is of
+RECENT = 20  # frames that count for the rate
 
 
 class LiveRecord(LocatedRecord):
-    """One frame and what it came to: a line of a live run's file. SI units."""
+    """One frame and its result: a line of a live run's file. SI units."""
 
-    name: str = Field(description="of the frame's file, or made of its number")
-    time_s: float = Field(description="when it was taken: since 1970, in a video since its beginning, s")
+    name: str = Field(description="of the frame's file, or made from its number")
+    time_s: float = Field(description="when it was taken: since 1970; in a video, since its start; s")
     T_sensor_object: Matrix | None = Field(default=None, description="the most probable pose, (4, 4), m")
-    seconds: float = Field(description="that reading and locating it took")
-    dropped: int = Field(description="frames that were dropped so far, because newer ones had come")
+    seconds: float = Field(description="time to read and locate it")
+    dropped: int = Field(description="frames dropped so far, because newer ones had come")
 
 
 @dataclass(frozen=True, eq=False)
 class LiveResult:
-    """A frame, what was `located`, its `touch` if there is one, frames `dropped` so far, and frames a second now."""
+    """A frame, its pose, its `touch` if there is one, the frames `dropped` so far, and the frames per second now."""
 
     frame: SourceFrame
     located: LocatedFrame
@@ -57,9 +57,9 @@ class LiveResult:
 
 @dataclass(eq=False)
 class LiveLocator:
-    """Locates the frames of one sensor. With a `tracker` each is taken for the next of one sequence, else for itself.
+    """Locates the frames of one sensor: with a `tracker` as one sequence, else each separately.
 
-    Where the sensor is, a frame's file says (`Touch.T_base_sensor`); if none does, it is taken to stand still.
+    A frame's file gives the sensor's pose (`Touch.T_base_sensor`); without one, the sensor is taken to stand still.
     `unit` and `press_depth_m` are as for `read_touch`.
     """
 
@@ -74,14 +74,14 @@ class LiveLocator:
     _T_base_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
     def prepare(self) -> None:
-        """Build, load and compile what locating takes, once: frames need not wait for it."""
+        """Build, load and compile everything once, so that frames need not wait for it."""
         touch = self.localizer.simulate(1, self.localizer.config.seed)[0]
         self.localizer.localize(touch)
         if self.tracker is not None:
             Tracker(self.localizer).update(0.0, touch, np.eye(4))
 
     def locate(self, frame: SourceFrame, dropped: int = 0) -> LiveResult:
-        """Return what a frame comes to; never raises for what it shows. `dropped` are the frames dropped so far."""
+        """Locate a frame; never raises for its content. `dropped` is the number of frames dropped so far."""
         start = time.perf_counter()
         touch = None
         try:
@@ -99,7 +99,7 @@ class LiveLocator:
 
     @property
     def _rate_hz(self) -> float:
-        """Frames a second, of the last ones; 0 before there are two."""
+        """Frames per second over the last ones; 0 before there are two."""
         return (len(self._ends) - 1) / (self._ends[-1] - self._ends[0]) if len(self._ends) > 1 else 0.0
 
     def _locate_touch(self, frame: SourceFrame, touch: Touch) -> LocatedFrame:
@@ -110,19 +110,19 @@ class LiveLocator:
         return self._track(self.tracker, frame, touch)
 
     def _predict(self, frame: SourceFrame, error: NoContactError) -> LocatedFrame:
-        """Where a track goes on without contact; nowhere without a track."""
+        """Predict a track without contact; without a track, return the error's frame."""
         if self.tracker is None:
             return LocatedFrame.of_error(error)
         return replace(self._track(self.tracker, frame, None), says=str(error))
 
     def _track(self, tracker: Tracker, frame: SourceFrame, touch: Touch | None) -> LocatedFrame:
-        self._time_s = max(self._time_s, frame.time_s)  # clocks are set back now and then
+        self._time_s = max(self._time_s, frame.time_s)  # a clock may be set back
         return tracker.update(self._time_s, touch, self._T_base_sensor).frame
 
 
 @dataclass(frozen=True)
 class LiveSummary:
-    """How many frames came to what; `reasons` why frames without a pose were not located, the most frequent first."""
+    """How many frames had which result; `reasons` why frames without a pose were not located, most frequent first."""
 
     frames: int
     located: int
@@ -134,6 +134,6 @@ class LiveSummary:
 
     @classmethod
     def of(cls, locator: LiveLocator, dropped: int) -> LiveSummary:
-        """Count what a locator's frames came to."""
+        """Count the results of a locator's frames."""
         counts = count_frames(locator.counts.elements())
         return cls(**counts, dropped=dropped, reasons=tuple(locator.reasons.most_common()))

@@ -1,7 +1,7 @@
-"""Where a sensor is mounted on a robot's flange: found from touches of one part at rest, whose place is not known.
+"""The sensor's mount on a robot's flange, found from touches of one part at rest at an unknown pose.
 
-Every touch is located for itself; the mount on which most of their hypotheses agree (`mount_guess`) predicts where each
-sensor sees the part; there each touch is registered again, and all of them are fitted, until nothing moves.
+Each touch is located separately. The mount on which most hypotheses agree (`mount_guess`) predicts where each sensor
+sees the part. Each touch is registered again there, and all of them are fitted together, until nothing moves.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.locate.touch_files import read_listed_touch
 from tactile_loc.tasks.mount_guess import MountGuess, guess_mounts
 
-HYPOTHESES = 100  # of each touch
+HYPOTHESES = 100  # per touch
 GUESSES = 3  # mounts that are refined
-LEAST = 4  # touches that must agree: of three, some hypotheses always do
-TURNED_RAD = np.radians(3.0)  # about two axes, root mean square over pairs of flange poses: less tells nothing
-LIMIT_M, LIMIT_RAD = 2e-3, np.radians(2.0)  # standard deviations beyond which a mount is not known
-NOMINAL_M, NOMINAL_RAD = 0.03, np.radians(30.0)  # how far off a nominal mount may be
-SHORT = 0.25  # imprint IoU by which a touch may be explained worse than by its best hypothesis
-ROUNDS, STILL_M = 30, 5e-6  # of refinement; the last moves no prediction farther
-REJECTIONS = 3  # times it is asked again which touches contradict the others
-NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # the covariance (6, 6), m and rad, of what a touch says nothing of
+LEAST = 4  # touches that must agree: some hypotheses of three touches always do
+ROTATED_RAD = np.radians(3.0)  # about two axes, root mean square over pairs of flange poses: less determines nothing
+LIMIT_M, LIMIT_RAD = 2e-3, np.radians(2.0)  # standard deviations above which a mount is unknown
+NOMINAL_M, NOMINAL_RAD = 0.03, np.radians(30.0)  # largest error of a nominal mount
+SHORT = 0.25  # imprint IoU that a touch may lose against its best hypothesis
+ROUNDS, STILL_M = 30, 5e-6  # of refinement; the last one moves no prediction farther
+REJECTIONS = 3  # rounds of looking for touches that contradict the others
+NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad, of what a touch does not determine
 Floats = NDArray[np.float64]
 
 
 @keep_old_names(only="select")
 @dataclass(frozen=True, eq=False)
 class FlangeTouches:
-    """Touches (N) of one object at rest by one sensor, and where the flange was: T_base_flange (N, 4, 4), metres.
+    """N touches of one object at rest by one sensor, with the flange's poses T_base_flange (N, 4, 4), metres.
 
-    A touch's `T_base_sensor_std_m` and `_rad` say how exactly its flange's pose is known.
+    A touch's `T_base_sensor_std_m` and `_rad` are the standard deviations of its flange's pose.
     """
 
     touches: tuple[Touch, ...]
@@ -71,16 +71,15 @@ class FlangeTouches:
 
     @property
     def gel_m(self) -> Floats:
-        """The gel's middle (N, 3), metres, in the sensor's frame, where each touch was."""
+        """The gel's middle (N, 3), metres, in the sensor's frame."""
         return np.array([[0.0, 0.0, touch.geometry.standoff_m] for touch in self.touches])
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What N touches, each for itself, say of where the sensor sees the object: T_sensor_object (N, 4, 4), metres.
+    """Where the sensor sees the object, from each of N touches separately: T_sensor_object (N, 4, 4), metres.
 
-    `covariances` (N, 6, 6), as RefinedPose's, are of these poses beside those that the flange predicts: of the touch
-    and of the flange's pose.
+    `covariances` (N, 6, 6), as in RefinedPose, contain the errors of the touch and of the flange's pose.
     """
 
     T_sensor_object: Poses
@@ -92,9 +91,9 @@ class Measured:
 class FoundMount:
     """A mount found from N touches: the `fit` of those `kept` (N,), and the `guess` that it began with.
 
-    `measured` is what all touches say of where the object is, registered from where the mount predicts it.
-    `imprint_ious` (N,), 0 to 1, say how well the object explains each touch there; `best_ious` (N,) how well the best
-    hypothesis of that touch alone does.
+    `measured` is where all touches see the object, registered from where the mount predicts it. `imprint_ious` (N,),
+    0 to 1, are how well the object explains each touch there; `best_ious` (N,) are those of the best hypotheses of each
+    touch alone.
     """
 
     given: FlangeTouches
@@ -112,12 +111,12 @@ class FoundMount:
 
     @property
     def residuals(self) -> Floats:
-        """By how much each touch contradicts the mount, at the gel's middle: (N, 2), metres and radians."""
+        """Distances of the touches from the mount's predictions, at the gel's middle: (N, 2), metres and radians."""
         return self._residuals(self.fit.T_flange_sensor, self.fit.T_base_object)
 
     @property
     def first_residuals(self) -> Floats:
-        """By how much each touch contradicts the first guess: (N, 2), metres and radians."""
+        """Distances of the touches from the first guess's predictions: (N, 2), metres and radians."""
         return self._residuals(self.guess.T_flange_sensor, self.guess.T_base_object)
 
     def _residuals(self, X: Floats, Y: Floats) -> Floats:
@@ -127,7 +126,7 @@ class FoundMount:
         return np.stack([np.linalg.norm(shift, axis=1), np.linalg.norm(e[:, 3:], axis=1)], axis=1)
 
     def explain_left_out(self, number: int) -> str:
-        """Return, in words, why a touch had no say; nothing if it had."""
+        """Return why a touch was left out; "" if it was not."""
         if self.kept[number]:
             return ""
         iou, best = self.imprint_ious[number], self.best_ious[number]
@@ -138,21 +137,21 @@ class FoundMount:
 
 
 def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
-    """Read a list of touches by the localizer's sensor at known flange poses. Raises TactileLocError for bad input."""
+    """Read a list of the sensor's touches at known flange poses. Raises TactileLocError for bad input."""
     listed = read_touch_list(path, of_flange=True)
     own = localizer.config.sensor
     others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
     if others:
-        raise TouchError(f"{path} has touches of another sensor, {others[0]}; a mount is of one: choose it by --sensor")
+        raise TouchError(f"{path} has touches of another sensor, {others[0]}; choose one sensor: --sensor")
     touches = tuple(read_listed_touch(localizer, one) for one in listed)
     return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))
 
 
 def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None = None) -> FoundMount:
-    """Find where the localizer's sensor is mounted, and where the object is, from touches of it at known flange poses.
+    """Find the mount of the localizer's sensor, and the object's pose, from touches at known flange poses.
 
-    A `nominal` mount narrows the search to what is within NOMINAL_M and NOMINAL_RAD of it. Raises MountError when
-    there are too few touches, too few agree, or the flange's motions do not determine the mount.
+    A `nominal` mount limits the search to NOMINAL_M and NOMINAL_RAD around it. Raises MountError when there are too few
+    touches, too few agree, or the flange's motions do not determine the mount.
     """
     require_motions(given)
     located = _locate(localizer, given.touches)
@@ -171,7 +170,7 @@ def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None
 
 
 def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
-    """Return what is written of a mount: in SI units, with the residual of every touch."""
+    """Make the record of a mount: in SI units, with the residuals of every touch."""
     touches = [
         MountTouchRecord(
             name=touch.name, residual_m=float(last[0]), residual_rad=float(last[1]), first_residual_m=float(first[0]),
@@ -181,21 +180,17 @@ def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
             zip(found.given.touches, found.residuals, found.first_residuals, found.imprint_ious, strict=True)
         )
     ]  # fmt: skip
-    fit = found.fit
+    fit, sensor = found.fit, localizer.config.sensor
+    sensor_name = Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
     return MountRecord(
         T_flange_sensor=fit.T_flange_sensor.tolist(), covariance=fit.covariance.tolist(),
-        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=_name_sensor(localizer),
+        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=sensor_name,
         variance_factor=fit.variance, touch=touches,
     )  # fmt: skip
 
 
-def _name_sensor(localizer: Localizer) -> str:
-    sensor = localizer.config.sensor
-    return Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
-
-
 def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:
-    """The hypotheses of each touch; none of one that no pose of the grid explains."""
+    """Locate each touch; one that no pose of the grid explains has no hypotheses."""
     found: list[tuple[Hypothesis, ...]] = []
     with localizer.progress.task("locating the touches", len(touches)) as advance:
         for touch in touches:
@@ -208,13 +203,12 @@ def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypoth
 
 
 def _is_near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
-    turned = rotation_angle(nominal[:3, :3].T @ T_flange_sensor[:, :3, :3])
+    rotated = rotation_angle(nominal[:3, :3].T @ T_flange_sensor[:, :3, :3])
     far_m = np.linalg.norm(T_flange_sensor[:, :3, 3] - nominal[:3, 3], axis=1)
-    return np.asarray((far_m < NOMINAL_M) & (turned < NOMINAL_RAD))
+    return np.asarray((far_m < NOMINAL_M) & (rotated < NOMINAL_RAD))
 
 
 def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_ious: Floats) -> FoundMount:
-    """The mount near a guess that explains the touches best."""
     registration = _Registration.of(localizer, given)
     kept = np.ones(len(given), bool)
     X, Y = registration.converge(guess.T_flange_sensor, guess.T_base_object, kept)
@@ -227,18 +221,17 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_
     measured = registration.measure(X, Y)
     fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
     kept = kept & registration.find_trusted(X, Y, best_ious)
-    fit = dataclasses.replace(
-        fit, variance=estimate_typical_variance(fit.chi2)
-    )  # registration takes up a part of an error
+    # registration absorbs part of the errors
+    fit = dataclasses.replace(fit, variance=estimate_typical_variance(fit.chi2))
     return FoundMount(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
 
 
 @dataclass(frozen=True, eq=False)
 class _Registration:
-    """All touches registered as one problem, whose unknowns are the mount X and the object's pose Y in the base frame.
+    """All touches as one problem, whose unknowns are the mount X and the object's pose Y in the base frame.
 
-    Each step solves the equations of every touch at the pose that X and Y predict: what it says of that pose, with the
-    covariance of this, is a measurement; the fit of all of them is the step of X and Y.
+    Each step registers every touch from the pose that X and Y predict. The result, with its covariance, is a
+    measurement of that pose; the fit of all measurements updates X and Y.
     """
 
     given: FlangeTouches
@@ -252,7 +245,7 @@ class _Registration:
         return cls(given, views, localizer.refinement.registration, PoseMetric(localizer.object))
 
     def converge(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
-        """X and Y that explain some of the touches (N,) best; `finely` from near there, else from a first guess."""
+        """Fit X and Y to some of the touches (N,); `finely` if X and Y are already near."""
         scales_mm = self.registration.list_scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
         for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
@@ -264,16 +257,17 @@ class _Registration:
         return X, Y
 
     def measure(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
-        """What the touches say of where the object is, near where X and Y predict it; by default as fine as can be."""
+        """Register the touches from where X and Y predict the object; by default at the finest scale."""
         scale_mm = float(self.registration.list_scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
         S = np.concatenate([poses for poses, _ in stepped])
         own = np.stack([NOTHING if covariance is None else covariance for _, (covariance,) in stepped])
-        return Measured(S, own + _estimate_flange_errors(self.given, S))
+        std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in self.given.touches])
+        return Measured(S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m))
 
     def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
-        """Which touches (N,) contradict X and Y neither by where the object is nor by what it looks like from there."""
+        """Find which touches (N,) contradict X and Y neither in the object's pose nor in its imprint there."""
         measured = self.measure(X, Y)
         F = self.given.T_base_flange
         chi2 = fit_hand_eye(F, measured.T_sensor_object, measured.covariances, X, Y, robust=True).chi2
@@ -285,45 +279,36 @@ class _Registration:
         return predict(self.given.T_base_flange, X, Y)
 
     def compute_imprint_ious(self, X: Floats, Y: Floats) -> Floats:
-        """How well the object explains each touch (N,), where X and Y predict it."""
+        """How well the object explains each touch (N,) where X and Y predict it."""
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         return np.array([float(view.imprint_ious(T[None])[0]) for view, T in pairs])
 
 
-def _estimate_flange_errors(given: FlangeTouches, T_sensor_object: Poses) -> Floats:
-    """What errors of the flange's pose add (N, 6, 6) to the covariance of where a sensor sees the object."""
-    std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in given.touches])
-    return move_covariance(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
-
-
 def require_motions(given: FlangeTouches) -> None:
-    """Raise MountError unless there are touches enough, and the flange was turned about two axes."""
+    """Raise MountError unless there are enough touches, and the flange was rotated about two axes."""
     if len(given) < LEAST:
-        raise MountError(
-            f"a mount takes at least {LEAST} touches, better ten, but there are {len(given)}; of fewer nobody can say "
-            "whether they agree"
-        )
+        raise MountError(f"a mount takes at least {LEAST} touches, better ten, but there are {len(given)}; add touches")
     (most, second, _), axes = measure_turns(given.T_base_flange)
-    if most < TURNED_RAD:
+    if most < ROTATED_RAD:
         raise MountError(
-            "the flange was hardly turned between the touches: what a shift of the sensor or of the part would look "
-            "like is the same; touch with the flange turned by 30 degrees and more, about two axes"
+            "the flange was hardly rotated between the touches, so the mount is not determined; touch with the flange "
+            "rotated by 30 degrees or more, about two axes"
         )
-    if second < TURNED_RAD:
+    if second < ROTATED_RAD:
         raise MountError(
-            f"the flange was turned about one axis only, {_name_axis(axes[0])} of the flange: the sensor's place along "
-            "is not known; add touches with the flange turned about another axis"
+            f"the flange was rotated about {_name_axis(axes[0])} of the flange only, so the sensor's place along this "
+            "axis is unknown; add touches with the flange rotated about another axis"
         )
 
 
 def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Mount | None) -> FoundMount:
-    """Return the mount. Raises MountError when too few touches agree on it, or it is not determined."""
+    """Return the mount. Raises MountError if too few touches agree on it, or it is not determined."""
     agreeing = 0 if found is None else int(found.kept.sum())
     if found is None or agreeing < max(LEAST, len(given) / 2):
         near = "" if nominal is None else " near the nominal one"
         raise MountError(
-            f"only {agreeing} of {len(given)} touches agree on a mount{near}; check that each T_base_flange is that of "
-            "its touch (metres, from flange to base), that the part did not move, and the object's mesh and units"
+            f"only {agreeing} of {len(given)} touches agree on a mount{near}; check that each T_base_flange is its "
+            "touch's (metres, from flange to base), that the part did not move, and the object's mesh and units"
         )
     require_motions(given.select(found.kept))
     require_determined(found.fit.covariance)
@@ -331,10 +316,10 @@ def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Moun
 
 
 def require_determined(covariance: Floats) -> None:
-    """Raise MountError, which names the direction, unless a mount's covariance (6, 6) says that it is known."""
+    """Raise MountError, naming the direction, if a mount's covariance (6, 6) is too large."""
     for part, limit, what, unit, name in (
         (covariance[:3, :3], LIMIT_M, "place along", 1e3, "mm"),
-        (covariance[3:, 3:], LIMIT_RAD, "turn about", np.degrees(1.0), "degrees"),
+        (covariance[3:, 3:], LIMIT_RAD, "rotation about", np.degrees(1.0), "degrees"),
     ):
         variances, directions = np.linalg.eigh(part)
         std = float(np.sqrt(variances[-1]))
@@ -342,12 +327,12 @@ def require_determined(covariance: Floats) -> None:
             where = f"{_name_axis(directions[:, -1])} of the flange"
             raise MountError(
                 f"the sensor's {what} {where} is known to {unit * std:.1f} {name} only; add touches with the flange "
-                "turned about other axes, of edges and corners rather than of flat faces"
+                "rotated about other axes, on edges and corners rather than flat faces"
             )
 
 
 def _name_axis(v: Floats) -> str:
-    """A direction in words: x, y or z where it is next to one, else its numbers."""
+    """Name a direction: x, y or z if it is near one, else its numbers."""
     k = int(np.abs(v).argmax())
     if abs(v[k]) > np.cos(np.radians(5.0)):
         return "xyz"[k]

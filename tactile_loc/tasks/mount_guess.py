@@ -1,8 +1,8 @@
-"""A first guess of a sensor's mount: the one on which most touches agree, whatever hypotheses each of them has.
+"""A first guess of a sensor's mount: the one on which most touches agree.
 
-Two hypotheses of different touches go together if the part, seen from the sensor, moved by the same screw as the flange
-did; three that do so pairwise give a mount (consensus in the manner of RANSAC, but of all triples that can be right
-rather than of random ones), and all touches say how well they agree with it.
+Two hypotheses of different touches are compatible if the part, seen from the sensor, moved by the same screw as the
+flange did. Three that are pairwise compatible give a mount. All touches then rate it. This is consensus as in RANSAC,
+but over all compatible triples rather than random ones.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from tactile_loc.core.geometry.hand_eye import predict, screws_agree, solve_clos
 from tactile_loc.core.geometry.rigid import Poses, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 
-AGREES_M = 4e-3  # of surface between a hypothesis and where a mount predicts the object
-ANGLE_RAD, SLIDE_M = np.radians(5.0), 5e-3  # by which the screws of hypotheses may differ
-TURN_RAD = np.radians(6.0)  # between the turns of a continuous symmetry that are tried
-MOST_SEEN = 20_000  # hypotheses, equivalents by symmetry included
-ANCHORS, TRIANGLES = 100, 300  # hypotheses that are begun with, and triples tried of each
+AGREES_M = 4e-3  # surface distance between a hypothesis and the object where a mount predicts it
+ANGLE_RAD, SLIDE_M = np.radians(5.0), 5e-3  # largest difference between compatible screws
+TURN_RAD = np.radians(6.0)  # step between the rotations of a continuous symmetry that are tried
+MOST_SEEN = 20_000  # hypotheses, with their equivalents by symmetry
+ANCHORS, TRIANGLES = 100, 300  # hypotheses to begin with, and triples tried for each
 ANOTHER_M, ANOTHER_RAD = 8e-3, np.radians(15.0)  # mounts that differ by more are different guesses
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,9 +29,9 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class MountGuess:
-    """A mount T_flange_sensor (4, 4) and T_base_object (4, 4), metres, and how far off the N touches are.
+    """A mount T_flange_sensor (4, 4) and T_base_object (4, 4), metres, and the errors of the N touches.
 
-    `off_m` (N,), metres of surface, is each one's nearest hypothesis from where the mount predicts the object.
+    `off_m` (N,) are surface distances from where the mount predicts the object to each touch's nearest hypothesis.
     """
 
     T_flange_sensor: Floats
@@ -40,29 +40,29 @@ class MountGuess:
 
     @property
     def agreeing(self) -> NDArray[np.bool_]:
-        """Which touches (N,) have a hypothesis that agrees."""
+        """Which touches (N,) have a hypothesis that agrees with the mount."""
         return self.off_m < AGREES_M
 
     @property
     def score(self) -> float:
-        """How many touches agree, those that agree less well counted less."""
+        """How many touches agree; a touch that agrees less well counts less."""
         return float(_score(self.off_m))
 
     def is_another(self, other: MountGuess) -> bool:
-        """Whether the other guess is of another mount."""
+        """Whether the other guess differs enough to be another mount."""
         X, Y = self.T_flange_sensor, other.T_flange_sensor
-        turned = float(rotation_angle(X[:3, :3].T @ Y[:3, :3]))
-        return turned > ANOTHER_RAD or float(np.linalg.norm(X[:3, 3] - Y[:3, 3])) > ANOTHER_M
+        rotated = float(rotation_angle(X[:3, :3].T @ Y[:3, :3]))
+        return rotated > ANOTHER_RAD or float(np.linalg.norm(X[:3, 3] - Y[:3, 3])) > ANOTHER_M
 
 
 def guess_mounts(
     T_base_flange: Poses, hypotheses: Sequence[Poses], metric: PoseMetric, count: int,
     allowed: Callable[[Poses], NDArray[np.bool_]] | None = None,
 ) -> list[MountGuess]:  # fmt: skip
-    """Return at most `count` different mounts on which touches agree, the one with the most first; maybe none.
+    """Return at most `count` different mounts on which touches agree, the best first; there may be none.
 
-    `T_base_flange` (N, 4, 4), metres; `hypotheses` are the poses T_sensor_object (K, 4, 4) of each of N touches, the
-    likeliest first; `allowed` says (B,) which mounts T_flange_sensor (B, 4, 4) are to be considered.
+    `T_base_flange` is (N, 4, 4), metres. `hypotheses` are the poses T_sensor_object (K, 4, 4) of each of N touches, the
+    likeliest first. `allowed` returns which (B,) of the mounts T_flange_sensor (B, 4, 4) may be considered.
     """
     nodes = _Nodes.of(T_base_flange, hypotheses, metric)
     found: list[MountGuess] = []
@@ -80,7 +80,7 @@ def guess_mounts(
 
 
 def measure_distances_to_hypotheses(T_sensor_object: Poses, hypotheses: Sequence[Poses], metric: PoseMetric) -> Floats:
-    """Return how far (B, N), metres of surface, poses (B, N, 4, 4) are from the nearest hypothesis of each touch."""
+    """Return surface distances (B, N), metres, from poses (B, N, 4, 4) to the nearest hypothesis of each touch."""
     off_m = np.full(T_sensor_object.shape[:2], np.inf)
     for k, poses in enumerate(hypotheses):
         if len(poses) and len(off_m):
@@ -91,7 +91,7 @@ def measure_distances_to_hypotheses(T_sensor_object: Poses, hypotheses: Sequence
 
 
 def _score(off_m: Floats) -> Floats:
-    """How many touches agree, (...,) of (..., N), those that agree less well counted less (MSAC)."""
+    """Count the touches that agree, (...,) of (..., N); one that agrees less well counts less (MSAC)."""
     return np.maximum(0.0, 1.0 - (off_m / AGREES_M) ** 2).sum(axis=-1)
 
 
@@ -107,9 +107,9 @@ def _choose_different(found: list[MountGuess], count: int) -> list[MountGuess]:
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """All hypotheses with their equivalents by symmetry: the number of the touch (M,), its flange's pose, the pose.
+    """All hypotheses with their equivalents by symmetry: touch numbers (M,), the flanges' poses, and the poses.
 
-    `own` are those that stand for themselves: one of a triple needs no equivalents, for the object's frame may be any.
+    `own` are the hypotheses themselves. One of a triple needs no equivalents, because the object's frame is arbitrary.
     """
 
     touch: Ints
@@ -127,13 +127,13 @@ class _Nodes:
         return cls(touch, T_base_flange[touch], np.concatenate(poses), own)
 
     def anchors(self) -> Iterator[int]:
-        """The own nodes that go together with those of most touches, at most ANCHORS."""
+        """Yield the own nodes that are compatible with those of most touches, at most ANCHORS."""
         with_touches = [len(np.unique(self.touch[self._partners(k)])) for k in self.own]
         order = np.argsort(np.negative(with_touches), kind="stable")
         yield from (int(self.own[k]) for k in order[:ANCHORS] if with_touches[k] >= 2)
 
     def triples(self, anchor: int) -> Ints:
-        """The triples (B, 3) of nodes that go together pairwise, at most TRIANGLES, of three touches, with the anchor.
+        """Find triples (B, 3) of pairwise compatible nodes of three touches, with the anchor; at most TRIANGLES.
 
         The likelier hypotheses come first.
         """
@@ -142,7 +142,7 @@ class _Nodes:
         second, third = partners[second], partners[third]
         apart = self.touch[second] != self.touch[third]
         second, third = second[apart], third[apart]
-        good = self._turned_alike(second, third)
+        good = self._rotate_alike(second, third)
         second, third = second[good], third[good]
         good = self._agree(second, third)
         pairs = np.stack([second[good], third[good]], axis=1)
@@ -150,14 +150,13 @@ class _Nodes:
         return np.concatenate([np.full((len(pairs), 1), anchor), pairs], axis=1)
 
     def _partners(self, k: int) -> Ints:
-        """The nodes (P,) of other touches that go together with one."""
+        """Find the nodes (P,) of other touches that are compatible with node k."""
         others = np.flatnonzero(self.touch != self.touch[k])
-        one = np.full(len(others), k)
-        others = others[self._turned_alike(one, others)]
+        others = others[self._rotate_alike(np.full(len(others), k), others)]
         return others[self._agree(np.full(len(others), k), others)]
 
-    def _turned_alike(self, first: Ints, second: Ints) -> NDArray[np.bool_]:
-        """Whether pairs of nodes turned by about the same angle as their flanges: asked first, it takes no product."""
+    def _rotate_alike(self, first: Ints, second: Ints) -> NDArray[np.bool_]:
+        """Whether pairs of nodes rotated by about the same angle as their flanges: a quick first test."""
         angles = [
             np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", T[first, :3, :3], T[second, :3, :3]) - 1.0), -1.0, 1.0))
             for T in (self.flanges, self.poses)

@@ -1,10 +1,9 @@
-"""Where to touch next: of many approaches, the one after which least doubt between the modes is to be expected.
+"""The next touch: the approach after which the least doubt between the modes is expected.
 
-What each mode would show to each sensor is drawn: how far the sensor would come before it is stopped, and the contact
-that it would then see. Were mode i the truth, the touch would make mode j less likely than i by so many nats as its
-travel and its contact speak against j; with these the entropy that would be left is known for each mode, and its mean
-over the modes is what an approach promises (Lindley, 1956). The nats of contacts are those of `imprints.py`, by
-which hypotheses are weighed, which were fitted to touches with strong noise.
+For each approach and mode, the travel of the sensor up to contact and the contact that it then sees are computed. If
+mode i is true, travel and contact speak against mode j by some number of nats. From these follows the entropy left if i
+is true. Its mean over the modes rates the approach (Lindley, 1956). The nats of contacts are the ones by which
+`imprints.py` weighs hypotheses, fitted to touches with strong noise.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ from tactile_loc.tasks.pose_modes import PoseModes, compute_entropy
 Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LOOKED_AT_PX = 24  # pixels a side of the contacts that are compared
-MOST_DRAWN = 1500  # contacts; of more, those of the approaches whose travel alone promises most
-AT_ONCE = 500  # contacts drawn together
-TRAVEL_STD_M = 5e-4  # how exactly a mode tells where a sensor is stopped: its own pose, the press, the robot
-MOST_NATS = 8.0  # that one touch speaks for one mode against another: there are touches that nobody foresees
-ALIKE_NATS = 1.0  # modes between which no approach says more stay alike
-LEAST_PERCENT = 0.25  # of the observed pixels: a smaller contact is no touch
-IN_THE_WAY = 0.01  # an approach that would start inside the object with this probability is out of reach
+LOOKED_AT_PX = 24  # pixels per side of the contacts that are compared
+MOST_DRAWN = 1500  # contacts rendered: those of the approaches that promise most by travel alone
+AT_ONCE = 500  # contacts rendered together
+TRAVEL_STD_M = 5e-4  # standard deviation of where a sensor is stopped: the mode's pose, the press, the robot
+MOST_NATS = 8.0  # evidence of one touch between two modes; real touches differ from the expected ones
+ALIKE_NATS = 1.0  # modes between which no approach gives more evidence stay alike
+LEAST_PERCENT = 0.25  # of the observed pixels: a smaller contact is not a touch
+IN_THE_WAY = 0.01  # probability of a start inside the object that puts an approach out of reach
 
 
 Cost = Callable[[Approach], float]
@@ -47,11 +46,11 @@ Cost = Callable[[Approach], float]
 
 @dataclass(frozen=True, eq=False)
 class Foreseen:
-    """What A approaches would meet, were each of K modes the truth.
+    """The encounters of A approaches with the object, for each of K modes as the true one.
 
-    `T_sensor_object` (A, K, 4, 4) is where the pressed sensor would see the object, `travel_m` (A, K) how far it would
-    have moved up to contact; `meets` (A, K) whether it touches anything on its way, `blocked` (A, K) whether its gel
-    is inside or beyond the object at the start. Metres.
+    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose seen by the pressed sensor. `travel_m` (A, K) is the
+    sensor's travel up to contact. `meets` (A, K) tells whether it touches anything on its way, `blocked` (A, K) whether
+    its gel starts inside or beyond the object.
     """
 
     T_sensor_object: Float64
@@ -62,11 +61,10 @@ class Foreseen:
 
 @dataclass(frozen=True, eq=False)
 class RatedApproach:
-    """An approach and what is to be expected of it.
+    """An approach and its expected result.
 
-    `information` is by how much the entropy of the modes is expected to fall, `entropy` what is then left, nats;
-    `meets` the probability that it makes a touch at all, 0 to 1; `travel_m` (K,) how far the sensor would move up to
-    contact with each mode, NaN where it meets nothing; `cost` what it costs.
+    `information`, nats, is the expected drop of the modes' entropy, and `entropy` what is left. `meets`, 0 to 1, is the
+    probability that it makes a touch. `travel_m` (K,) is the travel up to contact with each mode, NaN if it misses.
     """
 
     approach: Approach
@@ -78,13 +76,13 @@ class RatedApproach:
 
     @property
     def worth(self) -> float:
-        """The information for what it costs: by this approaches are ranked."""
+        """Information divided by cost, by which approaches are ranked."""
         return self.information / self.cost
 
 
 @dataclass(frozen=True, eq=False)
 class NextTouch:
-    """Approaches, the best first, and those that are `out_of_reach`, each with the reason."""
+    """Approaches, the best first, and those `out_of_reach`, each with the reason."""
 
     modes: PoseModes
     ranked: tuple[RatedApproach, ...]
@@ -93,30 +91,30 @@ class NextTouch:
 
     @property
     def best(self) -> RatedApproach:
-        """The approach after which least doubt is to be expected for what it costs."""
+        """The approach with the most information for its cost."""
         return self.ranked[0]
 
     @cached_property
     def alike(self) -> tuple[tuple[int, ...], ...]:
-        """The groups of modes, by number from 0, that stay alike whichever of the approaches is made, largest first."""
+        """Groups of modes, numbered from 0, that no approach tells apart; the largest first."""
         count = len(self.modes.probabilities)
-        apart = np.zeros((count, count))
-        for start in range(0, len(self.ranked), max(1, MOST_DRAWN // count)):
-            some = [rated.approach for rated in self.ranked[start : start + max(1, MOST_DRAWN // count)]]
-            nats = _compute_nats(self.scene, some, foresee(self.scene, self.modes, some), self.modes)
-            apart = np.maximum(apart, nats.max(axis=0))
+        apart, at_once = np.zeros((count, count)), max(1, MOST_DRAWN // count)
+        for start in range(0, len(self.ranked), at_once):
+            some = [rated.approach for rated in self.ranked[start : start + at_once]]
+            nats, _, tells = _compare_drawn(self.scene, some, foresee(self.scene, self.modes, some), self.modes)
+            apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located: 0
         return find_groups(apart < ALIKE_NATS)
 
     @property
     def doubt_left(self) -> float:
-        """The probability that the truth is in such a group, but not its likeliest mode: no approach ends that."""
+        """The probability that the truth is in such a group, but is not its likeliest mode."""
         p = self.modes.probabilities
         return float(sum(p[list(group)].sum() - p[list(group)].max() for group in self.alike))
 
     def contacts(self, rated: RatedApproach) -> NDArray[np.float32]:
-        """Return the contact depths (K, H, W), metres, that each mode would show, all at the press depth: nothing."""
+        """Return the contact depths (K, H, W), metres, that each mode would show; the press depth means no contact."""
         seen = foresee(self.scene, self.modes, [rated.approach])
-        scene = _press(self.scene, rated.approach, self.modes)
+        scene = self.scene.press(_find_press_m(rated.approach, self.modes))
         depths = np.full((len(self.modes.probabilities), *scene.geometry.shape), scene.geometry.max_depth_m, np.float32)
         met = seen.meets[0]
         if met.any():
@@ -128,14 +126,13 @@ def choose_next_touch(
     found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
     renderer: Renderer | None = None,
 ) -> NextTouch:  # fmt: skip
-    """Rate approaches by the doubt between the modes of `found` that is to be expected after each.
+    """Rate approaches by the doubt between the modes of `found` that is expected after each.
 
-    An approach may be given as the pose (4, 4) alone at which the sensor starts, metres.
-    A press that meets nothing, or shows nothing but a flat face, counts as one that tells nothing, for it cannot be
-    located. Where a sensor is stopped tells, too: the travel up to contact differs between modes. `cost` replaces the
-    approaches' own, infinite: out of reach. Poses are in the frame of the touch's `T_base_sensor`, or, if that is
-    unknown, of its sensor. Raises ConfigError when there is no approach or none is within reach, or for a cost or a
-    press that is none.
+    An approach can also be just the pose (4, 4), metres, at which the sensor starts. Poses are in the frame of the
+    touch's `T_base_sensor` or, without one, in its sensor's frame. A press that meets nothing, or shows only a flat
+    face, gives no information, because it cannot be located. The travel up to contact counts, too, since it differs
+    between modes. `cost` replaces the approaches' own costs; infinite means out of reach. Raises ConfigError if there
+    is no approach, none is within reach, or a cost or press is invalid.
     """
     modes = found if isinstance(found, PoseModes) else PoseModes.of(found)
     scene = Scene(modes.object, modes.geometry, renderer or registry().create("renderer", "heightmap", {}))
@@ -164,9 +161,10 @@ def choose_next_touch(
 
 
 def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> Foreseen:
-    """Return what approaches would meet, were each of the modes the truth."""
+    """Return what approaches would meet, for each mode as the true one."""
     T = invert(np.stack([a.T_base_sensor for a in approaches]))[:, None] @ modes.T_base_object[None]
-    touching, over = _release(scene).bring_to_contact(T.reshape(-1, 4, 4))
+    bare = dataclasses.replace(scene.geometry, standoff_m=scene.geometry.surface_m, indentation_m=0.0)  # unpressed
+    touching, over = dataclasses.replace(scene, geometry=bare).bring_to_contact(T.reshape(-1, 4, 4))
     T_contact = touching.reshape(T.shape)
     travel_m = T[..., 2, 3] - T_contact[..., 2, 3]
     over = over.reshape(travel_m.shape)
@@ -175,18 +173,11 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
 
 
-def _release(scene: Scene) -> Scene:
-    """The scene of a sensor that nothing is pressed into."""
-    geometry = scene.geometry
-    bare = dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)
-    return dataclasses.replace(scene, geometry=bare)
-
-
 def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
-    """Return the entropy (A,), nats, that is expected after each of A touches, of modes with probabilities (K,).
+    """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
-    `nats` (A, K, K) is by how much the touch that mode i makes speaks for i against j; `tells` (A, K) whether that of
-    mode i can be located at all, and changes anything.
+    `nats` (A, K, K) is by how much the touch made by mode i speaks for i against j. `tells` (A, K) is whether the touch
+    made by mode i can be located and so changes anything.
     """
     with np.errstate(divide="ignore"):
         logits = np.log(probabilities) - nats
@@ -196,11 +187,11 @@ def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools
 
 
 def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
-    """Return by how many nats each of K contacts speaks for what made it against what made another: (K, K).
+    """Return by how many nats each of K contacts speaks for the mode that made it against each other mode: (K, K).
 
-    That is how much less evidence contact depths j (K, H, W), metres, have of the contact i, than i itself has: see
-    `core.sensing.imprints.compare_imprints`. All pairs are compared at once: what is common to two contacts follows
-    from their sums and the sum of their differences.
+    That is the evidence for contact i of the depths i minus that of the depths j (K, H, W), metres; see
+    `core.sensing.imprints.compare_imprints`. All pairs are compared at once, from the contacts' sums and the sums of
+    their differences.
     """
     from scipy.spatial.distance import pdist, squareform
 
@@ -220,7 +211,7 @@ def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Boo
 
 
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of two and more of K things that are alike (K, K), directly or by others; largest first."""
+    """Return the groups of two or more of K things that are alike (K, K), directly or via others; largest first."""
     from scipy.sparse.csgraph import connected_components
 
     _, label = connected_components(alike, directed=False)
@@ -231,7 +222,7 @@ def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
 def _expect_entropy(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
 ) -> Float64:
-    """The entropy (A,) to expect, nats: by travel alone, and for the most promising approaches by contact as well."""
+    """Expect the entropy (A,), nats: by travel alone, and for the most promising approaches by contact as well."""
     p = modes.probabilities
     after = compute_expected_entropy(_compare_travels(seen), p, seen.meets)
     promising = np.argsort(-(modes.entropy - after) / costs, kind="stable")[: max(1, MOST_DRAWN // len(p))]
@@ -243,11 +234,13 @@ def _expect_entropy(
 def _compare_drawn(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
 ) -> tuple[Float64, Float64, Bools]:
-    """What `compute_expected_entropy` takes of approaches whose contacts are drawn."""
+    """Return the arguments of `compute_expected_entropy`, with contacts rendered."""
     nats, tells = _compare_travels(seen), seen.meets.copy()
     for press_m in {_find_press_m(a, modes) for a in approaches}:
         some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
-        glance = _press_coarsely(scene, press_m)
+        geometry = scene.geometry.press(press_m)
+        step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
+        glance = dataclasses.replace(scene, geometry=geometry.subsample(step))
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
         for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
             if len(rows):
@@ -257,14 +250,8 @@ def _compare_drawn(
     return np.minimum(nats, MOST_NATS), modes.probabilities, tells
 
 
-def _compute_nats(scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes) -> Float64:
-    """By how many nats the touch of mode i speaks against mode j: (A, K, K); 0 where it cannot be located."""
-    nats, _, tells = _compare_drawn(scene, approaches, seen, modes)
-    return nats * tells[:, :, None]
-
-
 def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """The modes that each approach meets, and the contact depths (M, h, w), metres, that it would see of them."""
+    """Return the modes that each approach meets, and the contact depths (M, h, w), metres, it would see of them."""
     poses = seen.T_sensor_object[seen.meets]
     depths = [glance.render_contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
     every = np.concatenate(depths) if depths else np.empty((0, *glance.geometry.shape), np.float32)
@@ -275,14 +262,14 @@ def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArra
 
 
 def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
-    """Which contacts (M, h, w) are touches: large enough, and more than a flat face all over the sensor."""
+    """Whether contacts (M, h, w) are touches: large enough, and more than a flat face all over the sensor."""
     seen = depth_m[:, geometry.observed_mask]
     share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
     return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
 
 
 def _compare_travels(seen: Foreseen) -> Float64:
-    """By how many nats where a sensor is stopped speaks for mode i against j: (A, K, K)."""
+    """Return by how many nats the travel speaks for mode i against j: (A, K, K)."""
     apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
     both = seen.meets[:, :, None] & seen.meets[:, None, :]
     either = seen.meets[:, :, None] | seen.meets[:, None, :]
@@ -291,11 +278,11 @@ def _compare_travels(seen: Foreseen) -> Float64:
 
 
 def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> list[str]:
-    """Why each approach (A,) cannot be made, in words; empty where it can."""
+    """Return why each approach (A,) cannot be made; "" if it can."""
     inside = seen.blocked @ modes.probabilities
     return [
-        "cannot be reached: its cost is infinite" if np.isinf(price)
-        else f"would start inside the object, or behind it, with {share:.0%} probability" if share > IN_THE_WAY
+        "is out of reach: its cost is infinite" if np.isinf(price)
+        else f"would start inside or behind the object, with {share:.0%} probability" if share > IN_THE_WAY
         else ""
         for price, share in zip(costs, inside, strict=True)
     ]  # fmt: skip
@@ -305,7 +292,7 @@ def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseM
     for number, (approach, price) in enumerate(zip(approaches, costs, strict=True), start=1):
         name = approach.name or f"approach {number}"
         if not price > 0:
-            raise ConfigError(f"{name} costs {price:g}; a cost must be above 0, and infinite where it is out of reach")
+            raise ConfigError(f"{name} costs {price:g}; give a cost above 0, or infinity if it is out of reach")
         press_m = _find_press_m(approach, modes)
         if not 0 < press_m < modes.geometry.surface_m:
             raise ConfigError(f"{name} presses by {1e3 * press_m:.3g} mm, which the sensor cannot")
@@ -313,17 +300,6 @@ def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseM
 
 def _find_press_m(approach: Approach, modes: PoseModes) -> float:
     return modes.press_m if approach.press_m is None else approach.press_m
-
-
-def _press(scene: Scene, approach: Approach, modes: PoseModes) -> Scene:
-    return scene.press(_find_press_m(approach, modes))
-
-
-def _press_coarsely(scene: Scene, press_m: float) -> Scene:
-    """The scene of a pressed sensor at few pixels."""
-    geometry = scene.geometry.press(press_m)
-    step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
-    return dataclasses.replace(scene, geometry=geometry.subsample(step))
 
 
 def _select(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:

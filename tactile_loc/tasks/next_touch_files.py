@@ -1,8 +1,7 @@
-"""Modes read from a result's files, and `next_touch.json`: what is to be expected of approaches. SI units."""
+"""Modes from a result's files, and `next_touch.json`, the rated approaches. SI units."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 
@@ -17,39 +16,37 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.results.result_arrays import NAME, read_arrays
 from tactile_loc.locate.results.result_json import read_record
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
-from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes, measure_sharpness
+from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
 
 SCHEMA_VERSION = 1
 
 
 class RatedRecord(Record):
-    """An approach, and what is to be expected of it."""
+    """An approach and its expected result."""
 
     rank: int = Field(description="1 is the best")
     name: str = Field(description="its name in the list")
-    T_base_sensor: Matrix = Field(description="where its sensor starts, (4, 4), m; moves along its z")
+    T_base_sensor: Matrix = Field(description="where its sensor starts, (4, 4), m; it moves along its z")
     press_m: float | None = Field(description="how deep it presses, m; null: as deep as the touch before")
-    information_nats: float = Field(description="by how much the entropy of the modes is expected to fall")
-    entropy_nats: float = Field(description="the entropy that is expected to be left")
+    information_nats: float = Field(description="expected drop of the modes' entropy")
+    entropy_nats: float = Field(description="expected entropy afterwards")
     meets: float = Field(description="probability that it meets the object, 0 to 1")
-    travel_m: list[float | None] = Field(
-        description="how far it moves until contact with each mode, m; null: it misses"
-    )
-    cost: float = Field(description="what it costs")
+    travel_m: list[float | None] = Field(description="travel until contact with each mode, m; null: it misses")
+    cost: float = Field(description="its cost")
 
 
 class OutOfReachRecord(Record):
     """An approach that cannot be made."""
 
     name: str = Field(description="its name in the list")
-    reason: str = Field(description="why not")
+    reason: str = Field(description="why it cannot be made")
 
 
 class ModeRecord(Record):
     """A pose that is still possible."""
 
     probability: float = Field(description="0 to 1; those of all modes sum to one")
-    T_base_object: Matrix = Field(description="(4, 4), m; in the frame in which the approaches are given")
+    T_base_object: Matrix = Field(description="(4, 4), m; in the frame of the approaches")
 
 
 class NextTouchRecord(Record):
@@ -59,40 +56,40 @@ class NextTouchRecord(Record):
         default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
     )
     object: str = Field(description="the object's name")
-    symmetry: str = Field(description="its rotations onto itself: modes that differ by one are one")
+    symmetry: str = Field(description="its rotations onto itself: modes that differ by one are merged")
     modes: list[ModeRecord] = Field(description="the distinct poses that are still possible, the likeliest first")
-    unlisted: float = Field(description="probability of what the result does not list, 0 to 1")
+    unlisted: float = Field(description="probability of poses that the result does not list, 0 to 1")
     entropy_nats: float = Field(description="the entropy of the modes, before the touch")
     ranked: list[RatedRecord] = Field(description="the approaches, the best first")
-    out_of_reach: list[OutOfReachRecord] = Field(description="those that cannot be made")
+    out_of_reach: list[OutOfReachRecord] = Field(description="approaches that cannot be made")
     alike: list[list[int]] = Field(description="groups of modes, from 1, that no approach tells apart")
     doubt_left: float = Field(
-        description="probability that the truth is one of these, but not the likeliest of its group"
+        description="probability that the truth is in such a group, but is not its likeliest mode"
     )
 
 
 def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
     """Return the modes of a result.json with its .npz beside it, and its touch's T_base_sensor (4, 4), metres.
 
-    Without that, None, modes are in the frame of the touch's sensor. Raises ResultError when the files cannot be used.
+    T_base_sensor may be None; modes are then in the sensor's frame. Raises ResultError when files cannot be used.
     """
     path = Path(path)
     record = read_record(path)
     arrays = read_arrays(path.with_name(NAME), record)
-    symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # which every turn leaves in place
+    symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # on every axis of symmetry
     obj = ObjectModel(record.object.name, arrays.mesh, symmetry)
     T_base_sensor = None if record.touch.T_base_sensor is None else np.array(record.touch.T_base_sensor)
     poses = np.array([h.T_sensor_object for h in record.hypotheses])
     if T_base_sensor is not None:
         poses = T_base_sensor @ poses
     p = np.array([h.probability for h in record.hypotheses])
-    modes = find_distinct_modes(obj, poses, p, arrays.touches[0].geometry, record.touch.indentation_m)
-    sharpness = measure_sharpness([h.imprint_iou for h in record.hypotheses])
-    return dataclasses.replace(modes, sharpness=sharpness), T_base_sensor
+    ious = [h.imprint_iou for h in record.hypotheses]
+    geometry = arrays.touches[0].geometry
+    return find_distinct_modes(obj, poses, p, geometry, record.touch.indentation_m, ious), T_base_sensor
 
 
 def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
-    """Gather what is to be expected of approaches."""
+    """Make the record of rated approaches."""
     modes = found.modes
     return NextTouchRecord(
         object=modes.object.name, symmetry=str(modes.object.symmetry), unlisted=modes.unlisted,

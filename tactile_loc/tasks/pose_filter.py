@@ -1,12 +1,13 @@
-"""A Kalman filter of one object's pose, by touches whose errors are partly the same from frame to frame.
+"""A Kalman filter of one object's pose, from touches whose errors are correlated from frame to frame.
 
-An error (6,) of a pose is that of x, y, z of the object frame's origin (m) before a rotation vector (rad), both along
-the axes of the frame the pose is seen from: `hand_eye.compute_pose_errors`, and the order of `RefinedPose.covariance`.
+An error (6,) of a pose is that of x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are
+along the axes of the frame that the pose is seen from, as in `hand_eye.compute_pose_errors` and
+`RefinedPose.covariance`.
 
-Frames of one contact err alike: counted as independent, a thousand of them would be thirty times as exact as one. So
-what touches err in common, and what the sensor's reported pose is off by, are unknowns of the filter beside the pose,
-first-order autoregressive as the sensor moves on (coloured noise: Bryson and Johansen, 1965). What a touch says nothing
-of stays as it was predicted.
+Frames of one contact have similar errors: counted as independent, a thousand would be thirty times as exact as one. So
+the touches' common error and the error of the sensor's reported pose are unknowns of the filter, beside the pose. They
+are first-order autoregressive as the sensor moves on (coloured noise: Bryson and Johansen, 1965). The filter keeps the
+prediction of all that a touch does not determine.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from tactile_loc.core.geometry.rigid import cross_matrix, invert, move_covarianc
 
 Floats = NDArray[np.float64]
 
-UNKNOWN = np.array([1.0] * 3 + [3.0] * 3)  # standard deviations, m and rad, of what nothing is known of
+UNKNOWN = np.array([1.0] * 3 + [3.0] * 3)  # standard deviations, m and rad, of an unknown pose
 FREEDOM = 4.0  # degrees of freedom of Student's t
 POSE, TOUCH, SENSOR = slice(0, 6), slice(6, 12), slice(12, 18)
 
 
 @dataclass(frozen=True, eq=False)
 class SeenPose:
-    """A pose (4, 4), metres, as one touch has it, by a sensor that is said to be at `T_base_sensor` (4, 4).
+    """The pose (4, 4), metres, that one touch gives, with the sensor's reported pose `T_base_sensor` (4, 4).
 
-    The touch's error has the `common` covariance (6, 6), of what the next touch of the contact has too, and its `own`.
-    The sensor is off by `sensor` (6, 6) along its axes and about those through a point `at_m` (3,).
+    The touch's error has the covariances `common` (6, 6), shared with the next touch of the contact, and `own`. The
+    sensor's error has the covariance `sensor` (6, 6), along and about its axes through a point `at_m` (3,).
     """
 
     T_base_sensor: Floats
@@ -44,8 +45,8 @@ class SeenPose:
 
 @dataclass(frozen=True, eq=False)
 class PoseFilter:
-    """An object at T_base_object (4, 4), metres, and the covariance (18, 18), in UNIT, of three errors: the pose's,
-    that which touches have in common, along the sensor's axes, and the sensor's own, both of mean `errors` (12,)."""
+    """An object at T_base_object (4, 4), metres, and the covariance (18, 18), in UNIT, of three errors: the pose's, the
+    touches' common one along the sensor's axes, and the sensor's. The last two have the mean `errors` (12,)."""
 
     T_base_object: Floats
     errors: Floats
@@ -53,25 +54,25 @@ class PoseFilter:
 
     @classmethod
     def known(cls, T_base_object: Floats, covariance: Floats) -> PoseFilter:
-        """Begin with a pose (4, 4) that is known with a covariance (6, 6)."""
+        """Start from a pose (4, 4) with a covariance (6, 6)."""
         P = np.zeros((18, 18))
         P[POSE, POSE] = _to_unit(covariance)
         return cls(T_base_object, np.zeros(12), P)
 
     @classmethod
     def of_touch(cls, seen: SeenPose) -> PoseFilter:
-        """Begin with what one touch says."""
+        """Start from one touch."""
         T = seen.T_base_sensor @ seen.T_sensor_object
         return cls.known(T, np.diag(np.square(UNKNOWN))).update(seen, 1.0)
 
     def predict(self, creep: Floats) -> PoseFilter:
-        """Return the filter when the object may have moved, by a covariance (6, 6) along the base's axes."""
+        """Return the filter after the object may have moved, with a covariance (6, 6) along the base's axes."""
         P = self.covariance.copy()
         P[POSE, POSE] += _to_unit(creep)
         return replace(self, covariance=P)
 
     def view_from(self, T_base_sensor: Floats, at_m: Floats) -> tuple[Floats, Floats]:
-        """Return T_sensor_object (4, 4), and its covariance (6, 6), where a sensor said to be at (4, 4) sees it."""
+        """Return T_sensor_object (4, 4) and its covariance (6, 6), seen by a sensor reported at (4, 4)."""
         T = invert(T_base_sensor) @ self.T_base_object
         G = _propagate_errors(T_base_sensor, T, at_m)
         G[:, TOUCH] = 0.0
@@ -80,7 +81,7 @@ class PoseFilter:
     def update(self, seen: SeenPose, share: float) -> PoseFilter:
         """Return the filter after a touch.
 
-        A `share`, 0 to 1, of the errors that touches and sensor poses have in common is new since the touch before.
+        `share`, 0 to 1, is how much of the common errors of touches and sensor poses is new since the touch before.
         """
         kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
         P = kept[:, None] * self.covariance * kept
@@ -91,7 +92,9 @@ class PoseFilter:
         H = _propagate_errors(seen.T_base_sensor, T, seen.at_m)
         e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
         known = H @ P @ H.T
-        doubt = _measure_doubt(e, known + fresh * _to_unit(seen.common) + _to_unit(seen.own))
+        S = known + fresh * _to_unit(seen.common) + _to_unit(seen.own)
+        # Student's t, whose heavy tails suit registrations that end in another valley: S may be too small
+        doubt = max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
         P[TOUCH, TOUCH] += doubt * fresh * _to_unit(seen.common)
         own = doubt * _to_unit(seen.own)
         S = H @ P @ H.T + own
@@ -101,17 +104,8 @@ class PoseFilter:
         return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
 
 
-def _measure_doubt(e: Floats, S: Floats) -> float:
-    """By how much a touch's covariance is too small, at least 1.
-
-    Its error (6,), which should have the covariance S (6, 6), is taken for one of Student's t, whose tails are as heavy
-    as those of registrations that end in another valley.
-    """
-    return max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
-
-
 def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:
-    """What errors (18,) of the pose, the touch and the sensor make of the pose that is seen: (6, 18), in UNIT."""
+    """Return how errors (18,) of pose, touch and sensor change the pose that is seen: (6, 18), in UNIT."""
     H = np.zeros((6, 18))
     H[:3, :3] = H[3:, 3:6] = T_base_sensor[:3, :3].T
     H[:, TOUCH] = H[:, SENSOR] = np.eye(6)
@@ -129,6 +123,8 @@ def _from_unit(covariance: Floats) -> Floats:
 
 
 def estimate_motion_errors(covariance: Floats, T_base_sensor: Floats, T_base_object: Floats) -> Floats:
-    """Return the covariance (6, 6) of T_base_object (4, 4), along the base's axes, of an object that was seen by a
-    sensor whose motion to (4, 4) errs by a covariance (6, 6), along the base's axes, at the sensor frame's origin."""
+    """Return the covariance (6, 6) of T_base_object (4, 4) that comes from errors of the sensor's motion to (4, 4).
+
+    `covariance` (6, 6) is that of the motion, about the sensor frame's origin. Both are along the base's axes.
+    """
     return move_covariance(covariance, T_base_object[:3, 3] - T_base_sensor[:3, 3])

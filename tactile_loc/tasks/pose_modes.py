@@ -1,8 +1,7 @@
-"""What is known of an object's pose: few distinct poses, and how probable each is. A next touch is to decide."""
+"""The modes of an object's pose: few distinct poses with their probabilities, between which a next touch decides."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,25 +13,23 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.locate.hypotheses import choose_best_apart
 from tactile_loc.locate.results.localization import Localization
 
 Float64 = NDArray[np.float64]
 
 MOST_MODES = 30
-NOISY, SHARPEST = 0.25, 5.0  # of an imprint what strong noise leaves unexplained; how much more a clean one tells
-SAME_POSE_M = 5e-4  # modes that are nearer, by the object's symmetry, are one
+NOISY, SHARPEST = 0.25, 5.0  # share of an imprint unexplained with strong noise; greatest sharpness of a clean one
+SAME_POSE_M = 5e-4  # modes that are nearer, by the object's symmetry, are merged
 
 
 @dataclass(frozen=True, eq=False)
 class PoseModes:
-    """What is known of an object's pose: K modes `T_base_object` (K, 4, 4), metres, and their probabilities (K,).
+    """K modes of an object's pose: `T_base_object` (K, 4, 4), metres, and their probabilities (K,), which sum to one.
 
-    These sum to one; `unlisted` is what had to be left out, 0 to 1, and speaks for no approach. `geometry` is that of
-    the sensor that touches next, `press_m` metres how deep it presses unless an approach says otherwise. `sharpness` is
-    how much more contacts tell than with strong noise, 1 or more: see `measure_sharpness`.
+    `unlisted`, 0 to 1, is the probability of poses left out; they favour no approach. `geometry` is that of the next
+    sensor, and `press_m` metres its press unless an approach has another. `sharpness`, 1 or more, is how much more
+    evidence contacts give than with strong noise: see `measure_sharpness`.
     """
 
     object: ObjectModel
@@ -45,26 +42,14 @@ class PoseModes:
 
     @classmethod
     def of(cls, found: Localization) -> PoseModes:
-        """Return the hypotheses of a localisation, in the base frame, or the touch's sensor's where that is unknown."""
+        """Return a localisation's hypotheses in the base frame or, if unknown, in its touch's sensor frame."""
         touch = found.touch
         T_base_sensor = np.eye(4) if touch.T_base_sensor is None else np.asarray(touch.T_base_sensor)
         poses = np.stack([h.T_sensor_object for h in found.hypotheses])
         p = np.array([h.probability for h in found.hypotheses])
         obj = found.posterior.grid.metric.object
-        modes = find_distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m)
-        return dataclasses.replace(modes, sharpness=measure_sharpness([h.imprint_iou for h in found.hypotheses]))
-
-    @classmethod
-    def of_posterior(
-        cls, posterior: PosePosterior, geometry: SensorGeometry, press_m: float,
-        T_base_sensor: Float64 | None = None, radius_m: float = 1.5e-3,
-    ) -> PoseModes:  # fmt: skip
-        """Return the most probable poses of a posterior, none within `radius_m` metres of a more probable one."""
-        modes = choose_best_apart(posterior, radius_m, MOST_MODES)
-        T = np.eye(4) if T_base_sensor is None else T_base_sensor
-        p = np.array([mode.probability for mode in modes])
-        poses = T @ np.stack([mode.T_sensor_object for mode in modes])
-        return find_distinct_modes(posterior.grid.metric.object, poses, p, geometry, press_m)
+        ious = [h.imprint_iou for h in found.hypotheses]
+        return find_distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m, ious)
 
     @property
     def entropy(self) -> float:
@@ -73,31 +58,33 @@ class PoseModes:
 
 
 def measure_sharpness(imprint_ious: Sequence[float]) -> float:
-    """Return how much more contacts tell than with strong noise, by the imprint IoUs of a result's hypotheses, 0 to 1.
+    """Return how much more evidence contacts give than with strong noise, from the imprint IoUs of hypotheses, 0 to 1.
 
-    The nats of evidence were fitted to touches of which the true pose leaves a share NOISY unexplained; of touches that
-    the best hypothesis explains better, smaller differences tell.
+    The nats of evidence were fitted to touches whose true pose leaves a share NOISY unexplained. If the best hypothesis
+    leaves less, smaller differences count.
     """
-    return float(np.clip(NOISY / max(1 - max(imprint_ious), 1e-6), 1.0, SHARPEST))
+    return float(np.clip(NOISY / max(1 - max(imprint_ious, default=0.0), 1e-6), 1.0, SHARPEST))
 
 
 def find_distinct_modes(
-    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float
-) -> PoseModes:
-    """Return poses (K, 4, 4), metres, and probabilities (K,) as modes: at most MOST_MODES, equivalent poses as one.
+    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float,
+    imprint_ious: Sequence[float] = (),
+) -> PoseModes:  # fmt: skip
+    """Return poses (K, 4, 4), metres, and probabilities (K,) as modes, at most MOST_MODES; merge equivalent poses.
 
-    Raises TouchError when no mode has any probability.
+    The modes' sharpness comes from `imprint_ious`, 0 to 1. Raises TouchError when all probabilities are 0.
     """
     order = np.argsort(-probabilities, kind="stable")
     order = order[probabilities[order] > 0]
     if not len(order):
-        raise TouchError("no mode of the result has any probability; locate the object again")
+        raise TouchError("no mode of the result has a probability above 0; locate the object again")
     of = merge_modes(T_base_object[order], PoseMetric(obj), SAME_POSE_M, MOST_MODES)
     kept, listed = np.unique(of[of >= 0]), of >= 0
     mass = np.bincount(of[listed], probabilities[order[listed]])[kept]
     likelier = np.argsort(-mass, kind="stable")
     p, poses = mass[likelier], T_base_object[order[kept[likelier]]]
-    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, max(0.0, 1 - float(p.sum())))
+    unlisted, sharpness = max(0.0, 1 - float(p.sum())), measure_sharpness(imprint_ious)
+    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, unlisted, sharpness)
 
 
 def compute_entropy(p: Float64) -> Float64:

@@ -1,4 +1,4 @@
-"""A recording, located frame by frame: what each image of a topic comes to, in order, resumed where it was left off."""
+"""Replay of a recording: each image of a topic is located, in order, and an interrupted replay is resumed."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
 from tactile_loc.locate.results.verdict import Verdict
 
-Estimator = Callable[[Touch], LocatedFrame]  # what a touch comes to: of a localizer, or of a tracker
+Estimator = Callable[[Touch], LocatedFrame]  # locates a touch, by a localizer or a tracker
 
 
 class FrameRecord(LocatedRecord):
-    """One image of the recording and what it came to; `number` counts the images of its topic. SI units."""
+    """One image of the recording and its result; `number` counts the images of its topic. SI units."""
 
     stamp_ns: int = Field(description="the image's stamp, ns")
     log_time_ns: int = Field(description="when the image was logged, ns")
     frame: str = Field(description="the frame that the pose is in")
-    T_frame_object: Matrix | None = Field(default=None, description="the object's pose there, (4, 4), m")
+    T_frame_object: Matrix | None = Field(default=None, description="the object's pose in it, (4, 4), m")
 
     @property
     def T(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
@@ -42,8 +42,8 @@ class FrameRecord(LocatedRecord):
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """An image of a recording (H, W, 3) or (H, W), and where its frame is in the base frame, (4, 4), metres, if a base
-    frame was asked for and that is known."""
+    """An image of a recording, (H, W, 3) or (H, W), and the pose of its frame in the base frame, (4, 4), metres, if a
+    base frame was chosen and the pose is known."""
 
     image: NDArray[Any]
     T_base_frame: NDArray[np.float64] | None
@@ -51,10 +51,10 @@ class FrameView:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What is located: the images on a `topic` of a recording, by a localizer's sensor.
+    """Locates the images on a `topic` of a recording with a localizer's sensor.
 
-    Poses are in `frame`, by default the one that each image's header names; with `base_frame` they are moved there by
-    the `read_frame_tree`. `press_depth_m` is as for `read_touch`.
+    Poses are in `frame`, by default the one that each image's header names. With `base_frame` they are transformed by
+    `frame_tree` (see `read_frame_tree`). `press_depth_m` is as for `read_touch`.
     """
 
     recording: Recording
@@ -66,29 +66,26 @@ class Replay:
     press_depth_m: float | None = None
 
     def frames(self, estimator: Estimator, first: int = 0) -> Iterator[FrameRecord]:
-        """Yield what the images come to, from number `first` on.
+        """Yield the results of the images from number `first` on.
 
-        Raises RecordingError for images that cannot be read at all, FrameError where the frames are not connected.
+        Raises RecordingError for images that cannot be read at all, FrameError if the frames are not connected.
         """
         for number, message in enumerate(self.recording.read_messages(self.topic.name)):
             if number >= first:
                 yield self._locate(number, message, estimator)
 
     def views(self) -> Iterator[FrameView]:
-        """Yield the topic's images, in order. Raises RecordingError for those that cannot be read."""
+        """Yield the topic's images, in order. Raises RecordingError for images that cannot be read."""
         for message in self.recording.read_messages(self.topic.name):
             image = message.decode()
             T = None
-            with suppress(FrameError):
-                T = (
-                    self._find_base_pose(self._find_frame(image), read_stamp_ns(image.header))
-                    if self.base_frame
-                    else None
-                )
+            if self.base_frame:
+                with suppress(FrameError):
+                    T = self._find_base_pose(self._find_frame(image), read_stamp_ns(image.header))
             yield FrameView(decode_image(image), T)
 
     def touch(self, image: NDArray[Any]) -> Touch:
-        """Return what the sensor reads in an image. Raises NoContactError or TouchError."""
+        """Return the touch that the sensor reads in an image. Raises NoContactError or TouchError."""
         return touch_from_image(image, self.localizer.sensor, self.press_depth_m)
 
     def _locate(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
@@ -103,17 +100,19 @@ class Replay:
             touch = self.touch(decode_image(image))
             T_base_frame = self._find_base_pose(frame, given["stamp_ns"])
             located = estimator(touch)
-        except (RecordingError, StoreError):  # of no frame's making: they would be refused for good
+        except (RecordingError, StoreError):  # not the frame's fault, so the journal must not keep it as refused
             raise
         except TactileLocError as error:
             located = LocatedFrame.of_error(error)
-        return _make_record(given, located, T_base_frame)
+        moved = located.view_from(T_base_frame)
+        T = moved.T_sensor_object
+        return FrameRecord(**given, T_frame_object=None if T is None else T.tolist(), **record_fields(moved))
 
     def _find_frame(self, image: Any) -> str:
         frame = self.frame or str(image.header.frame_id)
         if self.base_frame and self.frame_tree is not None:
             if not frame:
-                raise FrameError(f"the images on {self.topic.name} name no frame; say by --frame where they were taken")
+                raise FrameError(f"the images on {self.topic.name} name no frame; give it with --frame")
             self.frame_tree.require(self.base_frame, frame)
         return frame
 
@@ -123,15 +122,9 @@ class Replay:
         return self.frame_tree.look_up(self.base_frame, frame, stamp)
 
 
-def _make_record(given: dict[str, Any], located: LocatedFrame, T_base_frame: NDArray[np.float64]) -> FrameRecord:
-    moved = located.view_from(T_base_frame)
-    T = moved.T_sensor_object
-    return FrameRecord(**given, T_frame_object=None if T is None else T.tolist(), **record_fields(moved))
-
-
 @dataclass(frozen=True)
 class ReplaySummary:
-    """How many frames came to what; `reasons` why frames without a pose were not located, the most frequent first."""
+    """How many frames had which result; `reasons` why frames without a pose were not located, most frequent first."""
 
     frames: int
     located: int
@@ -143,7 +136,7 @@ class ReplaySummary:
 
     @classmethod
     def of(cls, records: Iterable[FrameRecord]) -> ReplaySummary:
-        """Count what frames came to, and how often the clock of their stamps went back."""
+        """Count the frames' results, and how often the clock of their stamps went back."""
         records = list(records)
         without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
         reasons = Counter(record.says for record in without)
@@ -155,7 +148,7 @@ class ReplaySummary:
 
 
 def require_located(replay: Replay, records: Sequence[FrameRecord], summary: ReplaySummary) -> None:
-    """Raise RecordingError, with the most frequent reason, when no frame has a pose."""
+    """Raise RecordingError, with the most frequent reason, if no frame has a pose."""
     if any(record.T_frame_object is not None for record in records):
         return
     why = f"most often: {summary.reasons[0][0]}" if summary.reasons else "none of them shows contact"

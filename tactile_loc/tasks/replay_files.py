@@ -1,9 +1,7 @@
-"""What a replay leaves: a recording with the poses beside what was recorded, a table for people, and a JSON file."""
+"""The files of a replay: a recording with the poses, a CSV table, and a JSON file."""
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -11,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
 from tactile_loc.io.streams.ros_messages import POSE, RosPose, make_pose
 from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.store.files import write_atomically, write_json
+from tactile_loc.locate.touch_files import make_pose_cells, write_csv
+from tactile_loc.store.files import write_json
 from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
 from tactile_loc.tasks.replay_journal import Journal, open_journal
 
@@ -29,7 +27,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What a replay found, frame by frame, and the files it wrote; `resumed` frames were finished before."""
+    """The results of a replay, frame by frame, and the files it wrote; `resumed` frames were finished earlier."""
 
     records: Sequence[FrameRecord]
     summary: ReplaySummary
@@ -45,17 +43,15 @@ def replay_to(
     poses_only: bool = False,
     estimator: Estimator | None = None,
 ) -> Replayed:
-    """Locate each of a recording's `frames` images, and write what they come to: `out`, and .csv and .json beside it.
+    """Locate each of a recording's `frames` images; write the results to `out`, and .csv and .json files beside it.
 
-    A journal beside `out` keeps what is finished until all is written: the same call goes on there. What an estimator
-    remembers of earlier frames is not kept. Raises RecordingError when no frame has a pose, OutputError.
+    A journal beside `out` keeps the finished frames until all is written, so the same call resumes there. An estimator
+    forgets earlier frames then. Raises RecordingError when no frame has a pose, OutputError.
     """
     path = out.with_name(f"{out.name}.journal")
     with open_journal(path, replay) as kept:
         if kept.stale:
-            log.warning(
-                "%s is of another replay, another recording or another version; all images are located anew", path
-            )
+            log.warning("%s is of another replay or of another version; all images are located again", path)
         resumed = len(kept.records)
         _finish(kept, replay, frames, estimator or (lambda touch: LocatedFrame.of(replay.localizer.localize(touch))))
         summary = ReplaySummary.of(kept.records)
@@ -70,7 +66,6 @@ def replay_to(
 
 
 def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) -> None:
-    """Locate what is not in the journal yet."""
     finished = len(kept.records)
     with replay.localizer.progress.task(f"locating the images on {replay.topic.name}", frames) as advance:
         advance(finished)
@@ -82,7 +77,7 @@ def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) ->
 def write_poses(
     path: Path, replay: Replay, records: Sequence[FrameRecord], pose_topic: str, alone: bool = False
 ) -> Path:
-    """Write the recording's messages and, each after its image, the poses; or the poses `alone`. Returns the path.
+    """Write the recording's messages with each pose after its image, or the poses `alone`; return the path.
 
     A pose has its image's stamp and log time. Raises OutputError.
     """
@@ -110,27 +105,20 @@ def _write_pose(writer: RecordingWriter, pose_topic: str, record: FrameRecord) -
 
 
 def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
-    """Write a row a frame as CSV, in mm and degrees, and return the path. Raises OutputError."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", restval="")
-    writer.writeheader()
-    writer.writerows(make_row(record) for record in records)
-    return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+    """Write one row per frame as CSV, in mm and degrees, and return the path. Raises OutputError."""
+    return write_csv(path, COLUMNS, map(make_row, records))
 
 
 def make_row(record: FrameRecord) -> dict[str, str]:
-    """Return a frame as a row of the table; standard deviations are root mean squares over the three axes."""
+    """Return a frame's row of the table; standard deviations are root mean squares over the three axes."""
     cells = {
         "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "verdict": record.verdict or "",
         "frame": record.frame, "says": record.says,
     }  # fmt: skip
     if record.T_frame_object is None:
         return cells
-    angle_deg, axis = axis_angle(record.T[:3, :3])
     cells |= {"probability": f"{record.probability:.4f}", "imprint_iou": f"{record.imprint_iou:.3f}"}
-    cells |= {f"{name}_mm": f"{1e3 * v:.3f}" for name, v in zip("xyz", record.T[:3, 3], strict=True)}
-    cells |= {"turn_deg": f"{angle_deg:.2f}"}
-    cells |= {f"axis_{name}": f"{v:.4f}" for name, v in zip("xyz", axis, strict=True)}
+    cells |= make_pose_cells(record.T)
     if record.covariance is not None:
         variances = np.diag(record.covariance)
         std_m, std_rad = np.sqrt(variances[:3].mean()), np.sqrt(variances[3:].mean())
@@ -139,7 +127,7 @@ def make_row(record: FrameRecord) -> dict[str, str]:
 
 
 def write_summary(path: Path, replay: Replay, summary: ReplaySummary, records: Sequence[FrameRecord]) -> Path:
-    """Write what was replayed, how many frames came to what, and each of them, as JSON in SI units; return the path."""
+    """Write the replay's summary and all its frames as JSON in SI units; return the path. Raises OutputError."""
     about = {"recording": str(replay.recording.path), "image_topic": replay.topic.name}
     frames = [record.model_dump(mode="json") for record in records]
     return write_json(path, {**about, **asdict(summary), "poses": frames})

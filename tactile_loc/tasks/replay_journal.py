@@ -1,4 +1,4 @@
-"""The journal of a replay: a line for each finished frame, so that the same command goes on where another ended."""
+"""The journal of a replay: one line per finished frame, so that the same command resumes an interrupted replay."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
 from tactile_loc.tasks.replay import FrameRecord, Replay
 
-VERSION = 2  # of what a frame comes to: raised when a replay would find another answer
+VERSION = 2  # raise when a replay would give other results
 
 
 class Journal:
-    """The frames of a replay that are finished, in a file that is open: `records`, in order.
+    """The finished frames of a replay, in an open file: `records`, in order.
 
-    A last line that a killed process left half-written is dropped. `stale` says that the file was of another replay.
+    A last line that a killed process left incomplete is dropped. `stale`: the file was of another replay.
     """
 
     def __init__(self, file: IO[bytes], key: str) -> None:
@@ -34,16 +34,16 @@ class Journal:
             add_line(file, head)
 
     def append(self, record: FrameRecord) -> None:
-        """Add a finished frame; a process that is killed after this has not lost it. Raises OutputError."""
+        """Append a finished frame; it survives if the process is killed after this. Raises OutputError."""
         add_line(self._file, record.model_dump_json())
         self.records.append(record)
 
 
 @contextmanager
 def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
-    """Open the journal of a replay, and lock it; one without any pose is not kept.
+    """Open and lock the journal of a replay; delete it in the end if no frame has a pose.
 
-    Raises OutputError when it cannot be written, or another process is at work on it.
+    Raises OutputError when it cannot be written, or another process uses it.
     """
     with open_locked(path) as file:
         file.seek(0)
@@ -56,7 +56,7 @@ def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
 
 
 def make_replay_key(replay: Replay) -> str:
-    """Return a digest of all that decides what the frames come to: the recording and how it is located."""
+    """Return a digest of all that decides the frames' results: the recording and how it is located."""
     localizer = replay.localizer
     return StageKey("replay", VERSION, {
         "recording": _identify(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
@@ -66,13 +66,12 @@ def make_replay_key(replay: Replay) -> str:
 
 
 def _identify(path: Path) -> list[Any]:
-    """What tells a recording from another, or from a longer one, without reading it."""
+    """Identify a recording, and whether it has grown, without reading it."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 
 
 def _keep_whole(lines: list[bytes]) -> Iterator[FrameRecord]:
-    """The records of lines, up to one that is not whole."""
     for number, line in enumerate(lines):
         try:
             record = FrameRecord.model_validate_json(line)

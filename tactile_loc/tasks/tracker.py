@@ -1,10 +1,9 @@
-"""Where an object is from frame to frame, while a sensor slides and turns over it.
+"""Tracking of an object from frame to frame, while a sensor slides and rotates over it.
 
-A few poses of the object, its modes, are predicted by the sensor's motion and registered to each touch; prediction and
-touch are fused, so that what the touch does not show, such as how a bolt is turned, is held by the prediction. The
-touches of places that are apart, keyframes, decide between modes. Where none explains the touch, poses nearby are
-tried, to which the object may have slipped; where that does not help, or no mode is sure, the whole object is searched
-again, by the keyframes together.
+A few possible poses, the modes, are predicted from the sensor's motion and registered to each touch. Prediction and
+touch are fused, so the prediction keeps what the touch does not show, such as a bolt's rotation. Keyframes, touches at
+places far enough apart, decide between modes. If no mode explains the touch, nearby poses are tried, in case the object
+slipped. If that fails, or no mode is certain, the whole object is searched with all keyframes together.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How the sensor moved since the frame before: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of its
+    """The sensor's motion since the frame before: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of its
     error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes.
 
-    Raises TouchError for what is no such pose or covariance.
+    Raises TouchError for an invalid pose or covariance.
     """
 
     T_previous_sensor: Floats
@@ -61,15 +60,14 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class TrackedPose:
-    """What is known of the object's pose at one frame.
+    """The object's pose at one frame.
 
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, `covariances` (K, 6, 6) as
-    RefinedPose's, and `probabilities` (K,): what they lack of 1 is elsewhere. `imprint_iou`, 0 to 1, is how well the
-    first explains the touch; NaN without a touch.
+    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with `covariances`
+    (K, 6, 6) as in RefinedPose, and `probabilities` (K,); the rest to 1 is elsewhere. `imprint_iou`, 0 to 1, is how
+    well the first pose explains the touch; NaN without a touch.
 
-    `verdict` is that of a run, with the tracker's own thresholds (`tracker.certain`, `tracker.least_iou`); without
-    contact poses are predicted. `searched`: poses were searched for, nearby or of the whole object, which takes longer
-    than a frame that is followed.
+    `verdict` is as in a run, with the tracker's thresholds (`tracker.certain`, `tracker.least_iou`). Without contact,
+    poses are predicted. `searched`: poses were searched for, nearby or on the whole object, which takes longer.
     """
 
     time_s: float
@@ -92,7 +90,7 @@ class TrackedPose:
 
     @property
     def frame(self) -> LocatedFrame:
-        """The same as live runs, recordings and ROS say it."""
+        """The pose in the form shared with live runs, recordings and ROS."""
         return LocatedFrame(
             self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
         )
@@ -100,8 +98,8 @@ class TrackedPose:
 
 @dataclass(frozen=True, eq=False)
 class _Mode:
-    """One pose of the object, `known` in the base frame, and where the sensor sees it (4, 4), with a covariance (6, 6);
-    its evidence, nats, and how well it explains the touch."""
+    """One pose of the object, `known` in the base frame, and as the sensor sees it (4, 4), with a covariance (6, 6);
+    its evidence, nats, and its imprint IoU with the touch."""
 
     known: PoseFilter
     T_sensor_object: Floats
@@ -113,9 +111,9 @@ class _Mode:
 class Tracker:
     """Tracks one object by touches of one sensor, frame after frame.
 
-    The object stays where it is, but for a creep of `creep_m` metres along and `creep_rad` radians about each axis in
-    a second, standard deviations; it may jump. Sensor poses are as exact as touches say (`Touch.T_base_sensor_std_m`).
-    Raises ConfigError for a creep that is negative or no number.
+    The object rests, except for a creep with standard deviations of `creep_m` metres along and `creep_rad` radians
+    about each axis per second; it may jump. Sensor poses have the touches' errors (`Touch.T_base_sensor_std_m`).
+    Raises ConfigError for a creep that is negative or not finite.
     """
 
     def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
@@ -134,13 +132,13 @@ class Tracker:
         self._T_base_sensor: Floats | None = None
         self._relative = False
         self._usual, self._elsewhere = 0.0, 0.0
-        self._alike = 0.0  # of the errors of the touch before, those that this one has too
+        self._alike = 0.0  # share of the touch before's errors that this touch has too
 
     def start(self, T_base_object: Floats, covariance: Floats) -> None:
-        """Begin anew with the object at T_base_object (4, 4), metres, known with a covariance (6, 6), as RefinedPose's.
+        """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
 
-        Without it the first touch is searched for in the whole object. The base is that of the sensors' poses, or the
-        first frame's sensor where their motions are told. Raises TouchError for what is no such pose or covariance.
+        Otherwise the first touch is searched for on the whole object. The base is that of the sensors' poses; if their
+        motions are given instead, it is the first frame's sensor. Raises TouchError for an invalid pose or covariance.
         """
         T = require_rigid(T_base_object, "T_base_object", TouchError)
         covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
@@ -152,11 +150,11 @@ class Tracker:
         self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
         motion: Motion | None = None,
     ) -> TrackedPose:  # fmt: skip
-        """Return what is known of the pose at `time_s` seconds, given a touch, or None where nothing touches.
+        """Return the pose at `time_s` seconds, given a touch, or None without contact.
 
-        Where the sensor is, the touch says itself, or `T_base_sensor` (4, 4), metres, or its `motion` since the frame
-        before, always the same of them. Raises TouchError where nothing says it, when time runs backwards, or for
-        another sensor's touch.
+        The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from its `motion` since the
+        frame before: poses for all frames, or motions for all. Raises TouchError if it is missing, if time runs
+        backwards, or for another sensor's touch.
         """
         self._require_later(time_s)
         if touch is not None:
@@ -168,12 +166,12 @@ class Tracker:
         self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
         self._modes = [self._predict(mode, T, passed_s, added) for mode in self._modes]
         if touch is None:
-            self._alike = 0.0  # another contact
+            self._alike = 0.0  # the next contact is a new one
             return self._result(math.nan, searched=False, touched=False)
         return self._update_touched(replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
-        """Follow the modes to a touch; search where they do not explain it, or are not certain of a new keyframe."""
+        """Follow the modes to a touch; search if they do not explain it, or are not certain of a new keyframe."""
         is_keyframe = (
             not self._keyframes
             or self._motion_m(self._keyframes[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.keyframe_mm
@@ -183,15 +181,15 @@ class Tracker:
         slipped = slips and self._slip(touch, is_keyframe)
         contradicted = not self._modes or self._is_contradicted(is_keyframe)
         search = contradicted or (
-            is_keyframe and not self._is_certain and len(self._keyframes) < self.options.keyframes
+            is_keyframe
+            and self._probabilities()[0] < self.options.certain
+            and len(self._keyframes) < self.options.keyframes
         )
-        keys = (
-            [touch]
-            if slipped
-            else [*self._keyframes, touch][-self.options.keyframes :]
-            if is_keyframe
-            else self._keyframes
-        )
+        keys = self._keyframes
+        if slipped:
+            keys = [touch]
+        elif is_keyframe:
+            keys = [*keys, touch][-self.options.keyframes :]
         lost = search and self._search(touch, [touch] if contradicted else keys)
         self._keyframes = [touch] if contradicted and lost else keys
         search = search or slips
@@ -206,14 +204,10 @@ class Tracker:
         return self.localizer.scene.geometry.gel_middle_m
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
-        """How far the gel moved between sensor poses (4, 4), metres; a turn moves what is `lever_mm` away."""
+        """How far the gel moved between sensor poses (4, 4), metres; rotations count at a distance of `lever_mm`."""
         T = invert(T_base_first) @ T_base_second
         shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
         return float(shift_m + 1e-3 * self.options.lever_mm * rotation_angle(T[:3, :3]))
-
-    @property
-    def _is_certain(self) -> bool:
-        return bool(self._probabilities()[0] >= self.options.certain)
 
     def _probabilities(self) -> Floats:
         evidence = np.array([mode.evidence for mode in self._modes])
@@ -230,14 +224,14 @@ class Tracker:
     def _place(
         self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
     ) -> tuple[Floats, Floats | None]:
-        """Where the sensor is, (4, 4), and the covariance that its motion added, along the base's axes."""
+        """Return the sensor's pose (4, 4), and the covariance added by its motion, along the base's axes."""
         told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
         before = self._T_base_sensor
         relative = told is None if before is None else self._relative
         if (told is None) != relative or (before is not None and told is None and motion is None):
             raise TouchError(
-                f"the frame at {time_s:g} s does not say where its sensor was as the first one does; give the "
-                "T_base_sensor of all frames, or their motions"
+                f"the frame at {time_s:g} s does not give its sensor's pose as the first one does; give T_base_sensor "
+                "for all frames, or motions for all"
             )
         self._relative = relative
         if told is not None:
@@ -248,19 +242,18 @@ class Tracker:
         return T, rotate_covariance(motion.covariance, before[:3, :3])
 
     def _predict(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
-        """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""
+        """Predict a mode for a sensor at T (4, 4), `passed_s` seconds later."""
         creep = self._creep * passed_s
         if added is not None:
             creep = creep + estimate_motion_errors(added, T, mode.known.T_base_object)
         return self._see_from(replace(mode, known=mode.known.predict(creep)), T)
 
     def _see_from(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
-        """A mode as a sensor at (4, 4) sees it."""
         T, covariance = mode.known.view_from(T_base_sensor, self._gel_m)
         return replace(mode, T_sensor_object=T, covariance=covariance)
 
     def _see(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
-        """A pose (4, 4) that was registered to a touch, with its covariance (6, 6)."""
+        """Return the pose (4, 4) with covariance (6, 6) that was registered to a touch, for the filter."""
         std_m, std_rad = (0.0, 0.0) if self._relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
         T = np.asarray(touch.T_base_sensor)
@@ -268,7 +261,7 @@ class Tracker:
         return SeenPose(T, T_sensor_object, common * covariance, (1 - common) * covariance, sensor, self._gel_m)
 
     def _follow(self, touch: Touch, is_keyframe: bool) -> list[_Mode]:
-        """The modes, registered to a touch and fused with it, merged; a keyframe's evidence counts."""
+        """Register the modes to a touch, fuse them with it, and merge them; a keyframe's evidence counts."""
         if not self._modes:
             return []
         view = View(touch, self.localizer.scene.match_touch(touch))
@@ -282,21 +275,21 @@ class Tracker:
             modes.append(mode)
         self._alike = 1.0
         found = view.compare_imprints(np.stack([mode.T_sensor_object for mode in modes]), self.options.image_px)
-        told = [
+        weighed = [
             replace(mode, imprint_iou=float(iou), evidence=mode.evidence + is_keyframe * float(nats))
             for mode, iou, nats in zip(modes, found.imprint_ious, found.evidence, strict=True)
         ]
-        return self._keep_distinct(told)
+        return self._keep_distinct(weighed)
 
     def _is_contradicted(self, is_keyframe: bool) -> bool:
-        """Whether the likeliest mode explains a touch far worse than those before, or does not explain a keyframe."""
+        """Whether the likeliest mode explains a touch far worse than before, or does not explain a keyframe."""
         iou = self._modes[0].imprint_iou
         return iou < self._usual - min(self.options.fall_iou, self._usual / 2) or (
             is_keyframe and iou < self.options.least_iou
         )
 
     def _keep_distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
-        """The likeliest modes, none of them near a likelier one or improbable beside it."""
+        """Return the likeliest modes; drop those near a likelier one, or improbable beside it."""
         ordered = sorted(modes, key=lambda mode: -mode.evidence)
         least = ordered[0].evidence + math.log(self.options.improbable) if ordered else 0.0
         ordered = [mode for mode in ordered if mode.evidence >= least]
@@ -305,7 +298,7 @@ class Tracker:
         return [ordered[k] for k in np.unique(of[of >= 0])]
 
     def _slip(self, touch: Touch, is_keyframe: bool) -> bool:
-        """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""
+        """Search where the likeliest modes may have slipped to; return whether one of those poses is the pose now."""
         view = View(touch, self.localizer.scene.match_touch(touch))
         slipped = self._guess_slips(view)
         poses, covariances = self._first_registration.follow([view], np.stack([m.T_sensor_object for m in slipped]))
@@ -321,19 +314,19 @@ class Tracker:
         self._modes = self._keep_distinct([*tracked, *self._weigh(new, [touch])])
         if self._modes[0] not in tracked and not self._is_contradicted(is_keyframe):
             return True
-        self._modes = before  # the touch is at fault, or the object is far away
+        self._modes = before  # the touch is bad, or the object is far away
         return False
 
     def _guess_slips(self, view: View) -> list[_Mode]:
-        """The two likeliest modes where they may have slipped to, registered roughly: distinct poses."""
+        """Guess poses to which the two likeliest modes may have slipped, registered roughly, and keep distinct ones."""
         slips = self.options.slips
         rng = np.random.default_rng(slips)
         modes = [self._modes[k] for k in np.arange(slips) % min(len(self._modes), 2)]
         moves = rng.normal(size=(slips, 6)) * self._slip_std
         R = Rotation.from_rotvec(moves[:, 3:]).as_matrix()
-        turned = make_transform(R, self._gel_m - R @ self._gel_m + moves[:, :3])
+        rotated = make_transform(R, self._gel_m - R @ self._gel_m + moves[:, :3])
         ends = self._first_registration.register_coarsely(
-            [view], turned @ np.stack([mode.T_sensor_object for mode in modes])
+            [view], rotated @ np.stack([mode.T_sensor_object for mode in modes])
         )
         found = view.compare_imprints(ends, self.options.image_px)
         return self._keep_distinct([
@@ -342,9 +335,9 @@ class Tracker:
         ])  # fmt: skip
 
     def _search(self, touch: Touch, keys: Sequence[Touch]) -> bool:
-        """Search the whole object by keyframes, and weigh what is found beside the modes that there are.
+        """Search the whole object with keyframes; weigh the poses found and the tracked modes together.
 
-        Return whether none of these is the likeliest any more.
+        Return whether the likeliest mode is a new one.
         """
         try:
             found = localize_together([(self.localizer, key) for key in keys])
@@ -360,21 +353,21 @@ class Tracker:
         tracked = self._weigh_staying(keys)
         self._modes = self._keep_distinct([*tracked, *self._weigh(new, keys)])
         lost = self._modes[0] not in tracked
-        if not lost and len(keys) == 1:  # the touch is at fault, not the track
+        if not lost and len(keys) == 1:  # the touch is bad, not the track
             self._modes = self._keep_distinct(tracked)
         else:
             self._elsewhere = found.posterior.elsewhere
         return lost
 
     def _weigh_staying(self, keys: Sequence[Touch]) -> list[_Mode]:
-        """The modes that there are, weighed by keyframes, with what speaks for their staying."""
+        """Weigh the tracked modes by keyframes, with a bonus for staying."""
         best = max((mode.evidence for mode in self._modes), default=0.0)
         return self._weigh(
             [replace(mode, evidence=self.options.stay_nats + mode.evidence - best) for mode in self._modes], keys
         )
 
     def _weigh(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
-        """Modes with the evidence of all keyframes added, and how well they explain the last one."""
+        """Add the evidence of all keyframes to modes, and set how well they explain the last one."""
         if not modes:
             return []
         poses = np.stack([mode.known.T_base_object for mode in modes])

@@ -1,4 +1,4 @@
-"""Calibrating: which presses are held out, and that the errors on them are what they say.
+"""Calibration: the choice of held-out presses, and the errors on them.
 
 As a stage it is found again for the same presses and options, and done again when anything differs.
 """
@@ -31,10 +31,10 @@ from tactile_loc.calibration.calibrate import (  # noqa: E402
     split,
 )
 from tactile_loc.calibration.estimator import GelEstimator  # noqa: E402
-from tactile_loc.calibration.health import Health  # noqa: E402
 from tactile_loc.calibration.labels import Chosen, LabelledPresses, PressLabel  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.calibration.presses import read_presses  # noqa: E402
+from tactile_loc.calibration.reading import Health  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError  # noqa: E402
 from tactile_loc.core.progress import Progress  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
@@ -59,7 +59,7 @@ def test_the_split_is_the_seeds():
 
 
 class Oracle(GelEstimator):
-    """Knows the truth of each image, or is off by a constant; keeps what it was given to learn from."""
+    """Returns the truth of each image, or differs by a constant; keeps its training data."""
 
     name = "oracle"
     offset_m = 0.0

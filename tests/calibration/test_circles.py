@@ -1,4 +1,4 @@
-"""A ball's visible circle in simulated images: where it truly is, in noise, uneven light and near the border."""
+"""A ball's visible circle in simulated images: correct in noise, in uneven light and near the border."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def found(picture: np.ndarray, gel: np.ndarray) -> Circle:
     imprint = find_imprint(change)
     assert imprint is not None
     assert imprint.likeness > 0.7
-    return find_rim(change, imprint.circle)[0]
+    return find_rim(change, imprint.circle)
 
 
 def off_px(circle: Circle, x_m: float, y_m: float) -> float:

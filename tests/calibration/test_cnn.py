@@ -1,4 +1,4 @@
-"""The convolutional estimator: it learns, it resumes, it sees far enough, and it refuses what is not its own."""
+"""The convolutional estimator learns, resumes, sees far enough, and refuses foreign weights."""
 
 from __future__ import annotations
 

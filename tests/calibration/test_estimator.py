@@ -1,4 +1,4 @@
-"""What an estimator sees of an image."""
+"""An estimator's input features."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A calibrated sensor as a folder: what was written comes back, whole or not at all."""
+"""The calibration folder: written and read back, atomically."""
 
 from __future__ import annotations
 

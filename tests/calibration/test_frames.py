@@ -1,4 +1,4 @@
-"""Images that nobody has listed: which are untouched, which are dropped and why, and which frames of a video count."""
+"""Images without a table: untouched ones, dropped ones with reasons, and the chosen frames of a video."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PRESSES = [pressed(tuple(place), seed=n) for n, place in enumerate(PLACES)]
 
 
 def frames(*more: np.ndarray, untouched: int = 1) -> list[Frame]:
-    """The presses, so many images of the untouched gel, and more."""
+    """The presses, a number of images of the untouched gel, and more images."""
     images = [*PRESSES, *[GEL] * untouched, *more]
     return [Frame(f"{n:02d}.png", image) for n, image in enumerate(images)]
 
@@ -50,13 +50,13 @@ BAD = {  # by the reason for which they are dropped
 
 @pytest.fixture(scope="module")
 def with_bad_ones() -> FoundPresses:
-    """What is found among the presses, the untouched gel and the bad images."""
+    """The presses found among presses, the untouched gel and bad images."""
     return find_presses(frames(*BAD.values()), 1e3 * BALL_M / MM_PER_PX)
 
 
 @pytest.fixture(scope="module")
 def never_untouched() -> FoundPresses:
-    """What is found where no image shows the gel untouched."""
+    """The presses found without an image of the untouched gel."""
     return find_presses(frames(untouched=0))
 
 

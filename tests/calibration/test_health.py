@@ -1,4 +1,4 @@
-"""Whether an image is what the calibrated sensor would see: figures whose value is known."""
+"""The health of images with known figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from message_helpers import missing, naming
 from press_sets import ball_indentation, sensor
 
-from tactile_loc.calibration.health import Health, find_worst, measure_health, require_healthy
+from tactile_loc.calibration.reading import Health, find_worst, measure_health, require_healthy
 from tactile_loc.core.errors import TouchError
 
 GEOMETRY = sensor(64)

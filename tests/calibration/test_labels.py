@@ -1,4 +1,4 @@
-"""What is known of a press: the ball's formula, the mesh at its pose, and where neither says anything."""
+"""Labels of presses: the ball's formula, the mesh at its pose, and unknown pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slope from colour: it learns a simulated sensor from a few presses, and what it learned survives a file."""
+"""Slope from colour: the estimator learns a simulated sensor from a few presses, and its weights survive a file."""
 
 from __future__ import annotations
 

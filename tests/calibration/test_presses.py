@@ -1,4 +1,4 @@
-"""A folder of presses: every kind of row, all that can be wrong with one, and public sets as they were written."""
+"""A folder of presses: every kind of row, every fault of a row, and public sets in their formats."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import trimesh
 from message_helpers import naming
 from PIL import Image
 from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
+from public_sets import CIRCLES, PUBLIC_SETS
 
 from tactile_loc.calibration.calibrate import average_errors, calibrate
 from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
@@ -275,59 +276,19 @@ def test_the_ball_is_the_tables(folder):
 
 
 MM_PER_PX = 0.25
-# as these sets count, from the centre of the first pixel; the last is a little larger than the ball
-CIRCLES = [(20.0, 31.0, 5.0), (40.0, 12.5, 7.0), (33.0, 35.0, 13.0)]
 LARGEST_PX = 0.98 * BALL_M / MM / MM_PER_PX
 
 
-def write_gs_sdk(source: Path) -> Path:
-    write_image(source / "background.png", BALLS.background)
-    for number, image, circle in zip((2, 10, 11), BALLS.images, CIRCLES, strict=True):
-        folder = source / str(number)
-        folder.mkdir()
-        write_image(folder / "gelsight.png", image)
-        np.savez(folder / "label.npz", center=np.array(circle[:2]), radius=np.array(circle[2]))
-    return source
+def write(format: str, folder: Path) -> Path:
+    return PUBLIC_SETS[format](folder, BALLS.images, BALLS.background)
 
 
-def write_taxim(source: Path) -> Path:
-    circles = np.array(CIRCLES)
-    np.savez(
-        source / "pack.npz", imgs=BALLS.images, f0=BALLS.background, touch_center=circles[:, :2],
-        touch_radius=circles[:, 2], names=np.array(["a", "b", "c"]),
-    )  # fmt: skip
-    return source / "pack.npz"
-
-
-def write_fots(source: Path) -> Path:
-    (source / "gelsight").mkdir()
-    (source / "csv").mkdir()
-    lines = ["img_names,center_x,center_y,radius"]
-    for number, (image, circle) in enumerate(zip(BALLS.images, CIRCLES, strict=True)):
-        write_image(source / "gelsight" / f"{number}.png", image)
-        lines.append(f"/somewhere/else/gelsight/{number}.png,{','.join(map(str, circle))}")
-    (source / "csv" / "annotate.csv").write_text("\n".join(lines) + "\n")
-    return source
-
-
-def write_circles(source: Path) -> Path:
-    write_image(source / "background.png", BALLS.background)
-    lines = []
-    for number, (image, (x, y, radius)) in enumerate(zip(BALLS.images, CIRCLES, strict=True)):
-        write_image(source / f"press_{number}.png", image)
-        lines.append(f"press_{number}.png ({x}, {y}) {radius}")
-    (source / "labels.txt").write_text("\n".join(lines) + "\n\n")
-    return source
-
-
-WRITERS = {"gs_sdk": write_gs_sdk, "taxim": write_taxim, "fots": write_fots, "circles": write_circles}
-EACH = pytest.mark.parametrize("format", WRITERS)
+EACH = pytest.mark.parametrize("format", PUBLIC_SETS)
 
 
 @pytest.fixture
 def source(format: str, tmp_path: Path) -> Path:
-    (tmp_path / "source").mkdir()
-    return WRITERS[format](tmp_path / "source")
+    return write(format, tmp_path / "source")
 
 
 def rows_of(table: Path) -> list[dict[str, str]]:
@@ -336,7 +297,7 @@ def rows_of(table: Path) -> list[dict[str, str]]:
 
 
 def test_every_format_is_tested():
-    assert WRITERS.keys() == FORMATS.keys()
+    assert PUBLIC_SETS.keys() == FORMATS.keys()
 
 
 @EACH
@@ -403,16 +364,14 @@ def test_a_set_without_its_images_is_refused(format, source, tmp_path):
 
 
 def test_a_line_that_is_no_circle_is_not_passed_over(tmp_path):
-    (tmp_path / "source").mkdir()
-    source = write_circles(tmp_path / "source")
+    source = write("circles", tmp_path / "source")
     with (source / "labels.txt").open("a") as file:
         file.write("press_0.png 20 31 5\n")
     refused_set(source, "circles", tmp_path / "out", "'press_0.png 20 31 5'", "image (x, y) radius")
 
 
 def test_a_set_without_presses_is_refused(tmp_path):
-    (tmp_path / "source").mkdir()
-    source = write_fots(tmp_path / "source")
+    source = write("fots", tmp_path / "source")
     (source / "csv" / "annotate.csv").write_text("img_names,center_x,center_y,radius\n")
     refused_set(source, "fots", tmp_path / "out", "press")
 
@@ -434,7 +393,7 @@ PUBLIC = {
 
 @pytest.fixture
 def public(shared_data: Path, tmp_path: Path):
-    """Convert a public set, of which no copy is part of the project, and read it."""
+    """Convert and read a public set, which is not part of the project."""
 
     def read(name: str):
         format, file, ball_mm, mm_per_px, (height, width), *_ = PUBLIC[name]

@@ -1,4 +1,4 @@
-"""From an indentation to a contact shape, and which images are refused before anything is estimated."""
+"""From an indentation to a contact shape, and images that are refused before estimating."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def flat_punch(half_m: float = 3e-3, press_m: float = PRESS_M, softness_m: float
 
 
 def within_a_lighter_press(found_m: float, press_m: float) -> bool:
-    """Whether a shape was cut at a press between what all contact and what the tip alone would leave."""
+    """Return whether a shape was cut at a plausible lighter press."""
     return (1 - MOST_SKIRT) * press_m * 0.999 < found_m < (1 - SKIRT) * press_m * 1.001
 
 

@@ -1,4 +1,4 @@
-"""A curved gel's surface from balls that are pressed on it, and their labels, against spheres."""
+"""A curved gel's surface from presses of balls, and their labels, compared with spheres."""
 
 from __future__ import annotations
 

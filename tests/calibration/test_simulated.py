@@ -1,4 +1,4 @@
-"""Presses of the calibration boards: what they show, and that they are rendered once."""
+"""Presses of the calibration boards: their content, and that they are rendered once."""
 
 from __future__ import annotations
 

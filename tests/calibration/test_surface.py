@@ -75,15 +75,6 @@ def test_pixels_need_not_be_square():
     np.testing.assert_allclose(found, surface - surface.mean(), atol=0.1 * UM)
 
 
-def test_surfaces_of_a_batch_do_not_see_one_another():
-    _, slope = waves(FINE)
-    batch = np.stack([[slope, 0 * slope], [2 * slope, -slope]])
-    found = integrate(batch, FINE)
-    assert found.shape == (2, 2, 96, 96)
-    alone = integrate(slope, FINE)
-    np.testing.assert_allclose(found, np.stack([[alone, 0 * alone], [2 * alone, -alone]]), atol=1e-15)
-
-
 def test_slopes_that_fit_no_surface_give_the_nearest():
     x, y = places(FINE)
     _, slope = waves(FINE)

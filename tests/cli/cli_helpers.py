@@ -1,4 +1,4 @@
-"""What the tests of the command line share."""
+"""Helpers for the tests of the command line."""
 
 from __future__ import annotations
 
@@ -29,13 +29,12 @@ def command(*words: object) -> list[str]:
 
 
 def hear_ctrl_c() -> None:
-    """What a process that is to be interrupted does first, as in a terminal: a shell's background jobs, and what they
-    start, tests among them, would ignore Ctrl-C."""
+    """Let a process react to Ctrl-C as in a terminal; background jobs of a shell would ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def assert_one_error(stderr: str, code: int, *mentioned: str) -> None:
-    """Exit code 2 and one line that says what is wrong; warnings may stand beside it."""
+    """Require exit code 2 and a single line with the error; other lines may be warnings."""
     lines = [line for line in stderr.splitlines() if not line.startswith("warning: ")]
     assert code == 2, stderr
     assert len(lines) == 1, stderr

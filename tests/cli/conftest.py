@@ -23,7 +23,7 @@ def blank(figure: Figure, path: Path, dpi: int, **_: object) -> None:
 
 @pytest.fixture
 def drawn_pictures() -> None:
-    """Asked for by tests that look at what a command in this process draws."""
+    """For tests that inspect the pictures of a command in this process."""
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +35,7 @@ def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 @pytest.fixture(scope="session")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One store for all tests that do not mind what is in it."""
+    """One store for all tests that do not depend on its contents."""
     return tmp_path_factory.mktemp("store")
 
 

@@ -1,4 +1,4 @@
-"""Whatever is wrong with the input: one sentence, exit code 2, no traceback, nothing half-written."""
+"""Bad input gives one sentence and exit code 2, without a traceback or unfinished files."""
 
 from __future__ import annotations
 

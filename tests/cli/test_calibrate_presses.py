@@ -116,9 +116,11 @@ def test_a_camera_of_more_pixels_is_calibrated_at_the_size_asked_for(cli, presse
     sensors = [CalibratedSensor(CalibratedSensor.Options(path=name)) for name in ("mine", "reduced")]
     assert sensors[1].calibration.camera_px == (160, 160)
     assert sensors[1].geometry.is_same_sensor(BALLS.geometry)
-    of_small, of_large = (s.read_indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True))
+    of_small, of_large = (
+        s.calibration.read_indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True)
+    )
     np.testing.assert_allclose(of_large, of_small, atol=1e-7)
-    np.testing.assert_array_equal(sensors[1].read_indentation(BALLS.images[3]), of_large)
+    np.testing.assert_array_equal(sensors[1].calibration.read_indentation(BALLS.images[3]), of_large)
     assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "90 x 80")
 
 

@@ -72,7 +72,8 @@ def test_a_known_sensor_also_takes_images_of_its_cameras_own_size(cli):
     native, small = render_background(GelSlim.native, OPTICS["gelslim"]), sensor.calibration.background
     assert np.abs(reduce_image(native, (200, 200)).astype(int) - small).max() <= 1
     np.testing.assert_array_equal(
-        sensor.read_indentation(native), sensor.read_indentation(reduce_image(native, (200, 200)))
+        sensor.calibration.read_indentation(native),
+        sensor.calibration.read_indentation(reduce_image(native, (200, 200))),
     )
 
 

@@ -1,4 +1,4 @@
-"""`tactile-loc calibrate FOLDER --ball-radius MM`: from images that nobody has labelled to a sensor."""
+"""`tactile-loc calibrate FOLDER --ball-radius MM`: from unlabelled images to a sensor."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def ask(line: list[str], **environment: str) -> str:
 
 
 def bash(words: str) -> set[str]:
-    """What bash is offered for the last word of a line, which may be empty."""
+    """Return bash's completions of the last word of a line, which may be empty."""
     typed = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
     asked = {**typed, "_TACTILE_LOC_COMPLETE": "complete_bash"}
     done = CliRunner().invoke(app, [], env=asked, prog_name="tactile-loc")

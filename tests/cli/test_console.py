@@ -1,4 +1,4 @@
-"""Tables are aligned; progress bars show what the running task has to say, and nothing once it is over."""
+"""Tables are aligned. Progress bars show the notes of the running task and vanish when it ends."""
 
 from __future__ import annotations
 

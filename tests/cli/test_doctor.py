@@ -1,4 +1,4 @@
-"""doctor: what works is found to work, and whatever is broken is said, never raised."""
+"""doctor reports working and broken parts, and never raises."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def patient(monkeypatch):
 
 @pytest.fixture
 def libraries(monkeypatch):
-    """Choose what is looked at."""
+    """Choose the libraries to check."""
     return lambda *chosen: monkeypatch.setattr(checks, "LIBRARIES", chosen)
 
 

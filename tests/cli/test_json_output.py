@@ -25,7 +25,7 @@ PIN = ["--object", "pin", *TINY]
 
 @pytest.fixture
 def document(cli):
-    """Run a command that succeeds with --json and return what it wrote."""
+    """Run a command with --json, require success, and return its document."""
 
     def run(*words: object) -> dict:
         done = cli(*words, "--json")

@@ -36,6 +36,7 @@ def written(name: str, *tables: str) -> str:
     return name
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_mount_is_found_and_used(cli, tables):
     Path("run.toml").write_text("temperature = 1e-3\n")  # which need not be fitted then

@@ -1,4 +1,4 @@
-"""`tactile-loc new-plugin`: what it writes works, is tested, and is found; what cannot be written is refused."""
+"""`tactile-loc new-plugin`: the written package works, has tests and is found; bad names and folders are errors."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from cli_helpers import TINY, Cli, assert_refused, command
 from message_helpers import naming
-from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.scaffold import package
+from tactile_loc_cli.scaffold.command import new_plugin
 from tactile_loc_cli.scaffold.naming import LONGEST, Naming
 
 from tactile_loc.core.errors import OutputError

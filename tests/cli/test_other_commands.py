@@ -33,7 +33,7 @@ def test_the_help_names_the_defaults(cli):
 
 
 def stages(stdout: str) -> dict[str, str]:
-    """What became of each stage."""
+    """Return "built" or "reused" for each stage."""
     pairs = [line.split(": ") for line in stdout.splitlines() if ": " in line]
     return {pair[0]: pair[1] for pair in pairs if pair[1] in ("built", "reused")}
 

@@ -75,7 +75,7 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
 
 
 def test_the_simulated_recording_says_the_truth(slide):
-    """What it says of the object in the sensor's frame, its TF puts at one place of the base."""
+    """Poses in the sensor's frame give one place in the base's frame by the TF."""
     tree = Recording(slide).read_frame_tree()
     for _, message in decoded(slide, "/object/truth"):
         p, q = message.pose.position, message.pose.orientation

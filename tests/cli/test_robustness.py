@@ -48,7 +48,7 @@ def start(tmp_path: Path, store: Path, stop: str = "nowhere") -> subprocess.Pope
 
 
 def ended(process: subprocess.Popen[str], code: int) -> tuple[str, str]:
-    """What a process wrote until it ended, as it should have."""
+    """Wait for a process, require success, and return its output."""
     stdout, stderr = process.communicate(timeout=HANGS_S)
     assert process.returncode == code, stderr
     return stdout, stderr
@@ -62,12 +62,13 @@ def contents(store: Path) -> dict[str, dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
-    """What a build leaves when nobody disturbs it."""
+    """Return the store after an undisturbed build."""
     folder = tmp_path_factory.mktemp("uninterrupted")
     ended(start(folder, folder / "store"), 0)
     return contents(folder / "store")
 
 
+@pytest.mark.slow
 def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted):
     store = tmp_path / "store"
     process = start(tmp_path, store, "first shard")

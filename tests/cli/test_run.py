@@ -38,7 +38,7 @@ def is_locked(folder: Path) -> bool:
 
 @pytest.fixture(scope="module")
 def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """What `run` finds on a tiny grid, and what it says and writes."""
+    """What `run` finds on a tiny grid, with its output and files."""
     folder, write, alone = tmp_path_factory.mktemp("run"), result_arrays.write_arrays, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -85,12 +85,12 @@ def test_it_says_how_certain_how_far_off_how_long_and_where(result):
 
 def test_it_says_which_side_of_the_object_was_searched(cli, result):
     mesh = load_object(result["object"]["name"]).mesh
-    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("side ")]
+    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("searched: the object's side")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
     assert shown == pytest.approx(find_resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
     chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
-    assert not [line for line in chosen.stdout.splitlines() if line.startswith("side ")]
+    assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
 
 
 def test_files_that_belong_together_are_written_while_others_wait(result):
@@ -116,7 +116,7 @@ def test_a_plain_setting_is_given_like_a_components_option(cli, tmp_path):
 
 
 def as_toml(value: object) -> str:
-    """A JSON value as TOML writes it in one line; what is null is left out."""
+    """Write a JSON value as one line of TOML, without nulls."""
     if isinstance(value, dict):
         pairs = [f"{key} = {as_toml(item)}" for key, item in value.items() if item is not None]
         return "{" + ", ".join(pairs) + "}"

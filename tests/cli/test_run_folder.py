@@ -58,7 +58,7 @@ def test_it_finds_what_each_touch_alone_finds(cli, folder):
 
 
 def test_touches_of_which_little_is_explained_are_named(cli, folder, monkeypatch):
-    for module in ("doubts", "verdict"):
+    for module in ("doubts", "results.verdict"):
         monkeypatch.setattr(f"tactile_loc.locate.{module}.LEAST_IOU", 1.01)
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert not missing(done.stderr, 2, "101 %", "touch-0000.npz", "touch-0001.npz")

@@ -28,7 +28,7 @@ def listed(cli):
 
 @pytest.fixture
 def one_moved(cli):
-    """A list of four touches of one object, of which the third's sensor was 8 mm away; returns its name."""
+    """Write a list of four touches of one object, with the third's sensor 8 mm off; return its name."""
     assert cli("simulate", *OBJECT, "--count", 4, "--seed", 1, "--out", "touches").exit_code == 0
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
     text, names = "", list(poses)

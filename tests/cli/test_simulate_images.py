@@ -1,4 +1,4 @@
-"""`tactile-loc simulate --images`: what the camera sees, beside the contact shapes."""
+"""`tactile-loc simulate --images`: camera images beside the contact shapes."""
 
 from __future__ import annotations
 

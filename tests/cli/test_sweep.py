@@ -123,7 +123,7 @@ def test_units_are_of_the_objects_that_are_given(cli, plan, tmp_path):
 @pytest.mark.parametrize(
     ("words", "mentioned"),
     [
-        ([], ("sweep",)),
+        ([], ("plan",)),
         (["none.toml"], ("none.toml",)),
         (["bad.toml"], ("bad.toml", "'refinr'", "'refiner'")),
         (["--refiner", "none,ipc"], ("'ipc'",)),
@@ -231,7 +231,7 @@ def test_workers_end_when_their_parent_is_killed(plan, tmp_path):
 
 
 def _runs(pid: int) -> bool:
-    """Whether a process is there; one that has ended and that nobody waits for does not count."""
+    """Return whether a process runs; zombies do not count."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -1,4 +1,4 @@
-"""-v, -vv and -q, before the command and after it; and what is said of failures that nobody expected."""
+"""-v, -vv and -q, before and after the command, and the messages of unexpected failures."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_quiet_shows_no_bars(monkeypatch):
 
 @pytest.fixture
 def broken(monkeypatch):
-    """Let the refiner 'none' raise what no one expects."""
+    """Let the refiner 'none' raise an unexpected error."""
 
     def let(error: Exception) -> list[str]:
         def fail(*_):

@@ -1,4 +1,4 @@
-"""Parts of a range are shared out among threads, each once, and what goes wrong in one is seen."""
+"""Threads share the parts of a range, each once, and an error in one is raised."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def start(folder, environment=None, **values):
 
 
 def finish(process):
-    """Return what the kernel says, and how often it was found on disk."""
+    """Return the kernel's result, and how often it was found on disk."""
     out, err = process.communicate()
     assert process.returncode == 0, err
     return out.split()

@@ -1,4 +1,4 @@
-"""Old names work for one release, and say what the new ones are."""
+"""Old names work for one release, and warn with the new ones."""
 
 from __future__ import annotations
 

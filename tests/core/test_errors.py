@@ -1,4 +1,4 @@
-"""Whatever an error quotes, it is one sentence."""
+"""An error is one sentence, whatever it quotes."""
 
 import pytest
 

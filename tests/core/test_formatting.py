@@ -1,4 +1,4 @@
-"""SI values as people read them."""
+"""Formatting of SI values for people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of simulated images share: sensors and surfaces whose numbers are known."""
+"""Sensors and surfaces with known numbers for the tests of simulated images."""
 
 from __future__ import annotations
 

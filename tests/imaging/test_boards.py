@@ -1,4 +1,4 @@
-"""The calibration boards: solids of the size they should have, and poses that press their raised side."""
+"""The calibration boards: solids of the right size, and poses that press their raised side."""
 
 from __future__ import annotations
 

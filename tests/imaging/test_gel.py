@@ -1,4 +1,4 @@
-"""The elastomer's surface: the object's where it touches, smooth around it, the same in whatever pixels."""
+"""The gel's surface: the object's in the contact, smooth around it, and independent of the resolution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Descriptions of lights and cameras: what is refused, what identifies them, and how specimens differ."""
+"""Descriptions of lights and cameras: refused values, identity, and variation."""
 
 from __future__ import annotations
 

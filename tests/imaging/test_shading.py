@@ -1,4 +1,4 @@
-"""Pictures of surfaces whose shade is known."""
+"""Images of surfaces with known shades."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The short ways to pictures and to training pairs."""
+"""Simulated images and training pairs."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ ELSEWHERE = make_transform(rotation_about([0, 0, 1], np.radians(30)), [0.006, 0.
 
 
 class Search:
-    """Hypotheses whose best explains each touch as `found` says, by the numbers of those that have no say."""
+    """Return hypotheses whose best explains each touch as in `found`, by the numbers of the outliers."""
 
     def __init__(self, found: dict[tuple[int, ...], tuple[float, ...]], alone: float = 0.9) -> None:
         self.found, self.alone = found, alone
@@ -102,7 +102,7 @@ def touches(block):
 
 
 def with_moved(touches, number: int):
-    """The touches, of which one's sensor was elsewhere than is said."""
+    """Return the touches, one with a wrong sensor pose."""
     moved = dataclasses.replace(touches[number], T_base_sensor=touches[number].T_base_sensor @ ELSEWHERE)
     return [*touches[:number], moved, *touches[number + 1 :]]
 
@@ -117,7 +117,7 @@ def dropping(block: Localizer) -> Localizer:
 
 
 def error_m(block, found) -> float:
-    """How far off the object is that lies at the base's origin."""
+    """Return the error of an object that lies at the base's origin."""
     T = found.touch.T_base_sensor @ found.best.T_sensor_object
     return float(block.model.grid.metric.symmetric_distance(T[None], np.eye(4)[None])[0])
 

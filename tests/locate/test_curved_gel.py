@@ -1,4 +1,4 @@
-"""An object is located by a curved gel as well as by a flat one; taken for flat, it is not."""
+"""An object is located with a curved gel as well as with a flat one, but not if the gel is taken for flat."""
 
 from __future__ import annotations
 

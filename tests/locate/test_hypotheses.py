@@ -1,4 +1,4 @@
-"""Hypotheses that refinement brings together are one."""
+"""Hypotheses that refinement brings together are merged."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(m
 
 
 def test_modes_apart_have_the_poses_beside_them(metric):
-    """Of five poses along a line two are apart; what lies between the likelier one and the limit is its member."""
+    """Five poses along a line give two modes; poses between the likelier one and the limit are its members."""
     poses = np.concatenate([make_translation([x, 0, 0])[None] for x in (0.0, 0.4e-3, 0.9e-3, 3e-3, 3.2e-3)])
     p = np.array([0.4, 0.2, 0.1, 0.25, 0.05])
     first, second = choose_best_apart(PosePosterior(PoseGrid(poses, metric), np.log(p)), 0.5e-3, 2)

@@ -22,7 +22,7 @@ SHARD = 64
 
 
 class Counting(RaycastRenderer):
-    """Remembers how many poses each call rendered, may break off at one, and may be of another make."""
+    """Remembers how many poses each call rendered, may break off at one, and may have another version."""
 
     def __init__(self, stop_at: int | None = None, make: str = "counting") -> None:
         super().__init__()
@@ -91,7 +91,7 @@ def test_a_pixel_that_just_touches_still_touches_when_stored():
     assert codes[0, 0, :3].tolist() == [0, 65534, 65535]
     assert codes[0, 0, 3] * max_depth_m / 65535 == pytest.approx(0.00123, abs=2e-8)
     assert np.array_equal(
-        module.ShapeBank._decoded(module.ShapeBank(None, max_depth_m), codes, np.float32(max_depth_m))
+        module.ShapeBank._decode(module.ShapeBank(None, max_depth_m), codes, np.float32(max_depth_m))
         < np.float32(max_depth_m),
         depths < np.float32(max_depth_m),
     )

@@ -1,4 +1,4 @@
-"""From scores to probabilities: what is known is found again, and as often right as it says."""
+"""Probabilities from scores: known parameters are found again, and probabilities are true."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCORES = np.array([0.1, 0.5, 0.2, 0.0, -3.0, 0.5], np.float32)
 
 
 def drawn(scaling: TemperatureScaling, touches: int, rng: np.random.Generator, poses: int = 60):
-    """Scores of touches, and truths that are as probable as the scaling says."""
+    """Return scores of touches, with true poses that are as probable as the scaling says."""
     scores = rng.normal(size=(touches, poses))
     p = np.exp(scaling.log_p(scores))
     return list(scores), np.array([rng.choice(poses, p=row) for row in p])
@@ -111,7 +111,7 @@ def test_what_errs_alike_adds_nothing_and_what_errs_apart_all(alike, exponent):
 
 
 def test_what_the_best_pose_explains_tells_how_probably_the_truth_was_found():
-    """Examples that are found with a probability that grows with what is explained: the fit gives it back."""
+    """The probability that examples are found grows with their score: the fit recovers it."""
     rng = np.random.default_rng(8)
     explained = rng.random(3000)
     truth = np.where(rng.random(3000) < 1 / (1 + np.exp(4 - 8 * explained)), 0, -1)
@@ -148,7 +148,7 @@ def test_several_touches_are_fused_as_surely_as_was_fitted(tmp_path, monkeypatch
 
 
 def test_an_earlier_posterior_is_as_sure_as_all_touches_make(tmp_path, monkeypatch):
-    """Of the one seen first and handed on, and the second, no more is left than of both seen together."""
+    """Two touches one after the other leave as much certainty as both together."""
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     monkeypatch.setattr(localizer.probabilities, "fused_scaling", FusedScaling(0.75))
     first, second = localizer.simulate(2, seed=2)
@@ -179,7 +179,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
     assert first.tail in TAILS
     other = Localizer.create("pin", store=store, encoder={"name": "pixel", "cells": 8}, **COARSE)
     assert other.probabilities.temperature_scaling != first
-    monkeypatch.setattr("tactile_loc.locate.fitted_probabilities.fit_temperature_scaling", None)
+    monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", None)
     again = Localizer.create("pin", store=store, **COARSE)
     assert again.probabilities.temperature_scaling == first
     keys = {localizer.probabilities.temperature_key().digest for localizer in (again, other)}
@@ -188,7 +188,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
 
 
 def test_a_temperature_that_is_asked_for_is_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.fitted_probabilities.fit_temperature_scaling", None)
+    monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", None)
     assert Localizer.create(
         "pin", store=StageStore(tmp_path), temperature=0.5, **COARSE
     ).probabilities.temperature_scaling == TemperatureScaling(0.5)
@@ -205,7 +205,7 @@ def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monke
         fitted_to.append(len(scores))
         return fit_temperature_scaling(scores, *others)
 
-    monkeypatch.setattr("tactile_loc.locate.fitted_probabilities.fit_temperature_scaling", fit)
+    monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", fit)
     scaling = localizer.probabilities.temperature_scaling
     assert fitted_to == [shipped_touches]
     held = 0

@@ -1,4 +1,4 @@
-"""A whole object searched, by touches that another renderer draws."""
+"""Search of a whole object, with touches from another renderer."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def search(localizer) -> PlaceSearch:
 
 @pytest.fixture(scope="module")
 def examples(localizer) -> list[list[Touch]]:
-    """Three touches each, of an object at rest, pressed from anywhere and drawn by ray casting."""
+    """Return three touches of each object at rest, pressed from anywhere and rendered by ray casting."""
     source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
     return [source.draw_example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
 
@@ -238,7 +238,7 @@ def noisy(localizer) -> list[Touch]:
 
 
 def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:
-    """What is known of a pose to some 2 mm and 4 degrees."""
+    """Return a prior that knows a pose to about 2 mm and 4 degrees."""
     truth = np.asarray(touch.T_sensor_object)
     turn = make_transform(rotation_about(rng.normal(size=3), np.radians(4)), np.zeros(3))
     middle = make_translation(truth[:3, 3])

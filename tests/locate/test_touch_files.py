@@ -1,4 +1,4 @@
-"""Touches given by a path, and the table of what became of them."""
+"""Touches from paths, and the table of their results."""
 
 from __future__ import annotations
 
@@ -87,4 +87,5 @@ def test_a_touch_is_known_no_better_than_its_sensors_mount(localizer: Localizer,
 
 
 def test_a_file_that_cannot_be_located_has_a_name_and_a_reason():
-    assert LocatedFile(Path("a/b.npz"), problem="empty").row() == {"touch": "b.npz", "verdict": "", "says": "empty"}
+    row = LocatedFile(Path("a/b.npz"), problem="empty").make_row()
+    assert row == {"touch": "b.npz", "verdict": "", "says": "empty"}

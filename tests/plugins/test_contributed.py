@@ -1,4 +1,4 @@
-"""The contributed plugins: each builds, installs and passes its own tests, and leans on the public API alone."""
+"""The contributed plugins: each builds, installs, passes its own tests, and uses only the public API."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ each = pytest.mark.parametrize("name", DISTRIBUTIONS)
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with all of them installed, offline; the sources stay as they are."""
+    """A folder with all of them installed, offline, without changes of the sources."""
     folder = tmp_path_factory.mktemp("contributed")
     sources = [shutil.copytree(CONTRIBUTED / name, folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
     subprocess.run([*INSTALL, str(folder / "site"), *map(str, sources)], check=True)
@@ -78,7 +78,7 @@ def imported(text: str) -> Iterator[str]:
 
 
 def private(text: str) -> list[str]:
-    """Return what a source imports of tactile-loc beyond the public API, the front door and the contract checks."""
+    """Return a source's imports of tactile-loc beyond the public API, the plugin API and the contract checks."""
     of_ours = [name for name in imported(text) if re.match(r"tactile_loc(\.|$)", name) or "tactile_loc.plugins" in name]
     allowed = {"tactile_loc", *(f"tactile_loc.{n}" for n in tactile_loc.__all__), *PUBLIC}
     return [name for name in of_ours if name not in allowed and not name.startswith(tuple(f"{p}." for p in PUBLIC))]
@@ -137,7 +137,7 @@ def test_all_are_listed_with_their_distribution(site, tmp_path):
 
 @pytest.fixture(scope="module")
 def own_tests(site, tmp_path_factory) -> str:
-    """What one run of all their own tests says."""
+    """Return the output of one run of all their own tests."""
     folder = tmp_path_factory.mktemp("own")
     tests = [shutil.copytree(CONTRIBUTED / name / "tests", folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
     quiet = ["-rA", "-p", "no:cacheprovider", "-p", "no:dash", "--import-mode=importlib", "--rootdir", str(folder)]

@@ -1,4 +1,4 @@
-"""A stranger's plugin, built and installed as a user would: found, chosen, used, left out, and true to the docs."""
+"""A third-party plugin, built and installed as by a user: found, chosen, used, left out, and equal to the docs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ RUN = [
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the example installed in it, offline; the sources stay as they are."""
+    """A folder with the example installed in it, offline, without changes of the sources."""
     folder = tmp_path_factory.mktemp("third-party")
     source = shutil.copytree(EXAMPLE, folder / "source", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
     offline = ["--no-index", "--no-deps", "--no-build-isolation"]

@@ -1,4 +1,4 @@
-"""The pages of evaluations say what is in their JSON."""
+"""The pages of evaluations agree with their JSON."""
 
 from __future__ import annotations
 

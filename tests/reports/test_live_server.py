@@ -1,4 +1,4 @@
-"""The view of a live run: who may ask for it, what is answered, and what it says of a frame."""
+"""The view of a live run: permitted requests, answers, and the state of a frame."""
 
 from __future__ import annotations
 

@@ -97,11 +97,12 @@ def pixels(element: Any) -> np.ndarray:
 
 
 def object_points(browser: Any) -> np.ndarray:
-    """The object's corners (V, 3) as they are drawn on the sensor, mm."""
+    """The drawn vertices (V, 3) of the object on the sensor, mm."""
     script = "const t = document.getElementById('scene').data[0]; return [t.x, t.y, t.z].map((v) => Array.from(v))"
     return np.array(browser.execute_script(script)).T
 
 
+@pytest.mark.slow
 def test_a_run_is_drawn_and_another_candidate_moves_the_object(show, run_folder):
     browser = show(run_folder)
     assert set(plots(browser)) == {"scene", "surface", "yaw", "modes", "times"}

@@ -1,4 +1,4 @@
-"""The page of a run says what is in result.json, for people."""
+"""The page of a run agrees with result.json."""
 
 from __future__ import annotations
 

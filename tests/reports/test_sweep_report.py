@@ -1,4 +1,4 @@
-"""The page of a sweep says what is in its rows, whatever columns they have."""
+"""The page of a sweep agrees with its rows, for any columns."""
 
 from __future__ import annotations
 

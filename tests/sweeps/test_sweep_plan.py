@@ -1,4 +1,4 @@
-"""A plan: which values a sweep has, and what is refused."""
+"""A plan: the values of a sweep, and errors."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_what_is_described_can_be_planned_again():
     [
         ({"refinr": "icp"}, "'refinr'"),
         ({"refiner": "ipc"}, "'ipc'"),
-        ({"refiner": 3}, "refiner 3"),
+        ({"refiner": 3}, "refiner = 3"),
         ({"refiner": {"max_iterations": 3}}, "name"),
         ({"refiner": {"name": "icp", "max_iteration": 3}}, "'max_iterations'"),
         ({"refiner": []}, "'refiner'"),
@@ -118,7 +118,7 @@ def test_what_is_described_can_be_planned_again():
         ({"seed": "x"}, "seed = 'x'"),
         ({"seed": True}, "seed = True"),
         ({"count": 0}, "count = 0"),
-        ({"count": [1, 2]}, "counts"),
+        ({"count": [1, 2]}, "'count'"),
         ({"object": [{"units": "mm"}]}, "path"),
         ({"object": [{"path": "pin", "unit": "mm"}]}, "'units'"),
         ({"object": [7]}, "7"),

@@ -1,4 +1,4 @@
-"""Which object touches are of: the right one, none when it is left out, whatever the order; one object: as located."""
+"""Identification: the right object, none if it is left out, in any order; a single object as located alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CLEAN = NullEvidence(alone=1.1, together=3.5, temperature=0.3)  # of touches wit
 
 
 def solids() -> dict[str, trimesh.Trimesh]:
-    """A plate, a rod and a ring, none of which looks like another."""
+    """Return a plate, a rod and a ring, which all look different."""
     return {
         "plate": trimesh.creation.box((0.03, 0.02, 0.006)),
         "rod": trimesh.creation.cylinder(0.004, 0.04, sections=32),
@@ -44,7 +44,7 @@ def models(make_object, store) -> list[Localizer]:
 
 @pytest.fixture(scope="module")
 def touches(models) -> dict[str, list]:
-    """Two touches of each object, drawn by another renderer."""
+    """Return two touches of each object, from another renderer."""
     raycast, rng = RaycastRenderer(), np.random.default_rng(3)
     return {
         model.object.name: RobotTouches(model.object, model.scene.geometry, raycast, (0.7, 0.9)).draw_example(2, rng)[0]

@@ -1,4 +1,4 @@
-"""Frames as they come: located, tracked, without contact or refused, each with a record that says so."""
+"""Live frames: located, tracked, without contact or refused, each with a record."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_the_rate_is_that_of_the_last_frames(localizer, tmp_path, monkeypatch):
 
 
 def test_at_rest_one_pose_is_tracked_and_predicted_without_contact(localizer, touch, tmp_path):
-    """The track begins at the truth, so that nothing needs to be searched for."""
+    """The track begins at the truth, so that no search is needed."""
     tracker = Tracker(localizer)
     tracker.start(touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
     locator = LiveLocator(localizer, tracker)

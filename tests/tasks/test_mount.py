@@ -1,4 +1,4 @@
-"""Where a sensor is mounted: found among wrong hypotheses, up to symmetry; outliers and poor motions are named."""
+"""Mounts are found among wrong hypotheses, up to symmetry; outliers and poor motions are named."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def truth():
 
 
 def hypotheses_of(S: np.ndarray, obj, rng: np.random.Generator) -> list[np.ndarray]:
-    """Of each touch nine wrong poses, and the true one, a little off, as any of its equivalents."""
+    """Return, for each touch, nine wrong poses and one near the true pose or an equivalent."""
     same = obj.symmetry.list_elements()
     found = []
     for T in move(S, np.array([1e-4] * 3 + [5e-3] * 3) * rng.normal(size=(len(S), 6))):
@@ -75,7 +75,7 @@ def test_a_nominal_mount_rules_others_out(box, truth):
 
 
 class Case:
-    """Simulated touches of the pin, whose hypotheses are given: what is tested is what becomes of them."""
+    """Return simulated touches of the pin with given hypotheses, to test how these are used."""
 
     def __init__(self, localizer: Localizer, truth) -> None:
         rng, (self.X, self.Y) = np.random.default_rng(2), truth

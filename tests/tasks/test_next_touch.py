@@ -1,4 +1,4 @@
-"""Where to touch next: what tells two poses apart is chosen, what cannot is said, reach and cost are respected."""
+"""The next touch: it discriminates between poses if one can; reach and cost are respected."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
 
 @pytest.fixture
 def knobbed(make_box) -> ObjectModel:
-    """A box, 40 x 30 x 20 mm, symmetric about z but for a knob on its side +x."""
+    """Return a box, 40 x 30 x 20 mm, symmetric about z except for a knob on its side +x."""
     box = make_box(0.04, 0.03, 0.02, symmetry="none")
     knob = make_box(0.004, 0.006, 0.006)
     shifted = knob.mesh.vertices_m + np.array([0.021, 0.0, 0.0])
@@ -53,7 +53,7 @@ def modes_of(obj: ObjectModel, *poses: np.ndarray, p=None) -> PoseModes:
 
 
 def edge_of(direction, **given) -> Approach:
-    """The same, so far beside the middle that an edge of the box is on the sensor: a flat face alone is no touch."""
+    """The same, far enough aside that an edge of the box is on the sensor: a flat face alone is not a touch."""
     return towards(direction, beside_m=0.009, **given)
 
 

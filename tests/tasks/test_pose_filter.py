@@ -25,7 +25,7 @@ def covariance(std: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def about(point_m: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """A motion that turns about a point and then shifts."""
+    """Return a motion that rotates about a point and then shifts."""
     T = move(np.eye(4), np.concatenate([np.zeros(3), error[3:]]))
     T[:3, 3] = point_m - T[:3, :3] @ point_m + error[:3]
     return T
@@ -56,7 +56,7 @@ def test_a_motions_error_moves_the_object_by_its_lever():
 
 
 def test_a_sensor_that_is_off_sees_the_object_where_it_sees_it():
-    """A sensor said to be where it is not: what it sees is where it is, to first order, and so is the covariance."""
+    """A sensor with a wrong reported pose: the seen pose and covariance are right to first order."""
     rng = np.random.default_rng(8)
     T_base_object, true_T_base_sensor = poses(2, rng)
     for off in np.concatenate([np.diag(STD), rng.normal(size=(2, 6)) * STD]) * 1e-2:
@@ -71,7 +71,7 @@ def test_a_sensor_that_is_off_sees_the_object_where_it_sees_it():
 
 
 def test_the_filter_is_the_least_squares_of_all_touches_at_once():
-    """Shifts alone, of touches by a sensor turned anyhow, whose common errors fade: the equations are linear."""
+    """Shifts alone, of touches by a rotated sensor, whose common errors fade: the equations are linear."""
     rng, share, count = np.random.default_rng(9), 0.3, 4
     T_base_object = poses(1, rng)[0]
     sensors = poses(count, rng)
@@ -93,7 +93,7 @@ def test_the_filter_is_the_least_squares_of_all_touches_at_once():
 
 
 def shifts(covariance_m2: np.ndarray, turn: float = 0.0) -> np.ndarray:
-    """The covariance (6, 6) of a pose that is shifted, and hardly turned."""
+    """Return the covariance (6, 6) of a pose that is shifted, and hardly rotated."""
     C = turn * np.eye(6)
     C[:3, :3] = covariance_m2
     return C
@@ -169,7 +169,7 @@ def test_what_a_touch_says_nothing_of_stays_as_predicted():
 
 
 def test_a_touch_that_is_far_from_what_is_known_is_trusted_less():
-    """As by Student's t: what it says twenty deviations off counts less than what it says two off."""
+    """With Student's t, a touch twenty deviations off counts less than one two deviations off."""
     rng = np.random.default_rng(6)
     T_base_sensor, T_sensor_object = poses(2, rng)
     known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))

@@ -1,4 +1,4 @@
-"""A recording, located frame by frame: poses in the sensor's or the base's frame, and what becomes of other images."""
+"""A recording, located frame by frame: poses in the sensor's or the base's frame, and other images."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def pin(store) -> Localizer:
 
 @pytest.fixture(scope="module")
 def sure(pin):
-    """Two touches of different poses that are each located by itself, and what was found."""
+    """Return two touches of different poses, each located separately, and the results."""
     metric = PoseMetric(pin.object)
     good = []
     for touch in pin.simulate(12, seed=1):
@@ -115,7 +115,7 @@ def test_an_object_that_jumps_is_found_again_at_once(pin, sure):
 
 
 def test_an_object_that_slips_is_found_nearby(pin, slide):
-    """No place elsewhere that would explain the touch as well is taken."""
+    """No other place that would explain the touch as well is taken."""
     source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
     tracker, frame = started(pin, slide), slide[0]
     for k in range(3):

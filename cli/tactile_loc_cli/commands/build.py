@@ -1,4 +1,4 @@
-"""`tactile-loc build`: an object's model, ahead of time."""
+"""`tactile-loc build`: build an object's model ahead of time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.metric import PoseGrid
     from tactile_loc.locate.localizer import Localizer
 
-MOST_MEASURED = 2000  # poses whose distance to their neighbours is measured
-
+MOST_MEASURED = 2000  # poses for the mean spacing of a grid
 
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "option", "config",
         "seed",
     ),
@@ -29,7 +28,7 @@ Given = Annotated[
 def build(given: Given, store: options.Store = None) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
-    That is what `run` does by itself at first; stages that are in the store already are reused.
+    Without it, the first `run` builds the model. Stages in the store are reused.
     """
     settings = options.make_config(given)
     localizer = options.open_localizer(settings, store)
@@ -39,20 +38,21 @@ def build(given: Given, store: options.Store = None) -> dict[str, Any]:
 
 
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
-    """Build the stages that locating a touch of this press takes, metres, or load those that the store has."""
+    """Build the stages for a touch of this press depth, metres, or load them from the store."""
     if localizer.search is None:
         localizer.listed.matcher(press_depth_m)
-    _ = localizer.source.trained  # learned now, not at the first touch
-    _ = localizer.probabilities.temperature_scaling  # and fitted
+    _ = localizer.source.trained  # trains the encoder
+    _ = localizer.probabilities.temperature_scaling  # fits it
 
 
 def _require_press_depth_m(localizer: Localizer) -> float:
-    """The press depth to build for. Raises TouchError when the sensor cannot resolve it."""
+    """Return the press depth to build for, metres. Raises TouchError when the sensor cannot resolve it."""
     deepest_m = localizer.scene.geometry.max_depth_m
     asked_m = localizer.config.touch.press_depth_m
     if asked_m is not None and not 0 < asked_m <= deepest_m:
         raise TouchError(
-            f"a press of {1e3 * asked_m:g} mm is outside the sensor's range of 0 to {1e3 * deepest_m:g} mm"
+            f"a press of {1e3 * asked_m:g} mm is outside the sensor's range of 0 to {1e3 * deepest_m:g} mm; "
+            "choose another --press-depth"
         )
     return deepest_m if asked_m is None else asked_m
 
@@ -63,22 +63,21 @@ def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
     size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
     grid = _describe_grid(localizer)
-    for stage, became in stages.items():
-        say(f"{stage}: {became}")
+    for stage, origin in stages.items():
+        say(f"{stage}: {origin}")
     say(f"stored in {store.root} ({seconds:.1f} s)")
     about = {"size_m": extents_m, "triangles": len(obj.mesh.faces), "symmetry": str(obj.symmetry)}
     return {
         "object": {"name": obj.name, "source": obj.source, **about},
-        "grid": grid,
-        "stages": stages, "store": str(store.root), "seconds": seconds,
+        "grid": grid, "stages": stages, "store": str(store.root), "seconds": seconds,
     }  # fmt: skip
 
 
 def _describe_grid(localizer: Localizer) -> dict[str, Any]:
-    """Say what is searched, and return it."""
+    """Print and return the size of the search."""
     if localizer.search is not None:
         places, turns = len(localizer.search.places), len(localizer.search.yaws_rad)
-        say(f"grid: {places} places of the whole object, each turned {turns} times")
+        say(f"grid: {places} places of the whole object, each in {turns} rotations")
         return {"places": places, "turns": turns}
     grid = localizer.model.grid
     spacing_m = _measure_spacing_m(grid)
@@ -88,7 +87,7 @@ def _describe_grid(localizer: Localizer) -> dict[str, Any]:
 
 
 def _list_stages(localizer: Localizer) -> dict[str, str]:
-    """Whether each stage was built or reused."""
+    """Return "built" or "reused" for each stage."""
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     fitted = ("temperature",) if localizer.config.temperature is None else ()
@@ -97,7 +96,7 @@ def _list_stages(localizer: Localizer) -> dict[str, str]:
 
 
 def _measure_spacing_m(grid: PoseGrid) -> float | None:
-    """The mean distance between neighbouring poses, metres; of a large grid, that of some, of a single pose none."""
+    """Return the mean distance between neighbouring poses, metres, from a sample; None for a single pose."""
     import numpy as np
 
     if len(grid) < 2:

@@ -1,4 +1,4 @@
-"""`tactile-loc calibrate`: from presses of known shape to a sensor that reads images."""
+"""`tactile-loc calibrate`: learn to read a sensor's images from presses of known shapes."""
 
 from __future__ import annotations
 
@@ -28,81 +28,63 @@ DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"
 
 
-class Estimator(StrEnum):
-    """What turns an image into an indentation."""
-
-    PHOTOMETRIC = "photometric"
-    CNN = "cnn"
-
-
-class Format(StrEnum):
-    """Public calibration sets."""
-
-    GS_SDK = "gs_sdk"
-    TAXIM = "taxim"
-    FOTS = "fots"
-    CIRCLES = "circles"
-
-
-class Background(StrEnum):
-    """Where the untouched gel's image comes from."""
-
-    TABLE = "table"
-    MEDIAN = "median"
-
+Estimator = StrEnum("Estimator", "PHOTOMETRIC CNN")
+Format = StrEnum("Format", "GS_SDK TAXIM FOTS CIRCLES")  # of public calibration sets
+Background = StrEnum("Background", "TABLE MEDIAN")  # the source of the untouched gel's image
 
 Folder = Annotated[
     Path | None,
     typer.Argument(
         metavar="FOLDER",
-        help="Images of presses, or a video; presses.csv with what was pressed, or --ball-radius to have it written.",
+        help="Images or a video of presses, with their table presses.csv; --ball-radius writes a missing table.",
     ),
 ]
 Geometry = Annotated[
     str | None,
     declare(
         "--sensor", "FILE.toml|NAME",
-        "The sensor's geometry; by default FOLDER/sensor.toml. With --simulated also a name, by default gelslim.",
+        "Sensor description. Default: FOLDER/sensor.toml. With --simulated also a sensor's name, by default gelslim.",
     ),
 ]  # fmt: skip
 EstimatorName = Annotated[
-    Estimator, typer.Option("--estimator", help="What learns: slope from colour, or a network on the whole image.")
+    Estimator, typer.Option("--estimator", help="Learn slope from colour, or a network on the whole image.")
 ]
 Untouched = Annotated[
-    Background, typer.Option("--background", help="The untouched gel: the table's, or the median of all presses.")
+    Background, typer.Option("--background", help="Image of the untouched gel: the table's, or the presses' median.")
 ]
 PublicFormat = Annotated[
-    Format | None, typer.Option("--format", help="FOLDER is a public set of this format, not a table.")
+    Format | None, typer.Option("--format", help="FOLDER is a public calibration set of this format.")
 ]
 BallRadius = Annotated[
-    float | None,
-    declare("--ball-radius", "MM", "The ball's radius, in mm: where there is no presses.csv, or with --format."),
+    float | None, declare("--ball-radius", "MM", "Radius of the ball in mm, without presses.csv or with --format.")
 ]
 PixelSize = Annotated[
-    float | None, declare("--mm-per-px", "MM", "The size of a pixel on the gel, in mm, where there is no sensor.toml.")
+    float | None, declare("--mm-per-px", "MM", "Size of a pixel on the gel in mm, without sensor.toml.")
 ]
 ImageSize = Annotated[
     tuple[int, int] | None,
     declare(
         "--image-size", "WIDTH HEIGHT",
-        "Reduce the camera's images to this size, in pixels; by default to at most 200 along the longer side. The "
-        "labels stay those of the camera's.", min=16,
+        "Reduce the images to this size in pixels. Default: at most 200 along the longer side. Labels stay in pixels "
+        "of the original images.", min=16,
     ),
 ]  # fmt: skip
-Simulated = Annotated[bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")]
+Simulated = Annotated[bool, typer.Option("--simulated", help="Without FOLDER: simulate presses of two boards.")]
 Lamps = Annotated[
-    str | None, declare("--optics", "NAME", "With --simulated: whose lamps, gelslim, gelsight-mini or digit.")
+    str | None, declare("--optics", "NAME", "With --simulated: lamps of gelslim, gelsight-mini or digit.")
 ]
 Presses = Annotated[
     int | None,
     declare(
-        "--presses", "N", "With --simulated: how many presses; by default 200, or 2000 for cnn.", min=5, max=100_000
+        "--presses", "N", "With --simulated: number of presses. Default: 200, or 2000 for cnn.", min=5, max=100_000
     ),
 ]
-Curved = Annotated[bool, typer.Option("--curved", help="The gel is not flat: learn its surface from the balls too.")]
-EstimatorOption = Annotated[list[str] | None, set_option("The estimator's option, as steps=4000.", "OPTION=VALUE")]
-HeldOutSeed = Annotated[int, declare("--seed", "N", "Seed of what is held out.", min=0)]
-Out = Annotated[Path, declare("--out", "FOLDER", "Where the calibrated sensor goes.")]
+Curved = Annotated[bool, typer.Option("--curved", help="The gel is not flat: also learn its surface from the balls.")]
+EstimatorOption = Annotated[
+    list[str] | None, set_option("Set an option of the estimator, such as steps=4000.", "OPTION=VALUE")
+]
+HeldOutSeed = Annotated[int, declare("--seed", "N", "Seed that chooses the held-out presses.", min=0)]
+Out = Annotated[Path, declare("--out", "FOLDER", "Calibration folder to write.")]
 
 
 def calibrate(
@@ -123,12 +105,11 @@ def calibrate(
     out: Out = DEFAULT_OUT,
     store: Store = None,
 ) -> dict[str, Any]:
-    """Calibrate a sensor for images.
+    """Calibrate a sensor to read its images.
 
-    Presses of a ball, or of any mesh at a known pose, teach it what the gel looks like; or simulated ones, for
-    simulated images. Without a table the ball is looked for in the images: look at labels.png. A fifth of the presses
-    is held out, and the errors on these are reported. Use the result with:
-    run --sensor FOLDER --touch photo.png
+    The sensor learns from presses of a ball, or of any mesh at a known pose; for simulated images, from simulated
+    presses. Without a table, the ball is detected in the images: check labels.png. A fifth of the presses is held out
+    to measure the errors. Use the result with: run --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
 
@@ -156,12 +137,12 @@ def _require_one_source(
     of_folder = folder, format, image_size
     if simulated and (any(given is not None for given in of_folder) or background is not Background.TABLE or curved):
         raise ConfigError(
-            "--simulated makes its presses itself: leave out FOLDER, --format, --background, --image-size and --curved"
+            "--simulated needs no images; leave out FOLDER, --format, --background, --image-size and --curved"
         )
     if not simulated and folder is None:
-        raise ConfigError("there is nothing to learn from; give FOLDER, with images of presses, or --simulated")
+        raise ConfigError("no presses are given; give FOLDER with images of presses, or --simulated")
     if not simulated and (optics is not None or presses is not None):
-        raise ConfigError("--optics and --presses go with --simulated; the images of FOLDER are what they are")
+        raise ConfigError("--optics and --presses need --simulated; give it, or leave them out")
 
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
@@ -179,9 +160,8 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
 
     for word in words:
         if not word.partition("=")[1]:
-            raise ConfigError(f"cannot read the option {word!r}; write it as OPTION=VALUE, as steps=4000")
-    # the words of one component, read by the rules of all
-    return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})
+            raise ConfigError(f"cannot read the option {word!r}; write it as OPTION=VALUE, such as steps=4000")
+    return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})  # parsing needs the name of a slot
 
 
 def _calibrate(
@@ -207,7 +187,7 @@ def _curve_gel(presses: PressFolder, seed: int) -> PressFolder:
     from tactile_loc.calibration.relief import learn_relief
 
     relief_m = learn_relief(presses, seed, make_progress())
-    say(f"the gel is curved: its rim is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
+    say(f"the gel is curved: its edge is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
     return dataclasses.replace(presses, geometry=dataclasses.replace(presses.geometry, relief_m=relief_m))
 
 
@@ -251,22 +231,25 @@ def _read_geometry(path: Path) -> SensorGeometry:
     from tactile_loc.io.sensor_files import read_sensor_file
 
     if not os.path.isfile(path):
-        raise SensorError(f"there is no {path}; describe the sensor in it (docs/conventions.md), or give --sensor")
+        raise SensorError(f"there is no {path}; describe the sensor in it (docs/files.md), or give --sensor")
     return read_sensor_file(path)
 
 
 def _convert_to_si(mean: dict[str, float]) -> dict[str, float]:
-    """The same errors, angles in radians."""
+    """Return the same errors, with angles in radians."""
     slope = {"slope_rad": math.radians(mean["slope_deg"])} if "slope_deg" in mean else {}
     return {**slope, **{name: value for name, value in mean.items() if name != "slope_deg"}}
 
 
 def _list_errors(mean: dict[str, float]) -> list[str]:
-    angle = {"slope_deg": "surface angle in the contact"}
-    depths = {
-        "shape_m": "indentation in the contact, but for a constant",
-        "depth_m": "indentation in the contact",
-        "untouched_m": "indentation where the gel is untouched",
+    quantities = {
+        "slope_deg": ("surface angle in the contact", 1, ".2f", "°"),
+        "shape_m": ("indentation in the contact, up to a constant", 1e3, ".3f", " mm"),
+        "depth_m": ("indentation in the contact", 1e3, ".3f", " mm"),
+        "untouched_m": ("indentation outside the contact", 1e3, ".3f", " mm"),
     }
-    angles = [f"  {said}: {mean[name]:.2f}°" for name, said in angle.items() if name in mean]
-    return angles + [f"  {said}: {1e3 * mean[name]:.3f} mm" for name, said in depths.items() if name in mean]
+    return [
+        f"  {label}: {scale * mean[name]:{digits}}{unit}"
+        for name, (label, scale, digits, unit) in quantities.items()
+        if name in mean
+    ]

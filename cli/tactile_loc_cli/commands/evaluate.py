@@ -1,4 +1,4 @@
-"""`tactile-loc evaluate`: how well objects are located, by the paper's protocol."""
+"""`tactile-loc evaluate`: measure the accuracy of localisation with the paper's protocol."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say, say_table, say_written
+from tactile_loc_cli.console import format_count, say, say_table, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
 DEFAULT_COUNT, CONTACT_COUNT = 150, 100
-# Keys of the files whose lists are as long as there are touches.
+# Keys of the files whose lists have an item for each touch.
 OF_EACH_TOUCH = ("errors_m", "posterior_metrics", "ambiguity_ratios", "contact_shares")
 
 _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 Objects = Annotated[
     list[str] | None,
-    options.declare("--object", "FILE|DEMO", "Mesh file or demo object; may be repeated; by default all demo objects."),
+    options.declare("--object", "FILE|DEMO", "Mesh file or demo object; may be repeated. Default: all demo objects."),
 ]
 Encoders = Annotated[
-    list[str] | None, options.declare("--encoder", "NAME", "What makes vectors; may be repeated; by default pixel.")
+    list[str] | None, options.declare("--encoder", "NAME", "Encoder; may be repeated. Default: pixel.")
 ]
 Count = Annotated[
     int | None,
     options.declare(
         "--count", "N",
-        "How many simulated touches an object, by default 150; with --contacts how many examples, by default 100.",
+        "Simulated touches for each object, by default 150; with --contacts examples, by default 100.",
         min=1, max=100_000,
     ),
 ]  # fmt: skip
@@ -54,39 +54,26 @@ Contacts = Annotated[
     str | None,
     options.declare(
         "--contacts", "RANGE",
-        "Locate from several touches at once, of so many: 1..7, or 1,2,3 (1 to 20); beside contact alone.",
+        "Locate from several touches at once, for each number in the range: 1..7, or 1,2,3 (from 1 to 20).",
     ),
 ]  # fmt: skip
-
-
-class TouchKind(enum.StrEnum):
-    """What touches are given as."""
-
-    SHAPES = "shapes"
-    IMAGES = "images"
-
-
+TouchKind = enum.StrEnum("TouchKind", "SHAPES IMAGES")
 Touches = Annotated[
     TouchKind,
     typer.Option(
-        "--touches",
-        help="Contact shapes, or images of them that the sensor reads: one that was calibrated on simulated ones.",
+        "--touches", help="Contact shapes, or images of them for a sensor that was calibrated on simulated images."
     ),
 ]
 TouchNoise = Annotated[
     options.Noise | None,
-    typer.Option("--noise", help="How far shapes are from clean renders; by default strong. Images have their own."),
+    typer.Option("--noise", help="Noise of the contact shapes. Default: strong. Images have their own noise."),
 ]
-Grid = Annotated[
-    str | None, options.declare("--grid", "NAME", "Which poses are searched, of those that list them; by default face.")
-]
+Grid = Annotated[str | None, options.declare("--grid", "NAME", "Grid that lists its poses. Default: face.")]
 Seed = Annotated[int, options.declare("--seed", "N", "Seed of the touches and the random poses.", min=0)]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Where results.json, .csv, .md and the pictures go.")]
-
-
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of results.json, .csv, .md and the pictures.")]
 Given = Annotated[
     RunOptions,
-    options.takes("units", "symmetry", "sensor", "renderer", "matcher", "refiner", "fuser", "option", "config"),
+    options.Takes("units", "symmetry", "sensor", "renderer", "matcher", "refiner", "fuser", "option", "config"),
 ]
 
 
@@ -104,18 +91,18 @@ def evaluate(
     out: Out = DEFAULT_OUT,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Measure how well objects are located.
+    """Measure the accuracy of localisation.
 
-    Each object is located from simulated touches with each encoder, by the protocol in docs/evaluation.md; errors are
-    surface distances. With several encoders, an option of the encoder goes to those that have it. With --contacts each
-    example is several touches, and what is written are contacts.json, .csv, .md and .png. Interrupted, the same command
+    Each object is located from simulated touches with each encoder, by the protocol in docs/evaluation.md. Errors are
+    surface distances. With several encoders, an option goes to the encoders that have it. With --contacts, each example
+    has several touches, and the files are contacts.json, .csv, .md and .png. After an interruption, the same command
     resumes.
     """
     from tactile_loc.io.config import LISTED
 
     numbers = None if contacts is None else parse_contacts(contacts)
     if not _read_setting(given.config, "grid", "name"):
-        grid = grid or LISTED.name  # the protocol compares with all poses
+        grid = grid or LISTED.name  # the protocol ranks all poses of the grid
     given = dataclasses.replace(given, noise=noise, grid=grid)
     source = _choose_touches(given, touches, seed)
     jobs = _list_jobs(given, object, encoder, source)
@@ -129,7 +116,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is done with each object and encoder."""
+    """The settings of the evaluation of each object and encoder."""
 
     count: int
     touches: SimulatedTouches
@@ -137,7 +124,7 @@ class _Plan:
     store: Path | None
 
     def work(self, settings: RunConfig, obj: ObjectModel) -> Run:
-        """Evaluate an object with an encoder, draw its gallery, and return what was found."""
+        """Evaluate an object with an encoder, draw its gallery, and return the results."""
         from tactile_loc.drawing.pictures import save_figure
         from tactile_loc.evaluation.figures import draw_gallery
         from tactile_loc.evaluation.protocol import evaluate as run_protocol
@@ -146,32 +133,28 @@ class _Plan:
         localizer = options.open_localizer(settings, self.store, obj)
         encoder = settings.encoder.name
         evaluation = run_protocol(localizer, self.count, self.touches)
-        title = f"{obj.name} with {encoder}: best, median and worst of {self._describe()}"
+        title = f"{obj.name} with {encoder}: best, median and worst of {self.describe('touch')}"
         figure = draw_gallery(localizer, evaluation, self.touches, title)
         save_figure(self.out / _name_gallery(obj.name, encoder), figure)
         poses = len(localizer.model.grid)
         return Run(obj.name, str(obj.symmetry), encoder, poses, evaluation, settings.resolve())
 
-    def make_heading(self) -> str:
-        """Return the title of tables and pictures."""
-        return f"Localisation from one touch: {self._describe()} for each object, seed {self.touches.seed}"
-
-    def _describe(self) -> str:
-        touches = f"{self.count} simulated {'touch' if self.count == 1 else 'touches'}"
-        return f"{touches} ({self.touches.describe_kind()})"
+    def describe(self, noun: str) -> str:
+        """Return number and kind of the touches or examples in words."""
+        return f"{format_count(self.count, f'simulated {noun}')} ({self.touches.describe_kind()})"
 
 
 def _list_jobs(
     given: RunOptions, objects: Objects, encoders: Encoders, touches: SimulatedTouches
 ) -> list[tuple[RunConfig, ObjectModel]]:
-    """Every object with every encoder; what can be wrong is found before the first is evaluated."""
+    """Return every object with every encoder. Errors in any of them are raised now, before the first evaluation."""
     from tactile_loc.io.config import parse_overrides, parse_settings
     from tactile_loc.io.meshes import load_object
 
     in_file = _read_setting(given.config, "object", "path")
     paths = objects or ([in_file] if in_file else list(DEMO_OBJECTS))
     if given.symmetry is not None and len(paths) > 1:
-        raise ConfigError("--symmetry is of one object; give one --object with it")
+        raise ConfigError("--symmetry needs a single object; give one --object")
     words = list(given.option or [])
     names: list[str | None] = [*encoders] if encoders else [None]
     overrides = parse_overrides(parse_settings(words)[1]).get("encoder", {})
@@ -204,7 +187,7 @@ def _choose_touches(given: RunOptions, kind: TouchKind, seed: int) -> SimulatedT
 def _choose_options(
     encoder: str | None, encoders: Sequence[str | None], words: list[str], overrides: dict[str, Any]
 ) -> list[str]:
-    """The options for one of several encoders: without those that only others have."""
+    """Return the options for one of several encoders, without those that only others have."""
     if encoder is None or len(set(encoders)) == 1 or not overrides:
         return words
     known = {name: set(registry().load("encoder", str(name)).Options.model_fields) for name in encoders}
@@ -215,7 +198,7 @@ def _choose_options(
 
 
 def _read_setting(path: Path | None, table: str, key: str) -> str | None:
-    """What a configuration file says of a table's key, if it does; a slot may be its component's name alone."""
+    """Return a text from a table of the configuration file, if it is there. A slot may be just a component's name."""
     from tactile_loc.io.toml import read_toml
 
     found = {} if path is None else read_toml(path).get(table, {})
@@ -224,13 +207,13 @@ def _read_setting(path: Path | None, table: str, key: str) -> str | None:
 
 
 def _require_names(jobs: Sequence[tuple[RunConfig, ObjectModel]]) -> None:
-    """Refuse two objects of one name: their results could not be told apart."""
+    """Raise ConfigError when two objects have the same name."""
     found: dict[str, str] = {}
     for settings, obj in jobs:
         other = found.setdefault(obj.name, settings.object.path)
         if other != settings.object.path:
             raise ConfigError(
-                f"{other} and {settings.object.path} are both called {obj.name}; rename one, or evaluate them apart"
+                f"{other} and {settings.object.path} are both called {obj.name}; rename one, or run them separately"
             )
 
 
@@ -250,27 +233,27 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
         write_tables,
     )
 
+    heading = f"Localisation from one touch: {plan.describe('touch')} for each object, seed {plan.touches.seed}"
     protocol = {"touches": plan.count, **dataclasses.asdict(plan.touches)}
-    written = write_tables(plan.out, runs, protocol, plan.make_heading())
-    written.append(save_figure(plan.out / "violins.png", draw_violins(runs, plan.make_heading())))
-    written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, plan.make_heading())))
+    written = write_tables(plan.out, runs, protocol, heading)
+    written.append(save_figure(plan.out / "violins.png", draw_violins(runs, heading)))
+    written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, heading)))
     written += [plan.out / _name_gallery(run.object, run.encoder) for run in runs]
-    say("median ADD, mm")
-    say_table(tabulate_medians(runs))
-    say("\nmedian ADD as a share of a random pose's mean")
-    say_table(tabulate_medians(runs, normalised=True))
-    say("\nambiguous touches, and median ADD over all touches and over those that are not, mm")
-    say_table(tabulate_ambiguity(runs))
-    say("\nby the share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm")
-    say_table(tabulate_areas(runs))
-    say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
-    say_table(tabulate_posteriors(runs))
-    say()
+    for title, table in (
+        ("median ADD, mm", tabulate_medians(runs)),
+        ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
+        ("ambiguous touches; median ADD of all touches and of the unambiguous ones, mm", tabulate_ambiguity(runs)),
+        ("by share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm", tabulate_areas(runs)),
+        ("coverage: share of true poses in the credible sets, and means", tabulate_posteriors(runs)),
+    ):
+        say(title)
+        say_table(table)
+        say()
     return _summarise(record_runs(runs, protocol), written)
 
 
 def _summarise(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
-    """An evaluation's document without the numbers of each touch, and with the paths that were written."""
+    """Return an evaluation's document without the numbers of each touch, and with the paths of the files."""
     return {**_drop_touches(document), "written": say_written(written)}
 
 
@@ -281,7 +264,7 @@ def _drop_touches(value: Any) -> Any:
 
 
 def parse_contacts(text: str) -> tuple[int, ...]:
-    """Return the numbers of contacts that a text such as "1..7" or "1,2,5..7" names, rising. Raises ConfigError."""
+    """Return the ascending numbers of contacts in a text such as "1..7" or "1,2,5..7". Raises ConfigError."""
     from tactile_loc.evaluation.fusion import MOST_FUSED
 
     numbers: set[int] = set()
@@ -290,7 +273,7 @@ def parse_contacts(text: str) -> tuple[int, ...]:
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
         if not 1 <= first <= last <= MOST_FUSED:
             raise ConfigError(
-                f"--contacts {text!r} names no numbers of contacts; write a range or a list from 1 to {MOST_FUSED}, "
+                f"cannot read --contacts {text!r}; write a range or a list of numbers from 1 to {MOST_FUSED}, "
                 "such as 1..7 or 1,2,3"
             )
         numbers.update(range(first, last + 1))
@@ -300,7 +283,7 @@ def parse_contacts(text: str) -> tuple[int, ...]:
 def _evaluate_fusion(
     jobs: Sequence[tuple[RunConfig, ObjectModel]], contacts: Sequence[int], plan: _Plan
 ) -> dict[str, Any]:
-    """Evaluate each object with each encoder and each number of contacts; write, show and return what was found."""
+    """Evaluate each object with each encoder and each number of contacts; write, show and return the results."""
     from tactile_loc.evaluation.fusion import evaluate_fusion
     from tactile_loc.evaluation.fusion_tables import FusionRun
 
@@ -318,35 +301,33 @@ def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
     from tactile_loc.evaluation.figures import draw_fusion
     from tactile_loc.evaluation.fusion_tables import record_runs, tabulate_medians, write_fusion_tables
 
-    examples = f"{plan.count} simulated {'example' if plan.count == 1 else 'examples'} ({plan.touches.describe_kind()})"
-    heading = f"Localisation from several contacts: {examples} for each object, seed {plan.touches.seed}"
+    heading = (
+        f"Localisation from several contacts: {plan.describe('example')} for each object, seed {plan.touches.seed}"
+    )
     protocol = {"examples": plan.count, **dataclasses.asdict(plan.touches)}
     written = write_fusion_tables(plan.out, runs, protocol, heading)
     written.append(save_figure(plan.out / "contacts.png", draw_fusion(runs, heading)))
-    say("median ADD by number of contacts, mm")
-    say_table(_shorten_heads(tabulate_medians(runs)), left=3)
-    say("\nmedian ADD as a share of a random pose's mean")
-    say_table(_shorten_heads(tabulate_medians(runs, normalised=True)), left=3)
+    for title, (header, *rows) in (
+        ("median ADD by number of contacts, mm", tabulate_medians(runs)),
+        ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
+    ):
+        say(title)
+        say_table([[head.split()[0] for head in header], *rows], left=3)
+        say()
     for run in runs:
         _say_left_out(run)
-    say()
     return _summarise(record_runs(runs, protocol), written)
 
 
-def _shorten_heads(table: list[list[str]]) -> list[list[str]]:
-    """A table whose heads are the first words of what they were."""
-    return [[head.split()[0] for head in table[0]], *table[1:]]
-
-
 def _say_left_out(run: FusionRun) -> None:
-    """Say how often no pose touched all sensors, and how many presses showed no touch, if it happened."""
+    """Report how often no pose touched all sensors, and how many presses showed no touch."""
     found = run.evaluation
     counts = {n: found.count_without_common("best-1", n) for n in found.contacts}
     if any(counts.values()):
         listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
         say(
-            f"\n{run.object}: examples without a pose that touches all sensors, located from the first contact alone: "
-            f"{listed} contacts"
+            f"{run.object}: examples without a pose that touches all sensors, located from the first contact alone: "
+            f"{listed} contacts\n"
         )
     if found.refused.any():
-        say(f"\n{run.object}: {found.refused.sum()} presses that showed no touch were refused, and others drawn")
+        say(f"{run.object}: {found.refused.sum()} presses showed no touch and were replaced by others\n")

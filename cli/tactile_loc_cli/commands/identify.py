@@ -1,4 +1,4 @@
-"""`tactile-loc identify`: which of several objects was touched, if any?"""
+"""`tactile-loc identify`: find which of several objects was touched, if any."""
 
 from __future__ import annotations
 
@@ -16,20 +16,16 @@ DEFAULT_OUT = Path("tactile-loc-identify")
 NONE_OF_THESE = 1
 
 Objects = Annotated[
-    Path,
-    options.declare("--objects", "FOLDER", "The objects: a folder of mesh files (stl, obj, ply, off)."),
+    Path, options.declare("--objects", "FOLDER", "Folder of the objects' mesh files (stl, obj, ply, off).")
 ]
 Touches = Annotated[
-    str, options.declare("--touch", "FILE|LIST", "The touch: a file, or a list (.toml) of several of one object.")
+    str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
 ]
 Located = Annotated[
-    int,
-    options.declare("--located", "N", "How many objects to locate, the likeliest of a rough search."),
+    int, options.declare("--located", "N", "Number of objects to locate: the most likely ones of a coarse search.")
 ]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Where identification.json goes.")]
-
-
-Given = Annotated[RunOptions, options.takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
+Given = Annotated[RunOptions, options.Takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]
 
 
 def identify(
@@ -40,10 +36,10 @@ def identify(
     out: Out = DEFAULT_OUT,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Tell which of several objects was touched, or that it was none of these, and where it is.
+    """Find which of several objects was touched.
 
-    Each object's model is built the first time and kept. The exit code is 1 if the touches are more probably of none of
-    these objects than of any.
+    It also locates the object. Each object's model is built once and stored. The exit code is 1 if "none of these" is
+    most probable.
     """
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.store.store import StageStore

@@ -1,4 +1,4 @@
-"""`tactile-loc live`: where the object is now, frame by frame, of a camera, a folder or a video."""
+"""`tactile-loc live`: locate the object in each frame of a camera, a folder or a video."""
 
 from __future__ import annotations
 
@@ -34,46 +34,37 @@ Source = Annotated[
     Path | None,
     typer.Argument(
         metavar="FOLDER|VIDEO", show_default=False,
-        help="A folder that images or contact shapes are put into, or a video.",
+        help="A folder that receives images or contact shapes, or a video.",
     ),
 ]  # fmt: skip
 CameraOption = Annotated[
     str | None,
-    options.declare("--camera", "N", "A camera instead: its number, from 0, or its device, as /dev/video2."),
+    options.declare("--camera", "N", "Use a camera: its number, from 0, or its device, such as /dev/video2."),
 ]
 Once = Annotated[
-    bool,
-    typer.Option(
-        "--once", help="Locate every frame that is there, none dropped, and end; not with a camera."
-    ),
-]  # fmt: skip
+    bool, typer.Option("--once", help="Locate all present frames without dropping any, and end; not with --camera.")
+]
 Track = Annotated[
     bool,
     typer.Option(
         "--track/--alone",
-        help="Take each frame for the next of one sequence: the sensor stands still, or the files say where it was "
-        "(T_base_sensor). By default each frame is located for itself.",
+        help="Track the object through the frames: the sensor stands still, or the files give its T_base_sensor. "
+        "Default: locate each frame separately.",
     ),
 ]
 Out = Annotated[
-    Path | None,
-    options.declare("--out", "FILE.jsonl", "Where each result goes, a line of JSON a frame; by default nowhere."),
+    Path | None, options.declare("--out", "FILE.jsonl", "Write each result as a line of JSON. Default: write no file.")
 ]
 Port = Annotated[
     int,
     options.declare(
-        "--port",
-        "N",
-        f"The port of the view, on this machine alone; 0 takes a free one; by default {PORT}.",
-        show_default=False,
+        "--port", "N", f"Port of the view on this machine; 0 takes a free one. Default: {PORT}.", show_default=False
     ),
 ]
-View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page, or do not.")]
-
-
+View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page.")]
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "touch_unit", "press_depth", "sensor", "zero", "grid", "renderer", "encoder",
         "matcher", "refiner", "option", "config", "seed",
     ),
@@ -93,10 +84,11 @@ def live(
     rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Locate an object in each frame of a camera, a folder or a video, as they come.
+    """Locate an object in each frame as it arrives.
 
-    What is found is shown on a local web page, and each result is a line of JSON. Where frames come faster than they
-    are located, the newest counts, and the others are dropped. Ends when a video does, or with Ctrl-C.
+    Frames come from a camera, a folder or a video. A local web page shows the results; --out writes them as lines of
+    JSON. If frames arrive faster than they are located, only the newest is used. The command ends with the video or
+    with Ctrl-C.
     """
     from tactile_loc.io.streams.frame_sources import open_source
     from tactile_loc.tasks.live import LiveLocator, LiveSummary
@@ -117,21 +109,21 @@ def live(
     _report(summary, opened.about)
     written = say_written(path for path in (out, rerun) if path is not None)
     if summary.reasons and sum(count for _, count in summary.reasons) == summary.frames:
-        raise TouchError(f"no frame of {opened.about} can be located; the first reason: {summary.reasons[0][0]}")
+        raise TouchError(f"no frame of {opened.about} can be located; first reason: {summary.reasons[0][0]}")
     return {**asdict(summary), "written": written}
 
 
 def _require_outputs(out: Path | None, rerun: Path | None) -> None:
-    """Refuse to write into what is, by its name, another kind of file, before anything is built."""
+    """Raise OutputError for a file of another kind, before anything is built."""
     options.require_rerun(rerun)
     if out is not None and out.suffix.lower() != ".jsonl":
-        raise OutputError(f"results are written as lines of JSON, .jsonl, not as {out.name}; choose another --out")
+        raise OutputError(f"--out {out.name} must end in .jsonl; choose another name")
 
 
 def _open_outputs(
     localizer: Localizer, source: FrameSource, out: Path | None, port: int | None, rerun: Path | None
 ) -> Iterator[Output]:
-    """Where results go: each is a context that gives what takes them."""
+    """Yield the outputs; each is a context whose value is called with each result."""
     if out is not None:
         yield _write_results(out)
     if rerun is not None:
@@ -142,7 +134,7 @@ def _open_outputs(
 
 @contextmanager
 def _write_results(out: Path) -> Iterator[Show]:
-    """Results as lines of a file."""
+    """Write results as lines of a file."""
     from tactile_loc.store.line_files import open_json_lines
 
     with open_json_lines(out) as add_line:
@@ -151,7 +143,7 @@ def _write_results(out: Path) -> Iterator[Show]:
 
 @contextmanager
 def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
-    """Results in a Rerun file."""
+    """Write results to a Rerun file."""
     from tactile_loc.drawing.rerun_log import Logged, RerunLog
 
     start_s: list[float] = []
@@ -168,7 +160,7 @@ def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
 
 @contextmanager
 def _show_results(localizer: Localizer, about: str, port: int) -> Iterator[Show]:
-    """Results on a page that browsers of this machine see."""
+    """Show results on a local web page."""
     from tactile_loc.reports.live_server import LiveServer
     from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
     from tactile_loc.reports.page import render
@@ -203,7 +195,7 @@ def _log(result: LiveResult) -> None:
 
 
 def _report(summary: LiveSummary, about: str) -> None:
-    """Write how many frames came to what."""
+    """Write the number of frames by outcome, and the reasons of refusals."""
     say(
         f"{about}: {summary.frames} frames, {summary.located} located, {summary.not_found} not found, "
         f"{summary.no_contact} without contact, {summary.refused} refused, {summary.dropped} dropped"

@@ -1,4 +1,4 @@
-"""`tactile-loc mount`: where is the sensor on the robot's flange?"""
+"""`tactile-loc mount`: find where the sensor is mounted on the robot's flange."""
 
 from __future__ import annotations
 
@@ -17,30 +17,28 @@ Touches = Annotated[
     str,
     options.declare(
         "--touch", "LIST",
-        "The touches: a list (.toml) of ten or more of one part that is fixed, each with its T_base_flange.",
+        "List (.toml) of ten or more touches of one fixed part, each with its T_base_flange.",
     ),
 ]  # fmt: skip
 Nominal = Annotated[
     Path | None,
     options.declare(
         "--nominal", "FILE.toml",
-        "Where the sensor should be, roughly: T_flange_sensor, or xyz_mm and rpy_deg; to within 30 mm, 30 degrees.",
+        "Approximate mount: T_flange_sensor, or xyz_mm and rpy_deg; within 30 mm and 30 degrees of the true one.",
     ),
 ]  # fmt: skip
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Where mount.toml and mount.png go.")]
-
-
-Given = Annotated[RunOptions, options.takes("object", "units", "symmetry", "touch_unit", "sensor", "option", "config")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of mount.toml and mount.png.")]
+Given = Annotated[RunOptions, options.Takes("object", "units", "symmetry", "touch_unit", "sensor", "option", "config")]
 
 
 def mount(
     touch: Touches, given: Given, nominal: Nominal = None, out: Out = DEFAULT_OUT, store: options.Store = None
 ) -> dict[str, Any]:
-    """Find where a sensor is mounted on the robot's flange.
+    """Find where a sensor is mounted on a flange.
 
-    From touches of a known part that stands still somewhere, with the flange at known poses, turned about two axes and
-    more. Touches that contradict the others are left out, and named. A list of touches uses the result: mount =
-    "mount.toml", and T_base_flange for each touch.
+    Touch a known, fixed part with the flange at known poses that rotate about two or more axes. Touches that contradict
+    the others are left out and named. To use the result in a list of touches, write mount = "mount.toml" and give
+    T_base_flange for each touch.
     """
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_mount

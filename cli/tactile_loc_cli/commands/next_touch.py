@@ -1,4 +1,4 @@
-"""`tactile-loc next-touch`: where to touch next, so that least doubt remains?"""
+"""`tactile-loc next-touch`: choose where to touch next to reduce doubt the most."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ from tactile_loc_cli.console import say_written
 
 DEFAULT_OUT = Path("tactile-loc-next-touch")
 
-Result = Annotated[Path, typer.Argument(metavar="RESULT", help="The result.json that run wrote, its .npz beside it.")]
-Candidates = Annotated[
-    Path,
-    options.declare(
-        "--candidates", "FILE.toml", "The approaches to choose from: [[approach]] tables, each with where it starts."
-    ),
+Result = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="A result.json written by run, with its .npz beside it.")
 ]
-Top = Annotated[int, options.declare("--top", "N", "How many approaches to show; the file has all of them.")]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Where next_touch.json and next_touch.png go.")]
+Candidates = Annotated[
+    Path, options.declare("--candidates", "FILE.toml", "Approaches: [[approach]] tables, each with its start pose.")
+]
+Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show; the file has all of them.")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of next_touch.json and next_touch.png.")]
 
 
 def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out = DEFAULT_OUT) -> dict[str, Any]:
-    """Choose where to touch next, so that least doubt remains between the poses that a result lists.
+    """Choose where to touch next.
 
-    What each of them would show to each approach is drawn: how far the sensor would come until contact, and what it
-    would see then. Approaches are ranked by the information that is expected of them for what they cost. Poses that
-    none of them tells apart are named.
+    The next touch should distinguish the poses that a result lists. For each pose and approach, the command simulates
+    the sensor's travel until contact and the contact shape. Approaches are ranked by their expected information per
+    cost. Poses that no approach distinguishes are named.
     """
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_next_touch

@@ -1,4 +1,4 @@
-"""`tactile-loc replay`: where the object was, image by image of a recording."""
+"""`tactile-loc replay`: locate the object in each image of a recording."""
 
 from __future__ import annotations
 
@@ -26,33 +26,29 @@ RecordingFile = Annotated[
     Path,
     typer.Argument(
         metavar="RECORDING", show_default=False,
-        help="What was recorded: an MCAP file, a bag of ROS 1 (.bag), or the folder of a bag of ROS 2.",
+        help="An MCAP file, a ROS 1 bag (.bag), or the folder of a ROS 2 bag.",
     ),
 ]  # fmt: skip
 ImageTopic = Annotated[
-    str | None, options.declare("--image-topic", "TOPIC", "The images' topic; by default the only one there is.")
+    str | None, options.declare("--image-topic", "TOPIC", "Topic of the images. Default: the only one with images.")
 ]
-PoseTopic = Annotated[str, options.declare("--pose-topic", "TOPIC", "The topic that the poses are written to.")]
+PoseTopic = Annotated[str, options.declare("--pose-topic", "TOPIC", "Topic of the written poses.")]
 Frame = Annotated[
     str | None,
-    options.declare("--frame", "FRAME", "The sensor's frame (z out of the gel); by default as the images say."),
+    options.declare("--frame", "FRAME", "The sensor's frame (z out of the gel). Default: from the images' headers."),
 ]
 BaseFrame = Annotated[
     str | None,
-    options.declare(
-        "--base-frame", "FRAME", "Write poses in this frame, by the recording's TF; by default the sensor's."
-    ),
+    options.declare("--base-frame", "FRAME", "Write poses in this frame of the recording's TF. Default: the sensor's."),
 ]
-PosesOnly = Annotated[bool, typer.Option("--poses-only", help="Write the poses alone, not what was recorded.")]
+PosesOnly = Annotated[bool, typer.Option("--poses-only", help="Write only the poses, without the recorded messages.")]
 Out = Annotated[
     Path | None,
-    options.declare("--out", "FILE.mcap", "The new recording; by default RECORDING-poses.mcap where this is run."),
+    options.declare("--out", "FILE.mcap", "New recording. Default: RECORDING-poses.mcap in the current folder."),
 ]
-
-
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "matcher", "refiner",
         "option", "config", "seed",
     ),
@@ -74,8 +70,8 @@ def replay(
 ) -> dict[str, Any]:
     """Locate an object in each image of a ROS recording.
 
-    No ROS is needed. Writes a new recording with a PoseWithCovarianceStamped for each image that shows the object,
-    and the poses as a table (.csv) and as JSON. Interrupted, the same command goes on where it was.
+    ROS is not needed. The new recording has a PoseWithCovarianceStamped for each image with a located object. The poses
+    are also written as a table (.csv) and as JSON. After an interruption, the same command resumes.
     """
     from tactile_loc.io.streams.recordings import Recording
     from tactile_loc.io.streams.recordings import choose_image_topic as chosen
@@ -107,12 +103,11 @@ def replay(
 
 
 def _choose_out(recording: Path, out: Path | None) -> Path:
-    """Where the new recording goes. Raises OutputError where it cannot go."""
+    """Return the path of the new recording. Raises OutputError when it cannot be written there."""
     chosen = Path(f"{recording.stem}-poses.mcap") if out is None else out
-    if chosen.suffix.lower() != ".mcap":
-        raise OutputError(f"a recording is written as .mcap, not as {chosen.name}; choose another --out")
+    options.require_mcap("--out", chosen)
     if chosen.resolve() == recording.resolve():
-        raise OutputError(f"{chosen} is the recording that is to be read; choose another --out")
+        raise OutputError(f"{chosen} is the recording to be read; choose another --out")
     if os.path.isdir(chosen):
         raise OutputError(f"{chosen} is a folder; choose another --out")
     require_writable(chosen.parent)
@@ -120,23 +115,24 @@ def _choose_out(recording: Path, out: Path | None) -> Path:
 
 
 def _require_free(contents: Contents, recording: Path, pose_topic: str, poses_only: bool) -> None:
-    """Refuse to mix the poses with messages that were recorded."""
+    """Raise RecordingError when recorded messages would mix with the poses."""
     if not poses_only and pose_topic in {topic.name for topic in contents.counts}:
         raise RecordingError(
-            f"{recording} has messages on {pose_topic} already; choose another --pose-topic, or --poses-only"
+            f"{recording} already has messages on {pose_topic}; choose another --pose-topic, or --poses-only"
         )
 
 
 def _report(found: Replayed, topic: str) -> None:
-    """Write how many frames came to what."""
+    """Write the number of images by outcome, the reasons of refusals, and a warning about jumps of the clock."""
     summary = found.summary
-    finished = f"; {found.resumed} of them were finished before" if found.resumed else ""
+    finished = f"; {found.resumed} of them were already finished" if found.resumed else ""
     say(
         f"{topic}: {summary.frames} images, {summary.located} located, {summary.not_found} not found, "
         f"{summary.no_contact} without contact, {summary.refused} refused{finished}"
     )
     if more := say_reasons(summary.reasons):
-        say(f"and for {more} more reasons: see {found.written[1]}")
+        say(f"{more} more reasons: see {found.written[1]}")
     if summary.jumps_back:
-        logger.warning("the clock of %s goes back %d times; its images are located in their order all the same",
-                       topic, summary.jumps_back)  # fmt: skip
+        logger.warning(
+            "the clock of %s jumps back %d times; its images are located in recorded order", topic, summary.jumps_back
+        )

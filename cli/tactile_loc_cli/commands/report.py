@@ -1,4 +1,4 @@
-"""`tactile-loc report`: one HTML file that shows a result."""
+"""`tactile-loc report`: show a result as one HTML file."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from tactile_loc_cli.console import say
 
 Result = Annotated[
     Path,
-    typer.Argument(metavar="RESULT", help="The folder that run, evaluate or sweep wrote, or a result's .json file."),
+    typer.Argument(metavar="RESULT", help="Folder written by run, evaluate or sweep, or the .json file of a result."),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="FILE.html", help="Where the page goes; by default report.html in the folder."),
+    Path | None, typer.Option("--out", metavar="FILE.html", help="Page to write. Default: report.html in the folder.")
 ]
 
 
 def report(result: Result, out: Out = None) -> dict[str, Any]:
-    """Make one HTML file of a result: of a run, an evaluation, several contacts, or a sweep.
+    """Show a result as one HTML file.
 
-    The file holds everything, works offline and can be sent to somebody else.
+    It shows a run, an evaluation (also with --contacts), or a sweep. The file is self-contained and works offline.
     """
     from tactile_loc.reports import find_source, write_report
 

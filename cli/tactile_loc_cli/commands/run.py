@@ -1,4 +1,4 @@
-"""`tactile-loc run`: where is the object, given one touch?"""
+"""`tactile-loc run`: locate an object from one touch or several."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from tactile_loc_cli.console import make_progress, say, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
-    from tactile_loc.core.poses.priors import Prior
-    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.results.localization import Localization
@@ -28,16 +26,16 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-result")
-DRAWN = 8  # touches are simulated, and the one with the most contact is shown
+DRAWN = 8  # touches to simulate; the one with the most contact is used
 
-Given = Annotated[RunOptions, options.takes()]
-PriorFile = Annotated[Path | None, options.declare("--prior", "FILE", "What is known of the pose before: a TOML file.")]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Where result.json, .npz and .png go.")]
+Given = Annotated[RunOptions, options.Takes()]
+PriorFile = Annotated[Path | None, options.declare("--prior", "FILE", "Prior knowledge of the pose: a TOML file.")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json, .npz and .png.")]
 Pictures = Annotated[
-    bool, typer.Option("--pictures", help="With a folder of touches: draw result.png for each of them, too.")
+    bool, typer.Option("--pictures", help="With a folder of touches: also draw a result.png for each.")
 ]
 Report = Annotated[
-    bool, typer.Option("--report", help="Write report.html, too: the result as one page to look at and to pass on.")
+    bool, typer.Option("--report", help="Also write report.html: the result as one self-contained page.")
 ]
 
 
@@ -50,10 +48,10 @@ def run(
     rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Locate an object from one touch, from several at once, or from each of a folder's touches.
+    """Locate an object from one touch or several.
 
-    Without any options: a demo object and a simulated touch (of eight, the one with the most contact). The object's
-    model is built the first time and kept.
+    The touches of a list are used together, those of a folder one by one. Without options, a demo object is located
+    from a simulated touch (of eight, the one with the most contact). The object's model is built once and stored.
     """
     from tactile_loc.locate.touch_files import is_folder
 
@@ -64,7 +62,7 @@ def run(
     options.require_rerun(rerun)
     localizer = options.open_localizer(settings, store)
     if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
-        _require_neither(prior, report, rerun)
+        _require_none(prior, report, rerun)
         return _locate_each(localizer, Path(settings.touch.path), out, pictures)
     return _locate_together(localizer, prior, out, report, rerun)
 
@@ -72,11 +70,12 @@ def run(
 def _locate_together(
     localizer: Localizer, prior: Path | None, out: Path, page: bool, rerun: Path | None
 ) -> dict[str, Any]:
-    """Locate the object from one touch or from all of a list; show, write and return the result."""
+    """Locate the object from one touch or from a list of touches; show, write and return the result."""
+    from tactile_loc.io.prior_files import read_prior
     from tactile_loc.locate.localizer import localize_together
 
     observations = _read_observations(localizer)
-    known = _read_prior(localizer, observations[0][1], prior)
+    known = None if prior is None else read_prior(prior, localizer.object).view_from(observations[0][1].T_base_sensor)
     start = time.perf_counter()
     for one, touch in observations:
         build_model(one, touch.press_depth_m)
@@ -87,44 +86,32 @@ def _locate_together(
 
 
 def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:
-    """Refuse noise for a touch that is read from a file: only simulated ones get it."""
+    """Raise ConfigError for noise together with a touch that is read from a file."""
     if settings.touch.path is not None and (noise is not None or settings.touch.noise != "none"):
-        raise ConfigError(
-            f"--noise is for simulated touches, but {settings.touch.path} is a touch to be read; leave one of them out"
-        )
+        raise ConfigError(f"--noise needs a simulated touch; leave it out, or leave out --touch {settings.touch.path}")
 
 
 def _require_several(settings: RunConfig) -> None:
-    """Refuse to leave out touches unless a list of several is given."""
+    """Raise ConfigError for --drop-outliers without a list of touches."""
     from tactile_loc.locate.touch_files import is_list
 
     path = settings.touch.path
     if settings.drop_outliers and (path is None or not is_list(Path(path))):
         raise ConfigError(
-            "--drop-outliers (drop_outliers in a configuration) is for several touches of one object; give a list of "
-            "them (.toml) as --touch, or leave it out"
+            "--drop-outliers (drop_outliers in a configuration) needs several touches of one object; give a list "
+            "(.toml) as --touch, or leave it out"
         )
 
 
-def _require_neither(prior: Path | None, report: bool, rerun: Path | None) -> None:
-    """Refuse with a folder of touches what is of one result."""
-    if prior is not None:
-        raise ConfigError("--prior is of one pose; leave it out with a folder of touches")
-    if rerun is not None:
-        raise ConfigError("--rerun is of one result; leave it out with a folder of touches, or give that to `live`")
-    if report:
-        raise ConfigError("--report is of one result; leave it out with a folder of touches, or locate one of them")
-
-
-def _read_prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior | None:
-    """The prior in the first touch's sensor frame."""
-    from tactile_loc.io.prior_files import read_prior
-
-    return None if path is None else read_prior(path, localizer.object).view_from(touch.T_base_sensor)
+def _require_none(prior: Path | None, report: bool, rerun: Path | None) -> None:
+    """Raise ConfigError for options of a single result, which a folder of touches excludes."""
+    for given, flag in ((prior, "--prior"), (rerun, "--rerun"), (report, "--report")):
+        if given:
+            raise ConfigError(f"{flag} needs a single result; leave it out with a folder of touches, or give one touch")
 
 
 def _read_observations(localizer: Localizer) -> list[Observation]:
-    """The touches that were asked for, or a simulated one, each with its localizer."""
+    """Return the given touches, or a simulated one, each with its localizer."""
     asked = localizer.config.touch
     if asked.path is not None:
         return options.read_touches(localizer, Path(asked.path))
@@ -140,7 +127,7 @@ def _report(
     page: bool,
     rerun: Path | None,
 ) -> dict[str, Any]:
-    """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
+    """Show the result, write its files, and return both."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.doubts import list_doubts
@@ -154,7 +141,7 @@ def _report(
     for sentence in list_doubts(record):
         logger.warning("%s", sentence)
     if localization.outliers:
-        logger.warning("--drop-outliers locates the object without what contradicts the other touches")
+        logger.warning("--drop-outliers leaves out the touches that contradict the others")
     figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
     arrays = gather_arrays(observations, localization)
     with lock_folder(out):
@@ -176,10 +163,10 @@ def _report(
 
 
 def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) -> dict[str, Any]:
-    """Locate each touch of a folder or pattern; what cannot be is a line with its reason.
+    """Locate each touch of a folder or pattern; a touch that cannot be located is a line with its reason.
 
-    Writes results.csv and, a folder a touch, result.json and, if asked for, result.png; returns what each came to, and
-    the paths. Raises TouchError when the folder holds no touch or none can be located.
+    Writes results.csv and, for each touch, a folder with result.json and, with `pictures`, result.png. Returns the
+    result of each touch, and the paths. Raises TouchError when the folder holds no touch or none can be located.
     """
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
@@ -199,23 +186,23 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) 
     problems = [one.problem for one in found if one.best is None]
     located = len(found) - len(problems)
     say_located(found)
-    say(f"located: {located} of {len(found)}; written: {written}, and a folder a touch")
+    say(f"located: {located} of {len(found)}; written: {written}, and a folder for each touch")
     for problem in problems:
         logger.warning("%s", problem)
     _warn_of_doubtful(doubtful)
     if not located:
-        raise TouchError(f"no touch of {folder} can be located; the first: {problems[0]}")
+        raise TouchError(f"no touch of {folder} can be located; first reason: {problems[0]}")
     return {"located": located, "touches": [_make_json(one, out) for one in found], "written": [str(written)]}
 
 
 def _warn_of_doubtful(names: list[str]) -> None:
-    """Say of which touches the best pose is hardly right."""
+    """Name the touches whose best pose is probably wrong."""
     from tactile_loc.locate.results.verdict import LEAST_IOU
 
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         logger.warning(
-            "%d best poses explain less than %.0f %%, and hardly one of such is right: %s",
+            "%d best poses have an imprint IoU below %.0f %% and are probably wrong: %s",
             len(names), 100 * LEAST_IOU, some,
         )  # fmt: skip
 
@@ -237,7 +224,7 @@ def _write(localizer: Localizer, localization: Localization, folder: Path, pictu
 
 
 def _make_json(located: LocatedFile, out: Path) -> dict[str, Any]:
-    """What became of one touch, in SI units."""
+    """Return the result of one touch as JSON values, in SI units."""
     if (best := located.best) is None:
         return {"touch": located.path.name, "verdict": located.verdict, "error": located.problem}
     return {

@@ -1,4 +1,4 @@
-"""`tactile-loc simulate`: touches whose poses are known."""
+"""`tactile-loc simulate`: simulate touches with known poses."""
 
 from __future__ import annotations
 
@@ -25,34 +25,32 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-touches")
-BATCH = 16  # images rendered at once
+BATCH = 16  # images rendered at a time
 
 Lamps = Annotated[
     str | None,
     options.declare(
         "--optics", "NAME",
-        "Whose lights and gel the images show: gelslim, gelsight-mini or digit; by default the sensor's own if it is "
-        "one of these, else gelslim. Implies --images.",
+        "Lights and gel of the images: gelslim, gelsight-mini or digit. Default: those of the sensor if it is one of "
+        "these, else gelslim. Implies --images.",
     ),
 ]  # fmt: skip
 RecordingFile = Annotated[
     Path | None,
     options.declare(
         "--recording", "FILE.mcap",
-        "Instead of single touches, write a ROS recording of a slide over the object: --count images, with TF and the "
-        "true poses. Depths in metres; with --images, photos.",
+        "Write a ROS recording of a slide over the object instead of single touches: --count images, TF, and the true "
+        "poses. The images are depths in metres; with --images, photos.",
     ),
 ]  # fmt: skip
-
-
-Count = Annotated[int, options.declare("--count", "N", "How many touches.", min=1, max=100_000)]
+Count = Annotated[int, options.declare("--count", "N", "Number of touches.", min=1, max=100_000)]
 Images = Annotated[
-    bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
+    bool, typer.Option("--images", help="Also write camera images: NAME.png for each touch, and background.png.")
 ]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Where touches, poses.json and touches.png go.")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of the touches, poses.json and touches.png.")]
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "press_depth", "noise", "sensor", "grid", "renderer", "option", "config", "seed"
     ),
 ]
@@ -68,12 +66,12 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate touches with known poses.
 
-    Random contact poses of those that the grid covers, as contact shapes (npz) that `run --touch` reads.
+    The poses are random ones of the grid's range. `run --touch` reads the written contact shapes (npz).
     """
     settings = options.make_config(given)
     seen_by = _find_optics(optics, settings.sensor.name) if images or optics is not None else None
     if recording is not None and out != DEFAULT_OUT:
-        raise ConfigError(f"--recording writes one file and nothing into {out}; leave --out away")
+        raise ConfigError("--recording writes a single file; leave out --out")
     require_writable(out if recording is None else recording.parent)
     localizer = options.open_localizer(settings, None)
     if recording is not None:
@@ -95,27 +93,22 @@ def simulate(
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
     """Write a slide over the object as a recording."""
     from tactile_loc.core.simulation.noise import make_noise
-    from tactile_loc.evaluation.slides import (
-        IMAGE_TOPIC,
-        TRUTH_TOPIC,
-        Photos,
-        draw_random_slide,
-        show_depths,
-        write_slide,
-    )
+    from tactile_loc.evaluation import slides
 
-    if path.suffix.lower() != ".mcap":
-        raise OutputError(f"a recording is written as .mcap, not as {path.name}; choose another name")
+    options.require_mcap("--recording", path)
     config = localizer.config
-    slide = draw_random_slide(localizer, images, config.seed, make_noise(config.touch.noise))
-    show = show_depths if optics is None else Photos(localizer.scene.geometry, optics, config.seed)
-    write_slide(path, slide, show)
-    say(f"written: {images} images on {IMAGE_TOPIC}, TF, and true poses on {TRUTH_TOPIC}, in {path}")
-    return {"recording": str(path), "images": images, "image_topic": IMAGE_TOPIC, "truth_topic": TRUTH_TOPIC}
+    slide = slides.draw_random_slide(localizer, images, config.seed, make_noise(config.touch.noise))
+    show = slides.show_depths if optics is None else slides.Photos(localizer.scene.geometry, optics, config.seed)
+    slides.write_slide(path, slide, show)
+    topics = {"image_topic": slides.IMAGE_TOPIC, "truth_topic": slides.TRUTH_TOPIC}
+    say(
+        "written: {} images on {image_topic}, TF, and true poses on {truth_topic}, in {}".format(images, path, **topics)
+    )
+    return {"recording": str(path), "images": images, **topics}
 
 
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
-    """Write the touches, their poses and their picture; return what poses.json says."""
+    """Write the touches, their poses and their picture; return the contents of poses.json."""
     from tactile_loc.drawing.pictures import draw_touches, save_figure
     from tactile_loc.io.touches import write_touch
 
@@ -141,16 +134,16 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
 
 
 def _warn_of_others(out: Path, names: list[str]) -> None:
-    """Say which touches in the folder are not of this simulation."""
+    """Warn about older touches in the folder."""
     others = sorted(path.name for path in out.glob("*.npz") if path.stem not in names)
     if others:
         logger.warning(
-            "%s holds %d older touches, too, from %s on, whose poses are not in poses.json", out, len(others), others[0]
+            "%s also holds %d older touches (%s, ...); their poses are not in poses.json", out, len(others), others[0]
         )
 
 
 def _find_optics(asked: str | None, sensor: str) -> Optics:
-    """Return the optics that were asked for, or the sensor's, or a usual sensor's."""
+    """Return the optics of this name, or those that suit the sensor."""
     from tactile_loc.imaging.optics import choose_optics, find_optics
 
     return choose_optics(sensor) if asked is None else find_optics(asked)

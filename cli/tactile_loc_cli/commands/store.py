@@ -1,4 +1,4 @@
-"""`tactile-loc store`: what the store of built stages holds."""
+"""`tactile-loc store`: list, measure or prune the store of built stages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +15,7 @@ import typer
 from tactile_loc.core.errors import ConfigError, StoreError
 from tactile_loc.core.formatting import format_bytes
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc_cli.console import say, say_table
+from tactile_loc_cli.console import format_count, say, say_table
 from tactile_loc_cli.options import Store
 
 if TYPE_CHECKING:
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhdw])")
-LABEL = "label"  # of a stage, beside its inputs
+LABEL = "label"  # key of a stage's label beside its inputs
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def list_store(store: Store = None) -> dict[str, Any]:
-    """List what the store holds, the newest last.
+    """List the stages in the store, the newest last.
 
-    For each stage: its digest, size, age, whether it is complete, and what it was made from.
+    Each line shows the stage's digest, size, age, state, and the object and components that it was made from.
     """
     place = _open(store)
     entries = sorted(place.entries(), key=lambda entry: entry.created)
@@ -42,12 +42,12 @@ def list_store(store: Store = None) -> dict[str, Any]:
              ", ".join(r["made_from"].values())] for r in rows
         ]  # fmt: skip
         say_table([["stage", "digest", "size", "age", "state", "made from"], *shown], left=(0, 1, 4, 5))
-    say(_summarise(place, entries))
+    say(f"{_summarise(entries)} in {place.root}")
     return {"store": str(place.root), "entries": rows, "bytes": _sum_bytes(entries)}
 
 
 def size(store: Store = None) -> dict[str, Any]:
-    """Say how much room the store takes, by stage."""
+    """Show the size of the store by stage."""
     place = _open(store)
     entries = place.entries()
     stages = {
@@ -62,32 +62,32 @@ def size(store: Store = None) -> dict[str, Any]:
         shown = [[stage, *map(str, (s["entries"], s["incomplete"])), format_bytes(s["bytes"])]
                  for stage, s in stages.items()]  # fmt: skip
         say_table([["stage", "entries", "incomplete", "size"], *shown], left=1)
-    say(_summarise(place, entries))
+    say(f"{_summarise(entries)} in {place.root}")
     return {"store": str(place.root), "stages": stages, "entries": len(entries), "bytes": _sum_bytes(entries)}
 
 
 def prune(
     older_than: Annotated[
-        str | None, typer.Option("--older-than", metavar="AGE", help="What was built longer ago: 30d, 12h, 2w, ...")
+        str | None, typer.Option("--older-than", metavar="AGE", help="Entries older than this: 30d, 12h, 2w, ...")
     ] = None,
     stage: Annotated[
-        list[str] | None, typer.Option("--stage", metavar="NAME", help="Of this stage only; may be repeated.")
+        list[str] | None, typer.Option("--stage", metavar="NAME", help="Entries of this stage; may be repeated.")
     ] = None,
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="What interrupted builds left; they then start anew.")
+        bool, typer.Option("--incomplete", help="Remains of interrupted builds; these then cannot resume.")
     ] = False,
     keep_newest: Annotated[
         int | None, typer.Option("--keep-newest", min=1, metavar="N", help="All but the newest N of each stage.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Everything.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be removed.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="All entries.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the entries without removing them.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
     store: Store = None,
 ) -> dict[str, Any]:
-    """Remove what is not needed from the store.
+    """Remove entries from the store.
 
-    Several conditions: what meets them all. What is being built now is left alone. What is removed and needed later is
-    built again.
+    With several conditions, entries that meet all of them are removed. Entries being built are kept. If a removed
+    entry is needed later, it is built again.
     """
     age = None if older_than is None else parse_age(older_than)
     criteria = Criteria(everything, tuple(stage or ()), age, incomplete, keep_newest or 0)
@@ -96,7 +96,7 @@ def prune(
     busy = [entry for entry in chosen if place.is_being_built(entry)]
     free = [entry for entry in chosen if entry not in busy]
     for entry in busy:
-        say(f"left alone, it is being built now: {_name(entry)}")
+        say(f"kept, because it is being built: {_name(entry)}")
     if free and not (dry_run or yes or _is_confirmed(free)):
         free = []
     removed, kept = (free, []) if dry_run else _remove(place, free)
@@ -126,7 +126,7 @@ def _describe(place: StageStore, entry: Entry, origins: Origins) -> dict[str, An
 
 
 def _is_being_built(place: StageStore, entry: Entry) -> bool:
-    """As the store says; False where we may not ask, as in a store that can only be read."""
+    """Return whether the entry is being built; False where the store cannot tell, as in a read-only store."""
     try:
         return place.is_being_built(entry)
     except StoreError:
@@ -134,19 +134,19 @@ def _is_being_built(place: StageStore, entry: Entry) -> bool:
 
 
 def _is_confirmed(entries: Sequence[Entry]) -> bool:
-    """Let the person decide. Raises ConfigError where there is none to ask."""
+    """Ask for confirmation. Raises ConfigError where stdin is no terminal."""
     if not _is_terminal():
-        raise ConfigError("nobody is here to confirm that; give --yes, or --dry-run to see what would be removed")
-    return typer.confirm(f"Remove {_count(entries)}, {format_bytes(_sum_bytes(entries))}?", err=True)
+        raise ConfigError("removing needs a confirmation; give --yes, or --dry-run to list what would be removed")
+    return typer.confirm(f"Remove {_summarise(entries)}?", err=True)
 
 
 def _is_terminal() -> bool:
-    """Whether somebody can answer a question."""
+    """Return whether somebody can answer a question."""
     return sys.stdin.isatty()
 
 
 def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], list[Entry]]:
-    """Remove the entries; return those that are gone, and those that another process took meanwhile."""
+    """Remove the entries; return the removed ones, and those that another process has begun to build."""
     gone, kept = [], []
     for entry in entries:
         try:
@@ -155,7 +155,7 @@ def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], l
             if not place.is_being_built(entry):
                 raise
             kept.append(entry)
-            say(f"left alone, it is being built now: {_name(entry)}")
+            say(f"kept, because it is being built: {_name(entry)}")
         else:
             gone.append(entry)
     return gone, kept
@@ -165,7 +165,7 @@ def _say_removed(place: StageStore, entries: Sequence[Entry], dry_run: bool) -> 
     for entry in entries:
         say(f"{'would remove' if dry_run else 'removed'} {_name(entry)}, {format_bytes(entry.nbytes)}")
     verb = "would be removed" if dry_run else "removed"
-    say(f"{_count(entries)}, {format_bytes(_sum_bytes(entries))}, {verb} from {place.root}")
+    say(f"{_summarise(entries)}, {verb} from {place.root}")
 
 
 def _record(entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -176,31 +176,27 @@ def _name(entry: Entry) -> str:
     return f"{entry.stage} {entry.digest}"
 
 
-def _count(entries: Sequence[Entry]) -> str:
-    return f"{len(entries)} {'entry' if len(entries) == 1 else 'entries'}"
-
-
 def _sum_bytes(entries: Sequence[Entry]) -> int:
     return sum(entry.nbytes for entry in entries)
 
 
-def _summarise(place: StageStore, entries: Sequence[Entry]) -> str:
-    return f"{_count(entries)}, {format_bytes(_sum_bytes(entries))} in {place.root}"
+def _summarise(entries: Sequence[Entry]) -> str:
+    return f"{format_count(len(entries), 'entry')}, {format_bytes(_sum_bytes(entries))}"
 
 
 def parse_age(text: str) -> timedelta:
-    """Return the duration that a text such as "30d" or "1.5h" names. Raises ConfigError."""
+    """Return the duration in a text such as "30d" or "1.5h". Raises ConfigError."""
     match = _DURATION.fullmatch(text.strip().lower())
     try:
         if match:
             return timedelta(seconds=float(match[1]) * UNITS_S[match[2]])
     except OverflowError:
         pass
-    raise ConfigError(f"--older-than {text!r} is no age; write a number and s, m, h, d or w, such as 30d or 12h")
+    raise ConfigError(f"cannot read --older-than {text!r}; write a number and s, m, h, d or w, such as 30d or 12h")
 
 
 def write_age(seconds: float) -> str:
-    """Return an age in the largest unit of which it holds two, such as 45 min, 3 h, 12 d."""
+    """Return an age in the largest unit that fits at least twice, such as 45 min, 3 h, 12 d."""
     for unit, name in (("d", "d"), ("h", "h"), ("m", "min")):
         if seconds >= 2 * UNITS_S[unit]:
             return f"{seconds / UNITS_S[unit]:.0f} {name}"
@@ -208,13 +204,13 @@ def write_age(seconds: float) -> str:
 
 
 def measure_age_s(entry: Entry, now: datetime | None = None) -> float:
-    """Return how long ago an entry was built, or last worked at, seconds."""
+    """Return the seconds since an entry was built or last changed."""
     return ((now or datetime.now(UTC)) - entry.created).total_seconds()
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """Which entries to remove: those that meet all that is asked."""
+    """The conditions for removing an entry, which must meet all of them."""
 
     everything: bool = False
     stages: tuple[str, ...] = ()
@@ -225,10 +221,10 @@ class Criteria:
     def __post_init__(self) -> None:
         if not (self.everything or self._some):
             raise ConfigError(
-                "say what to remove: --older-than 30d, --stage NAME, --incomplete, --keep-newest N, or --all"
+                "nothing to remove is given; give --older-than, --stage, --incomplete, --keep-newest or --all"
             )
         if self.everything and self._some:
-            raise ConfigError("--all removes everything: leave it out, or the other conditions")
+            raise ConfigError("--all excludes other conditions; leave it out, or leave them out")
 
     @property
     def _some(self) -> bool:
@@ -238,9 +234,7 @@ class Criteria:
         """Return the entries to remove, in their order. Raises ConfigError for a stage that the store does not hold."""
         known = {entry.stage for entry in entries}
         if unknown := [stage for stage in self.stages if stage not in known]:
-            raise ConfigError(
-                f"the store holds no stage {unknown[0]!r}; it holds {', '.join(sorted(known)) or 'nothing'}"
-            )
+            raise ConfigError(f"the store has no stage {unknown[0]!r}; it has {', '.join(sorted(known)) or 'none'}")
         kept, now = set(self._find_newest(entries)), datetime.now(UTC)
         return [entry for entry in entries if entry.path not in kept and self._is_met(entry, now)]
 
@@ -252,7 +246,7 @@ class Criteria:
         )
 
     def _find_newest(self, entries: Sequence[Entry]) -> Iterator[Any]:
-        """The paths of the newest finished entries of each stage."""
+        """Yield the paths of the newest finished entries of each stage."""
         for group in group_by_stage(entries).values():
             finished = sorted((e for e in group if e.complete), key=lambda e: e.created, reverse=True)
             yield from (entry.path for entry in finished[: self.keep_newest])
@@ -266,28 +260,38 @@ def group_by_stage(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
     return dict(groups)
 
 
-@dataclass
 class Origins:
-    """What the entries of a store were made from, by their manifests and those of the stages they refer to."""
+    """The objects and components that entries were made from, by their manifests and those of their inputs."""
 
-    entries: Sequence[Entry]
-    _inputs: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for entry in self.entries:
-            if entry.complete and (inputs := _read_inputs(entry)) is not None:
-                self._inputs[entry.digest] = inputs
+    def __init__(self, entries: Sequence[Entry]) -> None:
+        found = {entry.digest: _read_inputs(entry) for entry in entries if entry.complete}
+        self._inputs = {digest: inputs for digest, inputs in found.items() if inputs is not None}
+        # slot and name of each component, by the class in its description
+        self._names = {c.spec.target: (c.spec.slot, c.spec.name) for c in registry().components}
 
     def is_readable(self, entry: Entry) -> bool:
-        """Whether the entry is finished and its manifest is whole; the files' checksums are not looked at."""
+        """Return whether the entry is finished and its manifest readable; checksums of files are not verified."""
         return entry.digest in self._inputs
 
     def find(self, entry: Entry) -> dict[str, str]:
-        """Return what an entry was made from: "object" (its name, or its mesh's digest), and components by slot."""
-        parts = dict(
-            _list_parts(self._inputs.get(entry.digest, {}), self._inputs, _list_names(), frozenset({entry.digest}))
-        )
+        """Return the origins of an entry: "object" (its name, or its mesh's digest), and components by slot."""
+        parts = dict(self._list_parts(self._inputs.get(entry.digest, {}), frozenset({entry.digest})))
         return {key: parts[key] for key in ("object", *SLOTS) if key in parts}
+
+    def _list_parts(self, value: Any, seen: frozenset[str]) -> Iterator[tuple[str, str]]:
+        """Yield the parts that inputs name; those of the stages that they refer to come first."""
+        if isinstance(value, str) and _DIGEST.fullmatch(value):
+            if (digest := value[:16]) in self._inputs and digest not in seen:
+                yield from self._list_parts(self._inputs[digest], seen | {digest})
+        elif isinstance(value, Mapping):
+            if "mesh" in value and "symmetry" in value:
+                yield "object", f"mesh {str(value['mesh'])[:8]} ({value['symmetry']})"
+            elif value.get("class") in self._names:
+                yield self._names[value["class"]]
+            for item in value.values():
+                yield from self._list_parts(item, seen)
+            if value.get(LABEL):
+                yield "object", value[LABEL]
 
 
 def _read_inputs(entry: Entry) -> Mapping[str, Any] | None:
@@ -298,26 +302,3 @@ def _read_inputs(entry: Entry) -> Mapping[str, Any] | None:
     except StoreError:
         return None
     return {**key.inputs, LABEL: key.label}
-
-
-def _list_parts(
-    value: Any, known: Mapping[str, Mapping[str, Any]], names: Mapping[str, tuple[str, str]], seen: frozenset[str]
-) -> Iterator[tuple[str, str]]:
-    """What inputs name, those of the stages they refer to first."""
-    if isinstance(value, str) and _DIGEST.fullmatch(value):
-        if (digest := value[:16]) in known and digest not in seen:
-            yield from _list_parts(known[digest], known, names, seen | {digest})
-    elif isinstance(value, Mapping):
-        if "mesh" in value and "symmetry" in value:
-            yield "object", f"mesh {str(value['mesh'])[:8]} ({value['symmetry']})"
-        elif value.get("class") in names:
-            yield names[value["class"]]
-        for item in value.values():
-            yield from _list_parts(item, known, names, seen)
-        if value.get(LABEL):
-            yield "object", value[LABEL]
-
-
-def _list_names() -> dict[str, tuple[str, str]]:
-    """Slot and name of each component, by what its description calls its class."""
-    return {c.spec.target: (c.spec.slot, c.spec.name) for c in registry().components}

@@ -1,4 +1,4 @@
-"""`tactile-loc sweep`: every combination of components, on every object."""
+"""`tactile-loc sweep`: evaluate every combination of components on every object."""
 
 from __future__ import annotations
 
@@ -19,60 +19,59 @@ if TYPE_CHECKING:
     from tactile_loc.sweeps.sweep import Sweep, Workers
 
 DEFAULT_OUT = Path("sweep")
-MOST_SHOWN = 40  # lines of a list of combinations
+MOST_SHOWN = 40  # lines of a table
 
 PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
 ]
 Objects = Annotated[
-    list[str] | None,
-    declare("--object", "FILE|DEMO,...", "Mesh files or demo objects; by default all demo objects."),
+    list[str] | None, declare("--object", "FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects.")
 ]
-Sensors = Annotated[list[str] | None, declare("--sensor", "NAME|PATH,...", "Sensors; by default gelslim.")]
-Renderers = Annotated[list[str] | None, declare("--renderer", "NAME,...", "Renderers; by default heightmap.")]
-Grids = Annotated[list[str] | None, declare("--grid", "NAME,...", "Grids; by default face.")]
-Encoders = Annotated[list[str] | None, declare("--encoder", "NAME,...", "Encoders; by default pixel.")]
-Matchers = Annotated[list[str] | None, declare("--matcher", "NAME,...", "Matchers; by default dense.")]
-Refiners = Annotated[list[str] | None, declare("--refiner", "NAME,...", "Refiners; by default joint.")]
-Fusers = Annotated[list[str] | None, declare("--fuser", "NAME,...", "Fusers; by default product.")]
+Sensors = Annotated[list[str] | None, declare("--sensor", "NAME|PATH,...", "Sensors. Default: gelslim.")]
+Renderers = Annotated[list[str] | None, declare("--renderer", "NAME,...", "Renderers. Default: heightmap.")]
+Grids = Annotated[list[str] | None, declare("--grid", "NAME,...", "Grids that list their poses. Default: face.")]
+Encoders = Annotated[list[str] | None, declare("--encoder", "NAME,...", "Encoders. Default: pixel.")]
+Matchers = Annotated[list[str] | None, declare("--matcher", "NAME,...", "Matchers. Default: dense.")]
+Refiners = Annotated[list[str] | None, declare("--refiner", "NAME,...", "Refiners. Default: joint.")]
+Fusers = Annotated[list[str] | None, declare("--fuser", "NAME,...", "Fusers. Default: product.")]
 Noises = Annotated[
-    list[str] | None, declare("--noise", "NAME,...", "Noises of the touches: none, mild, strong; by default strong.")
+    list[str] | None, declare("--noise", "NAME,...", "Noises of the touches: none, mild, strong. Default: strong.")
 ]
-Seeds = Annotated[list[str] | None, declare("--seed", "N,...", "Seeds of the touches; by default 0.")]
+Seeds = Annotated[list[str] | None, declare("--seed", "N,...", "Seeds of the touches. Default: 0.")]
 Options = Annotated[
     list[str] | None,
     set_option(
-        "Values of an option, as grid.spacing_mm=3,4; they go to the components that have it; may be repeated.",
+        "Values of an option, such as grid.spacing_mm=3,4, for the components that have it; may be repeated.",
         "SLOT.OPTION=VALUE,...",
     ),
 ]
 Count = Annotated[
-    int | None, declare("--count", "N", "Simulated touches a combination; by default 150.", min=1, max=100_000)
+    int | None, declare("--count", "N", "Simulated touches for each combination. Default: 150.", min=1, max=100_000)
 ]
 Line = Annotated[
-    str, declare("--line", "LINE", "Whose errors sweep.md, pictures and comparisons show: best-1, reg-1, chosen, ...")
+    str, declare("--line", "LINE", "Line of the protocol in sweep.md, pictures and comparisons: best-1, reg-1, ...")
 ]
-Processes = Annotated[int | None, declare("--workers", "N", "Local processes; by default one a core.", min=1)]
+Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
 Threads = Annotated[
-    int | None, declare("--threads", "N", "Threads of each local process (OpenMP, numba); by default 1.", min=1)
+    int | None, declare("--threads", "N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
 ]
 Scheduler = Annotated[
-    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler instead.")
+    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
 ]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="List the combinations and count the stages to be built; run nothing.")
+    bool, typer.Option("--dry-run", help="List the combinations and count the stages to build, without running them.")
 ]
 Compare = Annotated[
     Path | None, declare("--compare", "FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
 ]
-Out = Annotated[Path, declare("--out", "FOLDER", "Where the rows, tables and pictures go.")]
+Out = Annotated[Path, declare("--out", "FOLDER", "Folder of the rows, tables and pictures.")]
 
 
 def sweep(
     plan: PlanFile = None,
     object: Objects = None,
     *,
-    given: Annotated[options.RunOptions, options.takes("units", "symmetry")],
+    given: Annotated[options.RunOptions, options.Takes("units", "symmetry")],
     sensor: Sensors = None,
     renderer: Renderers = None,
     grid: Grids = None,
@@ -95,9 +94,9 @@ def sweep(
 ) -> dict[str, Any]:
     """Evaluate every combination of components.
 
-    Options with "..." take several values, separated by commas or by repeating them; all combinations of all values are
-    evaluated, as in docs/sweeps.md, on local processes or a Dask cluster. A combination that fails is a row with its
-    error, and the exit code is then 1. All workers share one store. Interrupted, the same command resumes.
+    Options with "..." take several values, separated by commas or given by repeated options. All combinations of the
+    values are evaluated in local processes or on a Dask cluster (docs/sweeps.md). All workers share one store. If a
+    combination fails, its row holds the error, and the exit code is 1. After an interruption, the same command resumes.
     """
     from tactile_loc.store.store import StageStore
     from tactile_loc.sweeps.results import read_sweep, require_line
@@ -117,21 +116,21 @@ def sweep(
     if dry_run:
         return _list_combinations(wanted, out, place)
     if compare is not None:
-        read_sweep(compare)  # refused now, not after the sweep
+        read_sweep(compare)  # raises before the sweep, not after it
     found = run_sweep(wanted, out, place, _choose_workers(workers, threads, scheduler, out), make_progress())
     report = _report(found, out, line)
     if compare is not None:
         report["comparison"] = _compare(compare, out, line)
     if found.failed:
         complain(
-            "failed", f"{found.failed} of {len(found.combinations)} combinations; the errors are in {out}/sweep.md"
+            "failed", f"{found.failed} of {len(found.combinations)} combinations; see the errors in {out}/sweep.md"
         )
         raise Finding(UNEXPECTED, report)
     return report
 
 
 def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
-    """The file's plan with what is given on the command line over it."""
+    """Return the file's plan, overridden by the command line."""
     from tactile_loc.io.toml import read_toml
     from tactile_loc.sweeps.plan import Plan, merge_options, read_options, split_all
 
@@ -147,9 +146,7 @@ def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | 
         objects = values.get("object", [])
         objects = objects if isinstance(objects, list) else [objects]
         if not objects or ("symmetry" in table and len(objects) > 1):
-            raise ConfigError(
-                "--units and --symmetry need --object, and --symmetry is of one object; give them in a plan"
-            )
+            raise ConfigError("--units needs --object, and --symmetry a single --object; or give them in a plan")
         values["object"] = [{**(one if isinstance(one, dict) else {"path": one}), **table} for one in objects]
     return Plan.from_values(values, source)
 
@@ -160,14 +157,12 @@ def _choose_workers(workers: int | None, threads: int | None, scheduler: str | N
     if scheduler is None:
         return LocalWorkers(workers or count_cores(), threads or 1, out / "workers.log")
     if workers is not None or threads is not None:
-        raise ConfigError(
-            "--workers and --threads are of local processes; with --scheduler the cluster decides, see docs/sweeps.md"
-        )
+        raise ConfigError("--workers and --threads are for local processes; leave them out with --scheduler")
     return DaskWorkers(scheduler)
 
 
 def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
-    """List what would be done, and return it."""
+    """List the combinations and the missing stages, and return both."""
     from tactile_loc.sweeps.combination import combine, find_missing_stages
     from tactile_loc.sweeps.plan import name_choices
     from tactile_loc.sweeps.sweep import FinishedRows, find_finished
@@ -185,14 +180,14 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     header = ["object", *SLOTS, "noise", "seed", ""]
     say_table([header, *rows], left=len(header))
     say(f"\n{len(combinations)} combinations of {plan.count} touches each, {len(missing)} to do")
-    say(f"stages to be built: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
-    say("of encoders that follow the press depth, one bank is counted; they need one for each depth of the touches")
+    say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
+    say("an encoder that follows the press depth needs a bank for each depth of the touches; only one is counted")
     keys = [dict(zip([*header[:-1], "state"], row, strict=True)) for row in rows]
     return {"combinations": keys, "count": plan.count, "missing": len(missing), "stages_to_build": stages}
 
 
 def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
-    """Write the results of a sweep, show them, and return what was written."""
+    """Write the results of a sweep, show them, and return a summary."""
     from tactile_loc.sweeps.results import write_sweep
 
     files = write_sweep(out, found, line)
@@ -224,12 +219,12 @@ def _say_medians(found: Sweep, line: str) -> None:
 
 
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
-    """Compare two finished sweeps, show what changed, and return it. Raises ConfigError."""
+    """Compare two finished sweeps; show and return the changes. Raises ConfigError."""
     from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
     from tactile_loc.sweeps.results import read_sweep
 
     if old is None:
-        raise ConfigError("there is nothing to sweep; give a plan (sweep.toml), or options such as --refiner none,icp")
+        raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")
     comparison = compare(read_sweep(old), read_sweep(new), line)
     table = format_texts(comparison)
     files = write_comparison(new, comparison)

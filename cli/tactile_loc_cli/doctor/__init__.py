@@ -1,1 +1,1 @@
-"""What `tactile-loc doctor` looks at: this machine, what is installed on it, and whether it works."""
+"""`tactile-loc doctor` and its checks of this machine, the installed libraries, the plugins and the store."""

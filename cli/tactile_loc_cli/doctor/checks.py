@@ -1,4 +1,4 @@
-"""What doctor looks at, in the order in which it is shown; what may crash or hang is tried in a process of its own."""
+"""The checks of doctor. Trials that may crash or hang run in separate processes."""
 
 from __future__ import annotations
 
@@ -10,23 +10,21 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from tactile_loc.core.errors import TactileLocError
-
-NOTHING: Mapping[str, Any] = MappingProxyType({})
+from tactile_loc_cli.console import format_count
 
 
 class State(StrEnum):
-    """How something is."""
+    """The state of a checked thing."""
 
     OK = "ok"
     MISSING = "missing"
@@ -35,62 +33,62 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """What was found: `says` what it means, `remedy` what to do; `facts` are JSON values, in SI units."""
+    """One finding: `says` describes it, `remedy` says what to do, and `facts` are JSON values in SI units."""
 
     name: str
     state: State
     says: str
     remedy: str = ""
     required: bool = False
-    facts: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def is_fatal(self) -> bool:
-        """Whether tactile-loc cannot be expected to work."""
+        """Whether tactile-loc cannot work because of it."""
         return self.required and self.state is not State.OK
 
     def record(self) -> dict[str, Any]:
-        """Return it as JSON values."""
-        said = {"says": self.says, "remedy": self.remedy, "required": self.required}
-        return {"name": self.name, "state": str(self.state), **said, **self.facts}
+        """Return the finding as JSON values."""
+        text = {"says": self.says, "remedy": self.remedy, "required": self.required}
+        return {"name": self.name, "state": str(self.state), **text, **self.facts}
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Looks at something; `look` may raise whatever it likes."""
+    """A function `look` that returns findings, and may raise anything."""
 
     name: str
-    look: Callable[[], Sequence[Check]]
+    look: Callable[[], Iterable[Check]]
     required: bool = False
 
     def run(self) -> list[Check]:
-        """Return what was found; a failure to look is itself a finding."""
+        """Return the findings; a failure to look is also one."""
         try:
             return list(self.look())
         except TactileLocError as error:
             reason = str(error)
-        except Exception as error:  # noqa: BLE001 - whatever is broken here, the other probes must still be run
+        except Exception as error:  # noqa: BLE001 - a broken library may raise anything, and other probes must run
             reason = f"{type(error).__name__}: {error}"
         return [Check(self.name, State.BROKEN, reason, required=self.required)]
 
 
 TIMEOUT_S = 90.0
 COMPILE_S = 600.0
-LONGEST = 240  # characters of a reason that are shown
+LONGEST = 240  # shown characters of a reason
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial: its facts, or the reason why it failed."""
+    """The outcome of a trial: its facts, or the reason of its failure."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     failure: str = ""
 
 
 def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Outcome:
-    """Run a trial of `trials.py`, by default for at most TIMEOUT_S seconds; whatever becomes of it, return."""
+    """Run a trial of `trials.py`, by default for at most TIMEOUT_S seconds, and return its outcome. Never raises."""
     timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
-    # -P: a file of the folder we are in must not be taken for a library
+    # -P: do not import files of the current folder in place of libraries
     line = [sys.executable, "-P", "-m", "tactile_loc_cli.doctor.trials", trial, *words]
     try:
         done = subprocess.run(
@@ -101,13 +99,13 @@ def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Outcome:
     except OSError as error:
         return Outcome(failure=f"Python cannot be started ({error.strerror})")
     if done.returncode < 0:
-        return Outcome(failure=f"it crashes ({_name_signal(-done.returncode)})")
+        return Outcome(failure=f"it crashed ({_name_signal(-done.returncode)})")
     if done.returncode > 0:
-        return Outcome(failure=_read_last_line(done.stderr) or f"it ends with code {done.returncode}")
+        return Outcome(failure=_read_last_line(done.stderr)[:LONGEST] or f"it exited with code {done.returncode}")
     try:
-        return Outcome(facts=dict(json.loads(_read_last_line(done.stdout, len(done.stdout)))))
+        return Outcome(facts=dict(json.loads(_read_last_line(done.stdout))))
     except (ValueError, TypeError):
-        return Outcome(failure="it says nothing")
+        return Outcome(failure="it printed nothing readable")
 
 
 def _name_signal(number: int) -> str:
@@ -117,12 +115,12 @@ def _name_signal(number: int) -> str:
         return f"signal {number}"
 
 
-def _read_last_line(text: str, longest: int = LONGEST) -> str:
+def _read_last_line(text: str) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1][:longest] if lines else ""
+    return lines[-1] if lines else ""
 
 
-# scripts/system-packages.sh of the source tree knows the same pairs; a test compares them
+# a test compares these pairs with scripts/system-packages.sh
 PACKAGES: Mapping[str, str] = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libEGL.so.1": "libegl1",
@@ -132,13 +130,13 @@ PACKAGES: Mapping[str, str] = {
     "libidn2.so.0": "libidn2-0",
     "libgomp.so.1": "libgomp1",
 }
-USERS: Mapping[str, str] = {"libEGL.so.1": "the renderer pyrender"}  # all others: open3d
+USERS: Mapping[str, str] = {"libEGL.so.1": "the renderer pyrender"}  # open3d uses all others
 DRIVER = "libgl1-mesa-dri"  # Mesa's drivers, which need no GPU
 DRIVER_PATTERNS = ("lib/dri/*_dri.so", "lib64/dri/*_dri.so", "lib/*/dri/*_dri.so", "lib/*/libgallium-*.so")
 
 
 def check_shared_libraries() -> Iterator[Check]:
-    """Say which shared libraries are missing; on other systems than Linux nothing is looked at."""
+    """Find missing shared libraries; on Linux only."""
     if sys.platform != "linux":
         return
     outcome = attempt("shared-libraries", *PACKAGES)
@@ -152,7 +150,7 @@ def check_shared_libraries() -> Iterator[Check]:
         remedy = advise_install(DRIVER)
         yield Check("EGL driver", State.MISSING, "the renderer pyrender needs one, Mesa's or NVIDIA's", remedy)
     if not outcome.facts["missing"]:
-        yield Check("system libraries", State.OK, "all there")
+        yield Check("system libraries", State.OK, "all found")
 
 
 def has_egl_driver() -> bool:
@@ -163,14 +161,14 @@ def has_egl_driver() -> bool:
 
 
 def advise_install(package: str) -> str:
-    """Return how to install a Debian package, here."""
+    """Return how to install a Debian package on this system."""
     if shutil.which("apt-get"):
         return f"sudo apt-get install {package}"
-    return f"install what Debian calls {package} with this system's package manager"
+    return f"install the equivalent of the Debian package {package}"
 
 
 def find_remedy(failure: str, otherwise: str) -> str:
-    """Return how to install the shared library that a failure names; `otherwise` when it names none."""
+    """Return how to install the shared library that a failure names, or `otherwise` when it names none."""
     return next((advise_install(package) for library, package in PACKAGES.items() if library in failure), otherwise)
 
 
@@ -181,7 +179,7 @@ LOW_DISK = "little: models of large grids take gigabytes"
 
 @dataclass(frozen=True)
 class Library:
-    """A library, by its module; `distributions` are the names that pip may know it by, `serves` what needs it."""
+    """A library by its module, with its possible names for pip in `distributions`; `serves` names its users."""
 
     module: str
     distributions: tuple[str, ...]
@@ -189,7 +187,7 @@ class Library:
     install: str
     required: bool = False
     trial: str = "import"
-    repair: str = ""  # what to do when it is installed and does not work; by default install it anew
+    repair: str = ""  # if it is installed but does not work; by default, reinstall it
 
 
 def _require(module: str, *distributions: str, trial: str = "import", serves: str = "") -> Library:
@@ -215,7 +213,7 @@ LIBRARIES = (
             repair=advise_install("libegl1 libgl1-mesa-dri")),
     Library("torch", ("torch",), "the encoder moco, and sensors that read images", "pip install 'tactile-loc[learned]'",
             trial="torch"),
-    Library("safetensors", ("safetensors",), "what is learned", "pip install 'tactile-loc[learned]'"),
+    Library("safetensors", ("safetensors",), "learned models", "pip install 'tactile-loc[learned]'"),
     Library("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
     Library("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
     Library("distributed", ("distributed",), "sweeps over several machines", "pip install 'tactile-loc[sweep]'"),
@@ -226,16 +224,16 @@ LIBRARIES = (
 
 
 def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> list[Check]:
-    """Look at everything, several things at a time, and return what was found. Never raises.
+    """Run all checks, `workers` at a time, and return their findings. Never raises.
 
-    `compiling` also compiles what locating takes.
+    `compiling` also compiles the code for locating.
     """
     probes = [
         Probe("versions", _check_versions, required=True),
         Probe("machine", _check_machine),
         *(Probe(library.module, partial(_check_library, library), library.required) for library in LIBRARIES),
-        Probe("system libraries", lambda: list(check_shared_libraries())),
-        Probe("plugins", lambda: list(_check_plugins()), required=True),
+        Probe("system libraries", check_shared_libraries),
+        Probe("plugins", _check_plugins, required=True),
         Probe("store", lambda: [_check_store(store)], required=True),
         *([Probe("kernels", lambda: [_compile_kernels()], required=True)] if compiling else []),
     ]
@@ -243,11 +241,11 @@ def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> li
         return [check for checks in pool.map(Probe.run, probes) for check in checks]
 
 
-def _check_versions() -> Sequence[Check]:
+def _check_versions() -> list[Check]:
     version = metadata.version("tactile-loc")
     python, system = platform.python_version(), f"{_name_system()}, {platform.machine()}"
     state = State.OK if sys.version_info >= PYTHON else State.BROKEN
-    remedy = "" if state is State.OK else f"make an environment with Python {PYTHON[0]}.{PYTHON[1]} or newer"
+    remedy = "" if state is State.OK else f"use Python {PYTHON[0]}.{PYTHON[1]} or newer"
     return [
         Check("tactile-loc", State.OK, version, required=True, facts={"version": version}),
         Check("python", state, f"{python} in {sys.prefix}", remedy, True, {"version": python}),
@@ -262,16 +260,16 @@ def _name_system() -> str:
         return f"{platform.system()} {platform.release()}"
 
 
-def _check_machine() -> Sequence[Check]:
+def _check_machine() -> list[Check]:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     nbytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    says = f"{cores} CPU {'core' if cores == 1 else 'cores'}, {nbytes / 1e9:.3g} GB of memory"
+    says = f"{format_count(cores, 'CPU core')}, {nbytes / 1e9:.3g} GB of memory"
     return [Check("machine", State.OK, says, facts={"cores": cores, "memory_bytes": nbytes})]
 
 
-def _check_library(library: Library) -> Sequence[Check]:
-    """Whether a library is installed and works."""
+def _check_library(library: Library) -> list[Check]:
+    """Check that a library is installed and works."""
     version = _find_version(library.distributions)
     serves = library.serves if library.required else f"optional, for {library.serves}"
     if version is None and (failed := attempt("import", library.module)).failure:
@@ -288,10 +286,10 @@ def _check_library(library: Library) -> Sequence[Check]:
 
 
 def _compile_kernels() -> Check:
-    """Whether what locating takes can be compiled: it is, now."""
+    """Compile the code for locating."""
     outcome = attempt("kernels", timeout_s=COMPILE_S)
     if outcome.failure:
-        remedy = find_remedy(outcome.failure, "tactile-loc -vv run says more")
+        remedy = find_remedy(outcome.failure, "run `tactile-loc -vv run` for details")
         return Check("kernels", State.BROKEN, outcome.failure, remedy, required=True)
     facts = {"seconds": outcome.facts["seconds"]}
     return Check("kernels", State.OK, str(outcome.facts["says"]), required=True, facts=facts)
@@ -316,7 +314,7 @@ def _check_plugins() -> Iterator[Check]:
         says = f"{len(found.components)} components of {', '.join(distributions)}"
         yield Check("plugins", State.OK, says, required=True, facts=facts)
     else:
-        remedy = "install tactile-loc anew: pip install --force-reinstall --no-deps tactile-loc"
+        remedy = "pip install --force-reinstall --no-deps tactile-loc"
         yield Check("plugins", State.BROKEN, "the built-in components are not registered", remedy, True, facts)
     for failure in found.failures:
         remedy = f"update or uninstall {failure.distribution}"
@@ -336,7 +334,7 @@ def _check_store(folder: Path | None) -> Check:
     except OSError as error:
         return Check("store", State.BROKEN, f"{root} cannot be written to ({error.strerror})", remedy, True)
     nbytes, free = sum(entry.nbytes for entry in StageStore(folder).entries()), shutil.disk_usage(existing).free
-    says = f"{root} holds {format_bytes(nbytes)}, {format_bytes(free)} are free on its disk"
+    says = f"{root} holds {format_bytes(nbytes)}; {format_bytes(free)} are free on its disk"
     facts = {"folder": str(root), "bytes": nbytes, "free_bytes": free}
     if free < LITTLE_DISK_B:
         return Check("store", State.OK, f"{says} ({LOW_DISK})", f"tactile-loc store prune, or {remedy}", True, facts)

@@ -1,6 +1,6 @@
-"""What may crash or hang: each is tried in a process of its own, `python -m tactile_loc_cli.doctor.trials NAME ...`.
+"""Trials of libraries that may crash or hang, each in its own process: `python -m tactile_loc_cli.doctor.trials NAME`.
 
-A trial prints one line of JSON, its facts, with what to say of it under "says"; or it fails, and the last line of its
+A trial prints its facts as one line of JSON, with a text for people under "says". If it fails, the last line of its
 stderr says why.
 """
 
@@ -25,7 +25,7 @@ def import_library(module: str) -> Facts:
 
 
 def try_egl() -> Facts:
-    """Draw one small picture of a square, 1 mm before the sensor's undeformed surface, without a display."""
+    """Render a small square, 1 mm beyond the undeformed gel, without a display."""
     import numpy as np
 
     from tactile_loc.core.objects.mesh import TriangleMesh
@@ -39,7 +39,7 @@ def try_egl() -> Facts:
     T_sensor_object[2, 3] = 0.011
     depth_m = PyrenderRenderer().render(mesh, T_sensor_object[None], geometry)[0, 6, 8]
     if abs(depth_m - 0.011) > 1e-5:
-        raise ValueError(f"it draws a surface at {1e3 * depth_m:.2f} mm that lies at 11 mm")
+        raise ValueError(f"it renders a surface at {1e3 * depth_m:.2f} mm instead of 11 mm")
     return {"says": "renders without a display"}
 
 
@@ -54,7 +54,7 @@ def try_open3d() -> Facts:
     ray = tensor(np.array([[0, 0, 0, 0, 0, 1]], np.float32))
     distance_m = float(scene.cast_rays(ray)["t_hit"].numpy()[0])
     if abs(distance_m - 1) > 1e-5:
-        raise ValueError(f"its ray hits at {distance_m:g} m what is 1 m away")
+        raise ValueError(f"its ray hits a triangle at {distance_m:g} m instead of 1 m")
     return {"says": "casts rays"}
 
 
@@ -70,12 +70,12 @@ def try_numba() -> Facts:
         return total
 
     if triangular(10) != 55:
-        raise ValueError("what it compiles computes something else")
+        raise ValueError("its compiled code gives wrong results")
     return {"says": "compiles"}
 
 
 def try_torch() -> Facts:
-    """Import torch and name the GPUs that it can compute on."""
+    """Import torch and name its usable GPUs."""
     import torch
 
     devices = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
@@ -83,14 +83,14 @@ def try_torch() -> Facts:
         float(torch.ones(8, device="cuda").sum())
         says = f"computes on {', '.join(devices)}"
     elif shutil.which("nvidia-smi"):
-        says = "computes on the CPU: there is an NVIDIA driver, but no CUDA GPU that this torch can use"
+        says = "computes on the CPU; there is an NVIDIA driver, but torch finds no CUDA GPU"
     else:
-        says = "computes on the CPU: there is no CUDA GPU"
+        says = "computes on the CPU; there is no CUDA GPU"
     return {"says": says, "cuda_devices": devices}
 
 
 def load_shared_libraries(*names: str) -> Facts:
-    """Load shared libraries by name, and say which cannot be."""
+    """Load shared libraries by name, and return those that cannot be loaded."""
     import ctypes
 
     missing = []
@@ -103,7 +103,7 @@ def load_shared_libraries(*names: str) -> Facts:
 
 
 def compile_kernels() -> Facts:
-    """Locate a small object by one touch and by two, so that what this takes is compiled, and kept on disk."""
+    """Locate a small object from one touch and from two, so that the code is compiled and kept on disk."""
     import tempfile
     import time
     from pathlib import Path
@@ -125,7 +125,7 @@ def compile_kernels() -> Facts:
         touches, _ = source.draw_example(2, np.random.default_rng(0))
         localize_together([(localizer, touch) for touch in touches])
     seconds = time.perf_counter() - start
-    return {"says": f"compiled and tried in {seconds:.0f} s, and kept for the next time", "seconds": seconds}
+    return {"says": f"compiled and tried in {seconds:.0f} s; later runs reuse it", "seconds": seconds}
 
 
 TRIALS: Mapping[str, Callable[..., Facts]] = {
@@ -135,12 +135,12 @@ TRIALS: Mapping[str, Callable[..., Facts]] = {
 
 
 def main() -> None:
-    """Run the trial that the command line names. What a library prints meanwhile goes to stderr."""
+    """Run the trial named on the command line. Prints of libraries go to stderr."""
     stdout, sys.stdout = sys.stdout, sys.stderr
     try:
         facts = TRIALS[sys.argv[1]](*sys.argv[2:])
     except TactileLocError as error:
-        sys.exit(str(error).partition(";")[0])  # what is wrong, without the advice: doctor gives its own
+        sys.exit(str(error).partition(";")[0])  # without the advice: doctor gives its own
     stdout.write(json.dumps(facts) + "\n")
 
 

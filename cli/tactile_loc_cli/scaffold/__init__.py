@@ -1,3 +1,3 @@
-"""Writes packages for new components: what `tactile-loc new-plugin` does."""
+"""`tactile-loc new-plugin` and the templates of its packages."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A new component's package, made from templates and written whole or not at all."""
+"""The package of a new component, made from templates."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tactile_loc.core.errors import OutputError
 from tactile_loc.store.files import replace_folder
 from tactile_loc_cli.scaffold.naming import Naming
 
-# What the template of each slot does until somebody replaces it.
+# One line on the component in the template of each slot.
 SUMMARIES = {
-    "sensor": "a gel that is seen straight on, given as depths",
+    "sensor": "a rectangular gel, seen from behind, given as depths",
     "renderer": "exact, triangle by triangle",
-    "grid": "x, y and yaw of the object as it is modelled",
+    "grid": "x, y and yaw of the object, upright as in its mesh",
     "encoder": "the share of each coarse cell that is in contact",
     "matcher": "compares with every row of the bank",
     "refiner": "slides the contact's centre onto the touch's",
@@ -24,15 +24,9 @@ SUMMARIES = {
 
 
 def render(naming: Naming) -> dict[str, str]:
-    """Return the package's files: their paths in its folder, and their text."""
-    values = {
-        "slot": naming.slot,
-        "name": naming.name,
-        "distribution": naming.distribution,
-        "package": naming.package,
-        "class_name": naming.class_name,
-        "summary": SUMMARIES[naming.slot],
-    }
+    """Return the text of each file of the package by its path in the folder."""
+    named = ("slot", "name", "distribution", "package", "class_name")
+    values = {**{name: getattr(naming, name) for name in named}, "summary": SUMMARIES[naming.slot]}
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
@@ -44,13 +38,12 @@ def render(naming: Naming) -> dict[str, str]:
 
 
 def write(naming: Naming, folder: Path) -> list[str]:
-    """Write the package to `folder`, which must not exist, and return the paths of its files in it.
+    """Write the package to the new `folder`, completely or not at all, and return the paths of its files there.
 
-    It is written beside it and then renamed, so that nothing half-written is left. Raises OutputError when the folder
-    exists or cannot be written.
+    Raises OutputError when the folder exists or cannot be written.
     """
     if os.path.lexists(folder):
-        raise OutputError(f"{folder} exists already and is left as it is; choose another folder with --out")
+        raise OutputError(f"{folder} already exists; choose another folder with --out")
     made = render(naming)
     try:
         with replace_folder(folder, fresh=True) as beside:

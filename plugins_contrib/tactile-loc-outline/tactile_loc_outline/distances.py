@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 
 def signed_distances(masks: NDArray[np.bool_], pitch_m: float, reach_m: float) -> NDArray[np.float32]:
-    """Return how far (N, H, W), metres, pixels of `pitch_m` are from the outline of masks (N, H, W), up to `reach_m`.
+    """Return the distances (N, H, W), metres, of pixels from the outline of masks (N, H, W), cut at `reach_m`.
 
-    Positive inside, negative outside. The outline runs along the edges between pixels; the image's border is none. A
-    mask that is full or empty is everywhere as far from its outline as can be.
+    Pixels are `pitch_m` wide. Distances are positive inside and negative outside. The outline runs along the edges
+    between pixels, and the image's border does not count. In a full or empty mask, all distances are `reach_m` or
+    -`reach_m`.
     """
     found = np.empty(masks.shape, np.float32)
     for distances, mask in zip(found, masks, strict=True):
@@ -23,6 +24,6 @@ def _one(mask: NDArray[np.bool_], pitch_m: float, reach_m: float) -> NDArray[np.
 
     if mask.all() or not mask.any():
         return np.where(mask, reach_m, -reach_m)
-    # A pixel's centre is half a pixel nearer to the outline than to the first pixel beyond it.
+    # The outline is half a pixel nearer than the first pixel beyond it.
     inside, outside = (distance_transform_edt(side) - 0.5 for side in (mask, ~mask))
     return np.clip(np.where(mask, inside, -outside) * pitch_m, -reach_m, reach_m)

@@ -1,4 +1,4 @@
-"""The outline encoder: a map of signed distances to the contact's outline, told by its low frequencies."""
+"""The outline encoder: the low frequencies of a map of signed distances to the contact's outline."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32,
 
 from tactile_loc_outline.distances import signed_distances
 
-IMAGE_PX = 100  # longer images are thinned to about this: distances are smooth
+IMAGE_PX = 100  # approximate longer image side after thinning: distances are smooth
 
 
 class OutlineEncoder(Encoder):
-    """Embeds a contact as the low frequencies of a map: how far is each place from the outline, inside or outside.
+    """Embeds a contact as the low frequencies of a map of signed distances to its outline.
 
-    Contacts that nearly coincide differ little, and more the farther apart they are. Of masks, two thin parts that lie
-    beside one another differ as much as two that lie anywhere.
+    The difference of two contacts grows with their distance. The masks of two thin contacts, in contrast, differ
+    equally at all distances.
     """
 
     capabilities = Capabilities(follows_press_depth=True)
 
     class Options(ComponentOptions):
-        """How far an outline is felt, and how finely the map is told."""
+        """The reach and the resolution of the map."""
 
-        reach_mm: float = Field(default=4.0, gt=0, description="distances are cut at so many mm from the outline")
+        reach_mm: float = Field(default=4.0, gt=0, description="distance at which the map is cut, mm")
         frequencies: int = Field(
-            default=12, ge=1, le=64, description="half waves along the longer image side; as many and more are left out"
+            default=12, ge=1, le=64, description="number of half waves along the longer image side, from 0 on"
         )
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`.
 
-        The squared distance of two embeddings is, but for high frequencies, the mean squared difference of their maps
-        in units of the reach. What is not observed is out of contact.
+        Without the high frequencies, the squared distance of two embeddings is the mean squared difference of their
+        maps in units of the reach. Pixels that are not observed count as no contact.
         """
         step = max(1, round(max(geometry.shape) / IMAGE_PX))
         thinned = geometry.subsample(step)
@@ -48,10 +48,10 @@ class OutlineEncoder(Encoder):
 
 
 def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
-    """Return which (V, U) pairs of half waves down and across the field of view are kept.
+    """Mark the pairs (V, U) of half waves down and across the field of view that are kept.
 
-    Those whose wave vector is shorter than `below` half waves along the longer side: all directions are told alike,
-    whatever the field's proportions, and its size in pixels plays no part.
+    Their wave vectors are shorter than `below` half waves along the longer side. So the resolution is the same in all
+    directions, and does not depend on the number of pixels.
     """
     across_scale, down_scale = geometry.scale_at_surface
     sides_m = np.array([geometry.height_px / down_scale, geometry.width_px / across_scale])
@@ -61,9 +61,9 @@ def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
 
 
 def cosines(places: NDArray[np.float64], count: int) -> NDArray[np.float32]:
-    """Return a matrix (count, P) that takes P samples to their first `count` cosine coefficients.
+    """Return a matrix (count, P) from P samples to their first `count` cosine coefficients.
 
-    `places` (P,) lie between 0 and 1, evenly. The waves are orthonormal, and a sample weighs 1 / P.
+    `places` (P,) lie evenly between 0 and 1. The waves are orthonormal with sample weights 1 / P.
     """
     waves = np.cos(np.pi * np.arange(count)[:, None] * places) * np.sqrt(2.0)
     waves[0] = 1.0

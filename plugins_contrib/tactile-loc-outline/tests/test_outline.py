@@ -1,4 +1,4 @@
-"""The encoder keeps every contract of its slot, and its distances are those of the maps it stands for."""
+"""The encoder keeps every contract of its slot, and the distances of embeddings are those of the maps."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_a_narrow_field_has_fewer_waves_across():
 
 
 def test_distance_grows_with_displacement_where_masks_have_nothing_in_common():
-    """A bar 1 mm wide, moved by 1 to 5 mm: its mask is as far off after 2 mm as after 5, its outline is not."""
+    """A bar 1 mm wide is moved by 1 to 5 mm: its mask's difference saturates at 2 mm, its outline's does not."""
     bars = np.concatenate([pressed(7 + moved, 2, 1, 15) for moved in (0, 1, 2, 3, 5)])
     ours, pixel = (e.encode(bars, PRESS_M, SENSOR) for e in (OutlineEncoder(), registry().create("encoder", "pixel")))
     apart = [np.linalg.norm(vectors[1:] - vectors[0], axis=1) for vectors in (ours, pixel)]
@@ -122,7 +122,7 @@ def test_image_size_hardly_matters():
 
 
 def test_length_is_that_of_the_sensing_surface_not_of_the_camera():
-    """A pinhole camera that sees the same 20 x 20 mm embeds the same imprint alike."""
+    """A pinhole camera with the same view of 20 x 20 mm gives the same embedding of an imprint."""
     pinhole = SensorGeometry("pinhole", 80, 80, 80.0, 80.0, 40.0, 40.0, 0.02, 0.002)
     a, b = (OutlineEncoder().encode(pressed(4, 5, 9, 7), PRESS_M, g) for g in (SENSOR, pinhole))
     np.testing.assert_allclose(a, b, atol=1e-6)

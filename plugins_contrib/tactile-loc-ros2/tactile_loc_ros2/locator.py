@@ -1,4 +1,4 @@
-"""From an image message to the located frame and the pose message. Nothing of ROS is needed: messages are given."""
+"""From an image message to the located frame and the pose message. This module does not import ROS."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Estimator = Callable[[Touch], LocatedFrame]
 
 
 class ImageLocator:
-    """Locates an object in image messages of one sensor, each for itself.
+    """Locates an object in image messages of one sensor, each image separately.
 
-    `frame` is the sensor's, by default as each image says; `press_depth_m`, metres, as for `tactile_loc.read_touch`; an
-    `estimator` says what a touch comes to, by default what the localizer finds.
+    `frame` is the sensor's frame, by default the image's. `press_depth_m`, metres, is as for `tactile_loc.read_touch`.
+    `estimator` locates a touch, by default with the localizer.
     """
 
     def __init__(
@@ -33,16 +33,16 @@ class ImageLocator:
         self._estimator = estimator or (lambda touch: LocatedFrame.of(localizer.localize(touch)))
 
     def locate(self, image: Any) -> LocatedFrame:
-        """Return what a sensor_msgs Image or CompressedImage comes to; never raises for what an image shows."""
+        """Locate a sensor_msgs Image or CompressedImage. A faulty image gives a frame with the error."""
         try:
             return self._estimator(touch_from_image(decode_image(image), self._sensor, self._press_depth_m))
         except TactileLocError as error:
             return LocatedFrame.of_error(error)
 
     def fill(self, message: Any, located: LocatedFrame, image: Any) -> Any:
-        """Return a geometry_msgs PoseWithCovarianceStamped, filled: the image's stamp, the sensor's frame, the pose.
+        """Fill a geometry_msgs PoseWithCovarianceStamped with the image's stamp, the sensor's frame and the pose.
 
-        `located` must have a pose.
+        `located` must have a pose. Returns the message.
         """
         assert located.T_sensor_object is not None
         pose = RosPose.of(located.T_sensor_object, located.covariance)

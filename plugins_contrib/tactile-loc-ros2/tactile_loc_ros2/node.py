@@ -1,4 +1,4 @@
-"""The node `tactile_loc`: subscribes to images of the gel, publishes where the object is."""
+"""The node `tactile_loc`: subscribes to images of the gel, and publishes the object's pose."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tactile_loc.plugin import MissingLibraryError
 from tactile_loc_ros2.locator import ImageLocator
 
 NO_ROS = (
-    "the node needs rclpy, which comes with ROS 2 and not from PyPI; source a ROS 2 installation, as "
-    "`source /opt/ros/jazzy/setup.bash`, whose Python is the one that tactile-loc is installed for"
+    "the node needs rclpy, which is part of ROS 2; source a ROS 2 installation with the Python of tactile-loc, such as "
+    "`source /opt/ros/jazzy/setup.bash`"
 )
 
 
 def ros(module: str) -> Any:
-    """Return a module of ROS 2. Raises MissingLibraryError, which says what to do, where there is none."""
+    """Return a module of ROS 2. Raises MissingLibraryError when there is none."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -32,9 +32,9 @@ def run(
     locator: ImageLocator, image_topic: str, compressed: bool, pose_topic: str, verdict_topic: str,
     arguments: Sequence[str],
 ) -> None:  # fmt: skip
-    """Answer images by poses and verdicts until ROS shuts down.
+    """Answer images with poses and verdicts until ROS shuts down.
 
-    Of images that come while one is located, only the last is kept.
+    While one image is located, only the newest of the following images is kept.
     """
     rclpy, qos = ros("rclpy"), ros("rclpy.qos")
     kind = ros("sensor_msgs.msg").CompressedImage if compressed else ros("sensor_msgs.msg").Image
@@ -65,12 +65,12 @@ def run(
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the node by the words of the command line; what it does not know goes to ROS. Returns the exit code."""
+    """Run the node with the arguments of the command line, and return the exit code. Unknown arguments go to ROS."""
     given, rest = _parser().parse_known_args(words)
     try:
-        ros("rclpy")  # before minutes of building a model
+        ros("rclpy")  # fails before the model is built, which takes minutes
         localizer = Localizer.create(given.object, units=given.units, sensor=_sensor(given.sensor))
-        localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
+        localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles
         press_m = None if given.press_depth is None else 1e-3 * given.press_depth
         locator = ImageLocator(localizer, given.frame, press_m)
         run(locator, given.image_topic, given.compressed, given.pose_topic, given.verdict_topic, rest)
@@ -81,7 +81,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _sensor(given: str) -> str | dict[str, str]:
-    """A sensor's name, or what reads its description or its calibration."""
+    """Return a sensor's name, or the component for a sensor file or a calibration folder."""
     if given.endswith(".toml"):
         return {"name": "file", "path": given}
     return {"name": "calibrated", "path": given} if Path(given).is_dir() else given
@@ -91,11 +91,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="tactile-loc-ros2", description=__doc__)
     parser.add_argument("--object", required=True, help="mesh file or demo object")
     parser.add_argument("--units", default="auto", help="unit of the mesh file: m, mm, cm, inch")
-    parser.add_argument("--sensor", required=True, help="a sensor's name, its .toml file, or its calibration's folder")
+    parser.add_argument("--sensor", required=True, help="sensor name, sensor file (.toml), or calibration folder")
     parser.add_argument("--image-topic", required=True, help="images of the gel, or contact shapes (32FC1, metres)")
     parser.add_argument("--compressed", action="store_true", help="the images are CompressedImage")
-    parser.add_argument("--pose-topic", default="/object/pose", help="where poses go")
-    parser.add_argument("--verdict-topic", default="/object/verdict", help="where each image's verdict goes")
-    parser.add_argument("--frame", default="", help="the sensor's frame; by default as the images say")
-    parser.add_argument("--press-depth", type=float, help="how deep the press was, mm; by default as the image shows")
+    parser.add_argument("--pose-topic", default="/object/pose", help="topic of the poses")
+    parser.add_argument("--verdict-topic", default="/object/verdict", help="topic of the verdicts")
+    parser.add_argument("--frame", default="", help="the sensor's frame; by default the images' frame")
+    parser.add_argument("--press-depth", type=float, help="press depth, mm; by default measured in the image")
     return parser

@@ -1,4 +1,4 @@
-"""The node's logic without ROS; the node itself against a stand-in for rclpy that keeps what is published."""
+"""The node's logic without ROS, and the node with a stand-in for rclpy that records the published messages."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def depth_image(depth: np.ndarray = DEPTH, **fields) -> Fields:
 
 
 def pose_message() -> Fields:
-    """As rclpy's class makes it: empty."""
+    """An empty message, as rclpy makes it."""
     at = Fields(position=Fields(x=0.0, y=0.0, z=0.0), orientation=Fields(x=0.0, y=0.0, z=0.0, w=1.0))
     return Fields(header=Fields(stamp=None, frame_id=""), pose=Fields(pose=at, covariance=[0.0] * 36))
 
@@ -124,7 +124,7 @@ def test_without_ros_one_sentence_says_what_to_do(monkeypatch, capsys):
 
 
 class StandIn:
-    """Of rclpy and its messages what the node uses; spinning hands it the images, then interrupts it."""
+    """The parts of rclpy and its messages that the node uses; spinning passes the images, then interrupts the node."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, images: list[Fields]) -> None:
         self.images, self.published, self.warned, self.began, self.ended = images, {}, [], [], 0

@@ -1,4 +1,4 @@
-"""Generalised ICP of a candidate's contact cloud to the touch's, by small_gicp (Koide, JOSS 2024)."""
+"""Generalised ICP of a candidate's contact cloud to the touch's cloud, by small_gicp (Koide, JOSS 2024)."""
 
 from __future__ import annotations
 
@@ -10,53 +10,53 @@ import small_gicp
 from pydantic import Field
 from tactile_loc.plugin import Cloud, CloudRefiner, Registration, is_rigid
 
-FEWEST_POINTS = 10  # after thinning: fewer have no covariances to speak of
-LEAST_REACH = 4.0  # spacings, however small the option is: nearer than its neighbours there is nothing to find
-RIGID = 1e-3  # a result that is less of a rotation than this is none
-ALL = 100_000  # points: voxels thin the clouds, not before
+FEWEST_POINTS = 10  # after thinning: fewer points have no reliable covariances
+LEAST_REACH = 4.0  # least correspondence distance, in spacings of neighbouring points
+RIGID = 1e-3  # tolerance of the test that a result is a rotation
+ALL = 100_000  # points: the clouds are thinned by voxels only
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A cloud as the library wants it, in mm, with covariances, and the tree of its points."""
+    """A cloud in the library's form, in mm with covariances, and the tree of its points."""
 
     points: small_gicp.PointCloud
     tree: small_gicp.KdTree
 
 
 class SmallGicpRefiner(CloudRefiner):
-    """Registers the contact cloud of each candidate to the touch's, once, from where the candidate is."""
+    """Registers each candidate's contact cloud to the touch's cloud, once, starting at the candidate's pose."""
 
     version = 2
 
     class Options(CloudRefiner.Options):
-        """Lengths in mm of the sensing surface."""
+        """The points, distances and iterations of the registration."""
 
         moving_points: int = Field(default=ALL, ge=50, description="points of the candidate's cloud, before voxels")
         fixed_points: int = Field(default=ALL, ge=50, description="points of the touch's cloud, before voxels")
-        walls: bool = Field(default=False, description="let the outline's walls take part, not the surface alone")
-        voxel_mm: float = Field(default=0.25, gt=0, description="both clouds are thinned to a point in a voxel, mm")
+        walls: bool = Field(default=False, description="include the walls at the contact's outline")
+        voxel_mm: float = Field(default=0.25, gt=0, description="voxel size for thinning both clouds, mm")
         reach_mm: float = Field(default=2.0, gt=0, description="largest distance of corresponding points, mm")
         iterations: int = Field(default=40, ge=1, description="most iterations")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, that the library found (None: nothing within reach)."""
+        """Return the library's transform, mm, or None when no points are within reach."""
         return self.register_many([source], target)[0]
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Do the same for several candidates; the touch's cloud is prepared once."""
+        """Register several candidates; the touch's cloud is prepared once."""
         fixed, reach_mm = self.prepared(target), max(self.options.reach_mm, LEAST_REACH * target.spacing_mm)
         return [self._register(self.prepared(source), fixed, reach_mm) for source in sources]
 
     def prepared(self, cloud: Cloud) -> Prepared | None:
-        """Thin a cloud to its voxels; None if hardly anything is left."""
+        """Thin a cloud to its voxels. Return None if fewer than FEWEST_POINTS points are left."""
         if len(cloud) < FEWEST_POINTS:
             return None
         points, tree = small_gicp.preprocess_points(cloud.points_mm, self.options.voxel_mm)
         return None if points.size() < FEWEST_POINTS else Prepared(points, tree)
 
     def _register(self, moving: Prepared | None, fixed: Prepared | None, reach_mm: float) -> Registration:
-        """Register two clouds; those of hardly a point stay where they are."""
+        """Register two clouds; without a cloud, nothing moves."""
         if moving is None or fixed is None:
             return Registration()
         result = small_gicp.align(

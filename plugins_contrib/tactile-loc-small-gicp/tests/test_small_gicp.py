@@ -1,4 +1,4 @@
-"""The refiner keeps every contract of its slot, undoes small displacements, and says what it did."""
+"""The refiner keeps every contract of its slot, undoes small displacements, and reports its iterations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_property(component, check):
 @pytest.mark.parametrize("camera", CAMERAS)
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_a_small_displacement_is_undone(camera, offset):
-    """A candidate 0.7 to 1 mm or 5 degrees off ends within a third of a pixel of 0.4 mm."""
+    """A candidate with an error of 0.7 to 1 mm or 5 degrees ends within a third of a pixel of 0.4 mm."""
     problem = press_block(camera)
     before = problem.measure_error_m(problem.make_candidate(offset))
     refined = SmallGicpRefiner().refine(problem.touch, problem.make_candidate(offset), problem.scene)

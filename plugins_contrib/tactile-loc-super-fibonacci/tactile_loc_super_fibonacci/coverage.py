@@ -1,4 +1,4 @@
-"""How evenly rotations are spread, beside the Hopf grid of tactile-loc: run as a module, this prints the table.
+"""Compares the spread of rotations with the Hopf grid of tactile-loc. Run it as a module to print the table.
 
 python -m tactile_loc_super_fibonacci.coverage
 """
@@ -19,13 +19,13 @@ from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations
 Float = NDArray[np.float64]
 
 LEVELS = (0, 1, 2, 3)  # of the Hopf grid: 72 * 8^level rotations
-ASKED = 1_000_000
+ASKED = 1_000_000  # random rotations
 
 
 @dataclass(frozen=True)
 class Spread:
-    """What random rotations find: the largest and the mean angle to the nearest sample, radians; and the samples'
-    own least and mean angle to their nearest neighbour, radians."""
+    """The largest and mean angle from random rotations to the nearest sample, and the samples' least and mean angle to
+    their nearest neighbour, all in radians."""
 
     covering_rad: float
     mean_rad: float
@@ -33,16 +33,13 @@ class Spread:
     neighbour_rad: float
 
 
-def spread_of(R: Float, asked: int = ASKED, seed: int = 0) -> Spread:
-    """Measure samples R (N, 3, 3), N > 1, by the nearest of them to each of `asked` random rotations.
-
-    Quaternions of both signs are in the tree, so that q and -q are the same rotation.
-    """
+def spread_of(R: Float, asked: int = ASKED) -> Spread:
+    """Measure the spread of samples R (N, 3, 3), N > 1, with `asked` random rotations."""
     from scipy.spatial import cKDTree
 
     q = rotation_to_quaternion(R)
-    tree = cKDTree(np.concatenate([q, -q]))
-    queries = rotation_to_quaternion(draw_rotations(asked, np.random.default_rng(seed)))
+    tree = cKDTree(np.concatenate([q, -q]))  # q and -q are the same rotation
+    queries = rotation_to_quaternion(draw_rotations(asked, np.random.default_rng(0)))
     nearest = angle_of_chord(tree.query(queries)[0])
     neighbour = angle_of_chord(tree.query(q, k=2)[0][:, 1])
     return Spread(*(float(v) for v in (nearest.max(), nearest.mean(), neighbour.min(), neighbour.mean())))
@@ -54,15 +51,13 @@ def angle_of_chord(chord: Float) -> Float:
 
 
 def least_covering(count: int) -> float:
-    """Return the angle, radians, below which no `count` rotations cover SO(3): their balls have too little volume.
+    """Return the least covering radius, radians, of `count` rotations: smaller balls have too little volume.
 
     A ball of angle r holds (r - sin r) / pi of all rotations.
     """
-    low, high = 0.0, float(np.pi)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if (middle - np.sin(middle)) / np.pi * count < 1 else (low, middle)
-    return high
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda r: (r - np.sin(r)) / np.pi * count - 1, 0.0, np.pi, xtol=1e-14))
 
 
 def hopf_rotations(level: int) -> Float:

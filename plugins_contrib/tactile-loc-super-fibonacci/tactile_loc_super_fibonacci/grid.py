@@ -17,20 +17,20 @@ SO3_VOLUME, SPHERE_AREA = 8 * np.pi**2, 4 * np.pi  # in radians: cubed, of all r
 
 
 class SuperFibonacciGrid(AllRotationsGrid):
-    """All of SO(3) times the plane: as many rotations as the spacing needs, or as were asked for."""
+    """All of SO(3) times the plane, with a number of rotations that is given or follows from the spacing."""
 
     name = "super-fibonacci"
 
     class Options(AllRotationsGrid.Options):
-        """With `rotations`, `spacing_mm` is that of the plane alone."""
+        """With `rotations`, `spacing_mm` applies to the plane only."""
 
         rotations: int | None = Field(
-            default=None, ge=1, le=10_000_000, description="take so many rotations, before equivalent ones are left out"
+            default=None, ge=1, le=10_000_000, description="number of rotations before removing equivalent ones"
         )
 
     @property
     def spacing_is_mean(self) -> bool:
-        """With a number of rotations, these are what they are, and the spacing is that of the plane."""
+        """False with a number of rotations: then the spacing applies to the plane only."""
         return self.options.rotations is None
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
@@ -38,23 +38,23 @@ class SuperFibonacciGrid(AllRotationsGrid):
         return spread_rotations(obj, self._count(obj, spacing_m))
 
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Return how many poses there are at a spacing in metres if each rotation has one place."""
+        """Return the number of poses at a spacing in metres if each rotation has one place."""
         return math.ceil(self._count(obj, spacing_m) / obj.symmetry.order)
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Say what to choose where a spacing in metres makes too many poses."""
-        return "take a greater spacing or fewer rotations"
+        """Return advice for a spacing in metres that gives too many poses."""
+        return "choose a larger spacing or fewer rotations"
 
     def _count(self, obj: ObjectModel, spacing_m: float) -> int:
         return self.options.rotations or rotations_for(obj, spacing_m)
 
 
 def rotations_for(obj: ObjectModel, spacing_m: float) -> int:
-    """Return how many rotations of an object are about `spacing_m` metres of surface apart, before symmetry.
+    """Return the number of rotations with a distance of about `spacing_m` metres of surface, before symmetry.
 
-    A small turn about a principal axis moves the surface by the angle times that axis' lever, so each rotation may
-    stand for a volume of spacing^3 / (the levers' product) of SO(3); of directions alike, if a continuous symmetry
-    leaves nothing else of a rotation.
+    A small rotation about a principal axis moves the surface by the angle times that axis' lever. So each rotation
+    covers a volume of spacing^3 / (the levers' product) of SO(3). With a continuous symmetry, the same holds for
+    directions of the axis.
     """
     moments = np.linalg.eigvalsh(obj.mesh.covariance_m2)
     levers_m = np.sqrt(np.clip(moments.sum() - moments, 1e-18, None))
@@ -66,9 +66,9 @@ def rotations_for(obj: ObjectModel, spacing_m: float) -> int:
 
 
 def spread_rotations(obj: ObjectModel, count: int) -> Float:
-    """Return R_sensor_object (K, 3, 3): those of `count` rotations that stand for their equivalents by symmetry.
+    """Return R_sensor_object (K, 3, 3): `count` rotations, reduced to one for each symmetry class, but at least one.
 
-    With a continuous symmetry, of `count` directions of its axis; one always stays.
+    With a continuous symmetry, the rotations are `count` directions of its axis.
     """
     axis = obj.symmetry.continuous_axis
     if axis is None:

@@ -1,4 +1,4 @@
-"""How well contact grids of equal spacing cover an object's poses, beside tactile-loc's Hopf grid, as a table.
+"""Compares contact grids of equal spacing with tactile-loc's Hopf grid, by their coverage of an object's poses.
 
 python -m tactile_loc_super_fibonacci.on_objects pin cotter hook
 """
@@ -17,9 +17,9 @@ GRIDS = ("hopf", "super-fibonacci")
 
 
 def row(name: str, grid: str, spacing_mm: float, asked: int) -> str:
-    """Return the table's line of an object and a grid; distances of surface (root mean square) in mm.
+    """Return the table's row of an object and a grid; surface distances (root mean square) in mm.
 
-    "To nearest" is from random contact poses, the same for both grids, to the nearest pose of the grid.
+    "To nearest" is the distance from random contact poses, the same for both grids, to the nearest pose of the grid.
     """
     locate, drawer = (Localizer.create(name, grid={"name": g, "spacing_mm": spacing_mm}) for g in (grid, GRIDS[0]))
     poses = make_contact_grid(locate.sampler, locate.coarse_scene)

@@ -1,7 +1,7 @@
-"""Evenly spread rotations and directions, any number of them, along spirals.
+"""Any number of evenly spread rotations and directions, along spirals.
 
-Rotations after M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022; directions by
-the Fibonacci lattice of the sphere, which is the same idea a dimension lower.
+Rotations follow M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022. Directions are
+the Fibonacci lattice of the sphere, which is the same idea with one dimension less.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ GOLDEN = float((1 + np.sqrt(5.0)) / 2)
 def super_fibonacci_quaternions(count: int) -> Float:
     """Return unit quaternions (count, 4), scalar last as in the paper, unitless: algorithm 1 of the paper.
 
-    They lie all over the sphere S^3, and no two are the same rotation. Raises ValueError unless count is positive.
+    They cover the sphere S^3, and no two are the same rotation. Raises ValueError unless count is positive.
     """
     s, share = _steps(count)
     inner, outer = np.sqrt(share), np.sqrt(1 - share)
@@ -43,7 +43,7 @@ def fibonacci_directions(count: int) -> Float:
 
 
 def rotations_of_axis(axis: Float, directions: Float) -> Float:
-    """Return rotations (N, 3, 3) that turn the unit vector `axis` (3,) to `directions` (N, 3), which are unitless."""
+    """Return rotations (N, 3, 3) that rotate the unit vector `axis` (3,) to unit vectors `directions` (N, 3)."""
     z = directions[:, 2]
     cosine, sine = np.sqrt(np.clip((1 + z) / 2, 0, 1)), np.sqrt(np.clip((1 - z) / 2, 0, 1))
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
@@ -52,7 +52,7 @@ def rotations_of_axis(axis: Float, directions: Float) -> Float:
 
 
 def _steps(count: int) -> tuple[Float, Float]:
-    """The steps s (count,) along a spiral, and their share of the way, strictly between 0 and 1."""
+    """Return the steps s (count,) along a spiral, and their share of its length, strictly between 0 and 1."""
     if count < 1:
         raise ValueError(f"there must be at least one point on a spiral, not {count}")
     s = np.arange(count, dtype=np.float64) + 0.5

@@ -128,7 +128,7 @@ def test_too_many_poses_are_refused_before_they_are_made():
     sampler = SuperFibonacciGrid(SuperFibonacciGrid.Options(max_poses=1000))
     for spacing_m in (0.008, 1e-5):
         with pytest.raises(
-            GridError, match=r"super-fibonacci grid of brick .* over the limit of 1,000; take a greater"
+            GridError, match=r"super-fibonacci grid of brick .* over the limit of 1,000; choose a larger"
         ):
             sampler.sample(brick(), SENSOR, spacing_m)
     for spacing_m in (0.0, float("nan"), 1e-7):

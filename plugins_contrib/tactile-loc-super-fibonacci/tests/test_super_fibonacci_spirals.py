@@ -1,4 +1,4 @@
-"""Rotations and directions are those of the formulas, proper, no two alike, and cover everything evenly."""
+"""Rotations and directions follow the formulas, are proper and distinct, and cover everything evenly."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_covering_radius_is_near_the_least_possible(count):
 
 
 def test_covering_radius_of_known_sets():
-    """The identity alone leaves a half turn; the 24 turns of a cube leave 62.8 degrees (Karney 2007)."""
+    """The identity has a covering radius of 180 degrees, a cube's 24 rotations one of 62.8 degrees (Karney 2007)."""
     assert spread_of(np.stack([np.eye(3), np.eye(3)]), asked=100_000).covering_rad == pytest.approx(np.pi, abs=0.05)
     cube = SymmetryGroup.parse("z4*x4", np.zeros(3)).rotations
     assert len(cube) == 24

@@ -13,7 +13,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
             slot="matcher",
             name="torch-matcher",
             target="tactile_loc_torch_matcher.matcher:TorchMatcher",
-            summary="exact, by torch on CPU or GPU, some rows of the bank at a time",
+            summary="exact, by torch on CPU or GPU, in chunks of the bank's rows",
             requires="torch",
             interface=2,
         )

@@ -1,4 +1,4 @@
-"""The torch matcher: matrix products of the queries with some rows of the bank at a time, where torch computes best."""
+"""The torch matcher: matrix products of the queries with chunks of the bank's rows, on a GPU if there is one."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ NEUTRAL = {"neutral": True}  # scores are the same, to rounding
 class TorchMatcher(Matcher):
     """Scores all rows exactly, with or without weights.
 
-    Rows and queries are counted from the bank's mean, so that sums stay small: no distance depends on the origin.
+    Rows and queries are taken relative to the bank's mean, which keeps sums small and changes no distance.
     """
 
     class Options(ComponentOptions):
-        """Where to compute, and how much at once."""
+        """The device, and the size of a chunk."""
 
         device: Literal["auto", "cpu", "cuda"] = Field(
-            default="auto", description="where to compute; auto: CUDA if there is any", json_schema_extra=NEUTRAL
+            default="auto", description="device; auto: CUDA if there is any", json_schema_extra=NEUTRAL
         )
         rows: int = Field(
-            default=65_536, ge=1, description="rows of the bank that are compared at once", json_schema_extra=NEUTRAL
+            default=65_536, ge=1, description="rows of the bank compared at once", json_schema_extra=NEUTRAL
         )
 
     def __init__(self, options: Any = None) -> None:
-        """Choose the device. Raises ConfigError when CUDA is asked for and absent."""
+        """Choose the device. Raises ConfigError when CUDA is requested but absent."""
         super().__init__(options)
         wanted, there = self.options.device, torch.cuda.is_available()
         if wanted == "cuda" and not there:
             raise ConfigError(
-                "the matcher 'torch-matcher' was asked to compute on CUDA, but torch sees no CUDA device here; install "
-                "a CUDA build of torch and a driver, or set matcher.device to cpu"
+                "the matcher 'torch-matcher' cannot use CUDA, because torch finds no CUDA device; install a CUDA build "
+                "of torch and a driver, or set matcher.device to cpu"
             )
         self.device = torch.device("cuda" if there and wanted != "cpu" else "cpu")
 
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless, to the device; it replaces an earlier one."""
+        """Copy the bank (N, D), unitless, to the device. It replaces an earlier one."""
         rows = self._on_device(bank)
         self._mean = rows.mean(dim=0)
         self._chunks = (rows - self._mean).split(self.options.rows)
         self._half_norms = [0.5 * chunk.square().sum(dim=1) for chunk in self._chunks]
-        self._half_squares: list[torch.Tensor] = []  # made when weights are first given
+        self._half_squares: list[torch.Tensor] = []  # computed for the first queries with weights
 
     @torch.inference_mode()
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None stands for ones."""
+        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None means ones."""
         q = self._on_device(queries) - self._mean
         if weights is None:
             of_queries = 0.5 * q.square().sum(dim=1, keepdim=True)

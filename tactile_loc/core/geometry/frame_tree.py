@@ -1,4 +1,4 @@
-"""A tree of frames and where each was seen from its parent over time, as ROS's TF has it."""
+"""A tree of frames with the transforms between them over time, as in ROS's TF."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tactile_loc.core.geometry.rigid import invert
 
 Transform = NDArray[np.float64]
 
-JUMP_NS = 1_000_000_000  # a clock that goes back by more was set anew; by less, messages only came out of order
+JUMP_NS = 1_000_000_000  # a clock that goes back farther was reset; otherwise messages only came out of order
 
 
 @dataclass(eq=False)
 class Edge:
-    """Where a child's frame is seen from its parent's: `T_parent_child` (4, 4), metres, at stamps that rise, ns.
+    """A child's frame in its parent's: `T_parent_child` (4, 4), metres, at increasing stamps, ns.
 
-    One that is `fixed` has a single transform, for all times; `jump_ns` is where the clock was set back, if it was.
+    A `fixed` edge has one transform for all times. `jump_ns` is where the clock was set back, if it was.
     """
 
     parent: str
@@ -33,7 +33,7 @@ class Edge:
     jump_ns: int | None = None
 
     def add(self, stamp_ns: int, T: Transform) -> None:
-        """Add a transform (4, 4), metres; the only one, if the edge is fixed."""
+        """Add a transform (4, 4), metres; a fixed edge keeps only the last one."""
         if self.fixed:
             self.stamps_ns, self.T_parent_child = [stamp_ns], [T]
             return
@@ -44,12 +44,12 @@ class Edge:
         self.T_parent_child.insert(place, T)
 
     def look_up(self, stamp_ns: int) -> Transform:
-        """Return T_parent_child (4, 4), metres, at a time, interpolated. Raises FrameError where it is not known."""
+        """Return T_parent_child (4, 4), metres, interpolated at a time. Raises FrameError if it is unknown."""
         if self.fixed:
             return self.T_parent_child[0]
         if self.jump_ns is not None:
             raise FrameError(
-                f"the clock of {self._name} jumps back to {format_seconds(self.jump_ns)}, so where it was at a time is "
+                f"the clock of {self._name} jumps back to {format_seconds(self.jump_ns)}, so its pose at a time is "
                 "ambiguous; cut the recording there"
             )
         first_ns, last_ns = self.stamps_ns[0], self.stamps_ns[-1]
@@ -71,7 +71,7 @@ class Edge:
 
 @keep_old_names(lookup="look_up")
 class FrameTree:
-    """Frames by name; each is seen from one parent, but for those at the top."""
+    """Frames by name; each has one parent, except those at the top."""
 
     def __init__(self) -> None:
         self._edges: dict[str, Edge] = {}  # by child
@@ -82,40 +82,40 @@ class FrameTree:
         return tuple(sorted({name for edge in self._edges.values() for name in (edge.parent, edge.child)}))
 
     def add(self, parent: str, child: str, stamp_ns: int, T_parent_child: Transform, fixed: bool = False) -> None:
-        """Add where `child` was seen from `parent` (4, 4), metres, at a time, or for all times if it is `fixed`.
+        """Add the transform (4, 4), metres, of `child` in `parent` at a time, or for all times if it is `fixed`.
 
-        Raises FrameError when the child has another parent already.
+        Raises FrameError when the child already has another parent.
         """
         edge = self._edges.setdefault(child, Edge(parent, child, fixed))
         if edge.parent != parent:
-            raise FrameError(f"the frame {child!r} has two parents, {edge.parent!r} and {parent!r}; it can have one")
+            raise FrameError(f"the frame {child!r} has two parents, {edge.parent!r} and {parent!r}; give it only one")
         edge.add(stamp_ns, T_parent_child)
 
     def require(self, *names: str) -> None:
-        """Raise FrameError, which names those there are, unless there are frames of these names."""
+        """Raise FrameError, listing the known frames, unless there are frames with these names."""
         for name in names:
             if name not in self.names:
                 known = ", ".join(self.names) or "none"
                 raise FrameError(f"there is no frame {name!r}; there are: {known}.{did_you_mean(name, self.names)}")
 
     def look_up(self, target: str, source: str, stamp_ns: int) -> Transform:
-        """Return T_target_source (4, 4), metres, at a time in ns; between stamps it is interpolated.
+        """Return T_target_source (4, 4), metres, at a time in ns, interpolated between stamps.
 
-        Raises FrameError for a frame that is unknown or not connected, and for a time that is not covered.
+        Raises FrameError for an unknown or unconnected frame, or a time that is not covered.
         """
         self.require(target, source)
         up_target, up_source = self._list_ancestors(target), self._list_ancestors(source)
         common = next((name for name in up_source if name in up_target), None)
         if common is None:
-            raise FrameError(f"the frames {target!r} and {source!r} are not connected; a transform between them lacks")
+            raise FrameError(f"the frames {target!r} and {source!r} are not connected; record a transform between them")
         return invert(self._chain_up(common, target, stamp_ns)) @ self._chain_up(common, source, stamp_ns)
 
     def _list_ancestors(self, name: str) -> list[str]:
-        """The frame itself and those above it, to the top."""
+        """List the frame and all frames above it."""
         found = [name]
         while (edge := self._edges.get(found[-1])) is not None:
             if edge.parent in found:
-                raise FrameError(f"the frames {', '.join(found)} are each other's parents: they are no tree")
+                raise FrameError(f"the frames {', '.join(found)} are each other's parents, so they are not a tree")
             found.append(edge.parent)
         return found
 
@@ -129,10 +129,10 @@ class FrameTree:
 
 
 def interpolate(T_first: Transform, T_second: Transform, share: float) -> Transform:
-    """Return the transform (4, 4), metres, on the way from one to another: 0 the first, 1 the second."""
+    """Return the transform (4, 4), metres, between two others: 0 the first, 1 the second."""
     return move(T_first, share * compute_pose_errors(T_second, T_first))
 
 
 def format_seconds(stamp_ns: int) -> str:
-    """Return a time as people read it."""
+    """Write a time in seconds, with unit."""
     return f"{stamp_ns / 1e9:.3f} s"

@@ -1,4 +1,4 @@
-"""A pose and how sure it is, as people read them: millimetres and degrees."""
+"""A pose and its standard deviations, written in millimetres and degrees."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_loc.core.geometry.rigid import axis_angle
 
 @dataclass(frozen=True)
 class PoseWords:
-    """A pose and its standard deviations: places in mm, without the unit, turns in degrees; "" what is not known."""
+    """A pose and its standard deviations: places in mm, without unit, rotations in degrees; "" if unknown."""
 
     place: str
     turn: str
@@ -23,15 +23,14 @@ class PoseWords:
 
 
 def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
-    """Write a pose (4, 4) in metres, and standard deviations (6,), metres and radians, along and about the axes."""
+    """Write a pose (4, 4), metres, and standard deviations (6,), metres and radians, along and about the axes."""
     angle_deg, axis = axis_angle(T[:3, :3])
-    known = PoseWords(join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})")
+    known = join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})"
     if std is None:
-        return known
-    along, about = join_numbers(1e3 * std[:3], 2), f"{join_numbers(np.degrees(std[3:]), 1)}°"
-    return PoseWords(known.place, known.turn, known.axis, along, about)
+        return PoseWords(*known)
+    return PoseWords(*known, join_numbers(1e3 * std[:3], 2), f"{join_numbers(np.degrees(std[3:]), 1)}°")
 
 
 def join_numbers(values: Iterable[float], digits: int) -> str:
-    """Write numbers with so many digits after the point: 1.20, -0.31, 4.00."""
+    """Write numbers with `digits` digits after the point: 1.20, -0.31, 4.00."""
     return ", ".join(f"{value:.{digits}f}" for value in values)

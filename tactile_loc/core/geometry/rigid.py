@@ -40,7 +40,7 @@ def invert(T: Array) -> Array:
 
 
 def transform_points(T: Array, points_m: ArrayLike) -> Array:
-    """Apply transforms (..., 4, 4) to points (P, 3) in metres of the source frame: (..., P, 3) in the target frame."""
+    """Map points (P, 3), metres, from source to target frames by transforms (..., 4, 4): (..., P, 3)."""
     return np.asarray(points_m, float) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
@@ -53,19 +53,19 @@ def rotation_about(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
 
 
 def axis_times_sine(R: Array) -> Array:
-    """Return the unit axis (..., 3) of rotations (..., 3, 3) times the sine of their angle, unitless."""
+    """Return the unit axes (..., 3) of rotations (..., 3, 3) times the sines of their angles, unitless."""
     skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
     return np.asarray(0.5 * skew)
 
 
 def rotation_angle(R: Array) -> Array:
-    """Return the angle in radians, 0 to pi, of rotations (..., 3, 3). Accurate at both ends."""
+    """Return the angles of rotations (..., 3, 3) in radians, 0 to pi, accurate at both ends."""
     sine = np.linalg.norm(axis_times_sine(R), axis=-1)
     return np.arctan2(2.0 * sine, np.trace(R, axis1=-2, axis2=-1) - 1.0)
 
 
 def cross_matrix(v: Array) -> Array:
-    """Return the matrices (..., 3, 3) that take w to v x w, of vectors v (..., 3) of any unit."""
+    """Return the matrices (..., 3, 3) that map w to v x w, for vectors v (..., 3) in any unit."""
     K = np.zeros((*v.shape, 3))
     K[..., 2, 1] = v[..., 0]
     K[..., 0, 2] = v[..., 1]
@@ -74,20 +74,20 @@ def cross_matrix(v: Array) -> Array:
 
 
 def move_covariance(covariance: Array, shift_m: Array) -> Array:
-    """Return a pose's covariances (..., 6, 6), m before rad, at a point `shift_m` (..., 3), metres, from their own."""
+    """Return a pose's covariances (..., 6, 6), m, then rad, moved to points at `shift_m` (..., 3), metres."""
     moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
     moved[..., :3, 3:] = -cross_matrix(shift_m)  # w x shift
     return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
 
 
 def rotate_covariance(covariance: Array, R: Array) -> Array:
-    """Return a pose's covariance (6, 6), m before rad, along other axes: R (3, 3) turns vectors' numbers to theirs."""
-    turned = np.kron(np.eye(2), R)
-    return np.asarray(turned @ covariance @ turned.T)
+    """Return a pose's covariance (6, 6), m, then rad, along other axes; R (3, 3) maps vectors to those axes."""
+    both = np.kron(np.eye(2), R)
+    return np.asarray(both @ covariance @ both.T)
 
 
 def align_to_z(direction: ArrayLike) -> Array:
-    """Return the smallest rotation (3, 3) that turns the unitless direction (3,) onto +z."""
+    """Return the smallest rotation (3, 3) that maps the unitless direction (3,) to +z."""
     d = np.asarray(direction, float) / np.linalg.norm(direction)
     axis = np.cross(d, [0.0, 0.0, 1.0])
     if np.linalg.norm(axis) < 1e-12:
@@ -96,7 +96,7 @@ def align_to_z(direction: ArrayLike) -> Array:
 
 
 def quaternion_to_rotation(q: ArrayLike) -> Array:
-    """Turn unit quaternions (..., 4), scalar first, unitless, into rotations (..., 3, 3)."""
+    """Convert unit quaternions (..., 4), scalar first, unitless, to rotations (..., 3, 3)."""
     w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -107,7 +107,7 @@ def quaternion_to_rotation(q: ArrayLike) -> Array:
 
 
 def axis_angle(R: Array) -> tuple[float, Array]:
-    """Return a rotation (3, 3) as a turn in degrees, for people: 0 to 180, and its unit axis (3,); z for no turn."""
+    """Return a rotation (3, 3) as an angle in degrees, 0 to 180, and its unit axis (3,); z for no rotation."""
     from scipy.spatial.transform import Rotation
 
     vector = Rotation.from_matrix(R).as_rotvec()
@@ -116,13 +116,13 @@ def axis_angle(R: Array) -> tuple[float, Array]:
 
 
 def format_pose(T: NDArray[np.float64]) -> list[str]:
-    """Return a pose (4, 4), metres, as people read it: x, y, z in mm, the turn in degrees, and about which axis."""
+    """Write a pose (4, 4), metres: x, y, z in mm, the rotation in degrees, and its axis."""
     angle_deg, axis = axis_angle(T[:3, :3])
     return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
 
 
 def rotation_to_quaternion(R: Array) -> Array:
-    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), scalar first and non-negative, unitless."""
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4), scalar first and non-negative, unitless."""
     from scipy.spatial.transform import Rotation
 
     flat: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
@@ -136,7 +136,7 @@ def draw_rotations(count: int, rng: np.random.Generator) -> Array:
 
 
 def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
-    """Tell whether every transform of T (..., 4, 4) has a proper rotation, finite metres and the last row 0 0 0 1."""
+    """Whether all transforms T (..., 4, 4) have a proper rotation, finite metres and the last row 0 0 0 1."""
     R = T[..., :3, :3]
     orthogonal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
     last_row = np.allclose(T[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=tolerance)
@@ -144,22 +144,20 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
 
 
 def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
-    """Return one rigid transform (4, 4) as float64. Raises `error`, which says that `what` is none."""
+    """Return one rigid transform (4, 4) as float64. Raises `error`, naming it as `what`."""
     found = _convert_numbers(T)
     if found is None or found.shape != (4, 4) or not is_rigid(found):
-        raise error(
-            f"{what} is no rigid transform; it must be (4, 4), in metres, last row 0 0 0 1, its rotation no reflection"
-        )
+        raise error(f"{what} is not a rigid transform; give (4, 4), in metres, with last row 0 0 0 1 and no reflection")
     return found
 
 
 def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
-    """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, which says that `what` is none."""
+    """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, naming it as `what`."""
     found = _convert_numbers(values)
     if found is None or found.shape != (6, 6) or not _is_covariance(found):
         raise error(
-            f"{what} is no covariance; it must be (6, 6), symmetric and nowhere negative, first x, y, z in m, then a "
-            "rotation vector in rad"
+            f"{what} is not a covariance; give (6, 6), symmetric and without negative variance, first x, y, z in m, "
+            "then a rotation vector in rad"
         )
     return found
 
@@ -172,7 +170,7 @@ def _is_covariance(values: Array, tolerance: float = 1e-6) -> bool:
 
 
 def _convert_numbers(values: ArrayLike) -> Array | None:
-    """The values as float64, None where they are no numbers."""
+    """Convert values to float64; return None if they are not numbers."""
     try:
         found = np.asarray(values)
     except ValueError:  # rows of different lengths

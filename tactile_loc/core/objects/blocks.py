@@ -1,4 +1,4 @@
-"""Points or triangles in blocks of neighbours, each in a sphere: what is out of reach is passed over by the block."""
+"""Points or triangles in blocks of neighbours, each in a sphere, so that whole blocks out of reach can be skipped."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.objects.mesh import TriangleMesh
 
-TRIANGLES = 24  # of a block
+TRIANGLES = 24  # per block
 
 
 class Blocks(NamedTuple):
-    """Things of C corners each in blocks of neighbours, metres or whatever unit they have: `corners` (N, C, 3) of the
-    things with the numbers `order` (N,), those of block b from starts[b] to starts[b + 1], inside the sphere about
-    centres[b] (B, 3) of radii[b] (B,)."""
+    """Items of C corners each, in blocks of neighbours, in any unit.
+
+    `corners` (N, C, 3) are those of the items with numbers `order` (N,). Block b has items from starts[b] to
+    starts[b + 1], inside the sphere about centres[b] (B, 3) with radius radii[b] (B,).
+    """
 
     corners: NDArray[np.float64]
     order: NDArray[np.int64]
@@ -26,7 +28,7 @@ class Blocks(NamedTuple):
 
 
 def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
-    """Part things with corners (N, C, 3), at the middle of their longest side, into blocks of at most `most`."""
+    """Split items with corners (N, C, 3), at the middle of their longest side, into blocks of at most `most`."""
     middles = corners.mean(axis=1)
     waiting, parts = [np.arange(len(corners))], []
     while waiting:
@@ -48,15 +50,16 @@ def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
 
 @lru_cache(maxsize=16)
 def make_triangle_blocks(mesh: TriangleMesh) -> Blocks:
-    """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for; metres."""
+    """Return the triangles of a mesh in blocks of TRIANGLES, built at first use; metres."""
     return make_blocks(mesh.triangles_m, TRIANGLES)
 
 
 class NearestTriangles(NamedTuple):
-    """What compiled code takes, in one unit of length: `corners` (F, 3), `sides` (F, 2, 3) that lead from them to the
-    other corners, unit `normals` (F, 3); cells of side `cell` from the corner `low` (3,), each with the number of
-    its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. The triangles that share an edge with triangle f are
-    `beside` (R,) from ends[f] to ends[f + 1].
+    """Arrays for compiled code, in one unit of length.
+
+    `corners` (F, 3), `sides` (F, 2, 3) from them to the other corners, and unit `normals` (F, 3). Cells of side `cell`
+    start at the corner `low` (3,); `nearest` (X, Y, Z) are the numbers of their nearest triangles, -1 beyond reach. The
+    triangles that share an edge with triangle f are `beside` (R,) from ends[f] to ends[f + 1].
     """
 
     corners: NDArray[np.float64]

@@ -40,7 +40,7 @@ class TriangleMesh:
 
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
-        """The vertices (V, 3) that faces have, metres."""
+        """The vertices (V, 3) that belong to faces, metres."""
         return self.vertices_m[np.unique(self.faces)]
 
     @cached_property
@@ -71,25 +71,23 @@ class TriangleMesh:
 
     def sample(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Draw points (count, 3) in metres uniformly over the surface."""
-        a, b, c = np.moveaxis(self.triangles_m[self._draw_faces(count, rng)], 1, 0)
+        faces = rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
+        a, b, c = np.moveaxis(self.triangles_m[faces], 1, 0)
         r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
         return (1 - r) * a + r * (1 - s) * b + r * s * c
 
-    def _draw_faces(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        return rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
-
     @cached_property
     def digest(self) -> str:
-        """Hash of the surface: what identifies it in the store."""
+        """Hash of the surface, which identifies it in the store."""
         parts = (np.ascontiguousarray(self.vertices_m, "<f8"), np.ascontiguousarray(self.faces, "<i8"))
         return hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A known object: a surface in metres, the rotations that map it onto itself, and what was noticed on loading.
+    """A known object: a surface in metres, the rotations that map it onto itself, and notes from loading it.
 
-    Raises ObjectError when the surface is empty, non-finite, has no extent, or an impossible size.
+    Raises ObjectError for a surface that is empty, not finite, without extent or of an impossible size.
     """
 
     name: str
@@ -107,7 +105,7 @@ class ObjectModel:
 
 
 def check_surface(mesh: TriangleMesh, name: str) -> None:
-    """Raise ObjectError, in one sentence, when the surface in metres cannot be that of a graspable object."""
+    """Raise ObjectError unless the surface, in metres, can be that of a graspable object."""
     if len(mesh.faces) == 0 or len(mesh.vertices_m) == 0:
         raise ObjectError(f"{name} is an empty mesh: it has no faces; export it again as a surface mesh")
     if not np.isfinite(mesh.vertices_m).all():
@@ -118,6 +116,6 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
     size = float(mesh.extents_m.max())
     if not SMALLEST_M <= size <= LARGEST_M:
         raise ObjectError(
-            f"{name} is {size * 1e3:.4g} mm long; objects from 1 mm to 1 m can be located, so its unit is probably "
-            "another: give --units m, mm, cm or inch"
+            f"{name} is {size * 1e3:.4g} mm long, but objects from 1 mm to 1 m can be located, so its unit is probably "
+            "wrong; give --units m, mm, cm or inch"
         )

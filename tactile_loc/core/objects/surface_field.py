@@ -1,9 +1,9 @@
-"""Where an object's surface is nearest: by the triangle that is nearest to each cell of a box about it.
+"""Nearest points of an object's surface, found with the nearest triangle of each cell of a box around it.
 
-Built once an object, by a wave that carries triangles outwards from the cells that they cross; then the surface's
-nearest point is looked up in the time of one point and one triangle, whatever the mesh. Exact where the nearest
-triangle of a point and that of its cell's centre are the same one; beside an edge they may not be, which takes the
-point too far by a part of a cell; so the search goes on from there, to nearer triangles that share an edge.
+The field is built once per object, by a wave that carries triangles outwards from the cells that they cross. Then a
+nearest point is found in constant time, whatever the mesh. It is exact if a point and its cell's centre have the same
+nearest triangle. Beside an edge they may differ, by less than a cell; so the search goes on to nearer triangles that
+share an edge.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -36,7 +36,7 @@ class SurfaceField:
 
     @classmethod
     def of(cls, mesh: TriangleMesh, reach_m: float = 4e-3, cell_m: float = 5e-4) -> SurfaceField:
-        """Build the field of a mesh with cells of `cell_m` metres, or larger ones where they would be too many."""
+        """Build the field of a mesh with cells of `cell_m` metres, or larger if there would be too many."""
         low = mesh.vertices_m.min(axis=0) - reach_m
         size = mesh.extents_m + 2 * reach_m
         cell_m = max(cell_m, float(np.cbrt(size.prod() / MOST_CELLS)))
@@ -49,15 +49,15 @@ class SurfaceField:
         return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners)), reach_m)
 
     def to_unit(self, per_m: float) -> NearestTriangles:
-        """Return what compiled code takes, in another unit of length, of which a metre has `per_m`."""
+        """Return the arrays for compiled code in another unit of length; `per_m` of it are a metre."""
         of = self.triangles
         return of._replace(
             corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m
         )  # fmt: skip
 
     def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return the surface's nearest points (N, 3), metres, to points (N, 3) of the object's frame, and the number
-        (N,) of their triangle; NaN and -1 beyond reach."""
+        """Return the surface points (N, 3), metres, nearest to points (N, 3) in the object's frame, and their
+        triangles (N,); NaN and -1 beyond reach."""
         found, which = np.full((len(points_m), 3), np.nan), np.full(len(points_m), -1)
         look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
         return found, which
@@ -65,9 +65,9 @@ class SurfaceField:
     def measure_gaps(
         self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float
     ) -> NDArray[np.float64]:
-        """Return how far points (N, 3), metres, moved by each of T_object_points (K, 4, 4), are from the surface.
+        """Return the mean distance (K,), metres, to the surface of points (N, 3) moved by T_object_points (K, 4, 4).
 
-        That is the mean over the points (K,), metres, each counted as at most `most_m`; 0 without points.
+        Each distance counts as at most `most_m`. Without points, the result is 0.
         """
         gaps = np.zeros(len(T_object_points))
         points_m = np.ascontiguousarray(points_m, float)
@@ -76,21 +76,21 @@ class SurfaceField:
 
 
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """The triangles that share an edge with each of the triangles (F, 3, 3), and where each one's end (F + 1,)."""
+    """Return the triangles that share an edge with each of the triangles (F, 3, 3), and where their lists end."""
     from scipy.sparse import csr_matrix
 
     which = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].ravel()
     of = np.repeat(np.arange(len(corners)), 3)
     touches = csr_matrix((np.ones(len(of), np.int8), (of, which)), shape=(len(corners), int(which.max()) + 1))
     shared = (touches @ touches.T).tocsr()
-    shared.data[shared.data != 2] = 0  # corners in common; a triangle has three with itself
+    shared.data[shared.data != 2] = 0  # number of common corners; a triangle has three with itself
     shared.eliminate_zeros()
     return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
 
 
-@lru_cache(maxsize=64)  # objects of a library that are looked into together
+@lru_cache(maxsize=64)  # as many as the objects of a library that are searched together
 def build_surface_field(mesh: TriangleMesh) -> SurfaceField:
-    """Return the field of a mesh, built when it is first asked for."""
+    """Return the field of a mesh, built at first use."""
     return SurfaceField.of(mesh)
 
 
@@ -108,7 +108,7 @@ def look_up(points, triangles, found, which):
 
 @njit
 def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
-    """Fill the mean gaps (K,) of the moves (K, 4, 4) from first to last."""
+    """Fill the mean distances (K,) of the moves (K, 4, 4) from first to last."""
     x = np.empty(3)
     for k in range(first, last):
         total = 0.0
@@ -116,17 +116,16 @@ def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
             for r in range(3):
                 x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
             f = find_triangle_near(x, triangles)
-            total += (
-                most
-                if f < 0
-                else min(most, math.sqrt(_measure_squared_distance(x, triangles.corners[f], triangles.sides[f])))
-            )
+            gap = most
+            if f >= 0:
+                gap = min(most, math.sqrt(_measure_squared_distance(x, triangles.corners[f], triangles.sides[f])))
+            total += gap
         gaps[k] = total / max(1, len(points))
 
 
 @njit
 def find_triangle_near(x, triangles):
-    """The triangle nearest to the cell that x (3,) lies in; -1 beyond reach."""
+    """Return the triangle nearest to the cell of x (3,); -1 beyond reach."""
     i = math.floor((x[0] - triangles.low[0]) / triangles.cell)
     j = math.floor((x[1] - triangles.low[1]) / triangles.cell)
     k = math.floor((x[2] - triangles.low[2]) / triangles.cell)
@@ -138,7 +137,7 @@ def find_triangle_near(x, triangles):
 
 @njit
 def find_downhill(x, f, triangles):
-    """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge, and its
+    """Return the triangle nearest to x (3,) on a path of ever nearer triangles from f, over shared edges, and its
     squared distance."""
     least = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
     while True:
@@ -147,7 +146,7 @@ def find_downhill(x, f, triangles):
             other = triangles.beside[number]
             a, n = triangles.corners[other], triangles.normals[other]
             off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
-            if off * off < least:  # else even its plane is farther
+            if off * off < least:  # otherwise even its plane is farther
                 d = _measure_squared_distance(x, a, triangles.sides[other])
                 if d < least:
                     least, best = d, other
@@ -158,8 +157,10 @@ def find_downhill(x, f, triangles):
 
 @njit
 def find_closest_on_triangle(x, a, sides):
-    """The point that is nearest to x (3,) of the triangle from corner a (3,) with `sides` (2, 3): Ericson, Real-Time
-    Collision Detection, 5.1.5."""
+    """Return the point nearest to x (3,) of the triangle from corner a (3,) with `sides` (2, 3).
+
+    See Ericson, Real-Time Collision Detection, 5.1.5.
+    """
     ab0, ab1, ab2 = sides[0, 0], sides[0, 1], sides[0, 2]
     ac0, ac1, ac2 = sides[1, 0], sides[1, 1], sides[1, 2]
     p0, p1, p2 = x[0] - a[0], x[1] - a[1], x[2] - a[2]
@@ -190,7 +191,7 @@ def find_closest_on_triangle(x, a, sides):
 
 @njit
 def carry(corners, sides, normals, low, cell, reach, nearest):
-    """Fill the nearest triangle (X, Y, Z): of the cells that triangles cross, then outwards from cell to cell."""
+    """Fill the nearest triangles (X, Y, Z): first in the cells that triangles cross, then outwards cell by cell."""
     X, Y, Z = nearest.shape
     squared = np.empty((X, Y, Z), np.float32)
     for i in range(X):
@@ -231,7 +232,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest):
 
 @njit
 def _mark_crossed(corners, sides, normals, low, cell, nearest, squared):
-    """Give the cells within two sides of a triangle that triangle; return how many cells have one."""
+    """Assign each triangle to the cells within two cell sides of it; return how many cells have a triangle."""
     x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
     near = 2.0 * cell
     for f in range(len(corners)):

@@ -1,4 +1,4 @@
-"""Rotational symmetry groups of objects: declared as text, closed under multiplication, enumerated, factored out."""
+"""Rotational symmetry groups of objects: parsed from text, closed under multiplication, listed and factored out."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
 MAX_ORDER = 120
-"""Most rotations a finite group may have: twice those of the icosahedron, and all of a 60-sided prism."""
+"""Largest order of a finite group: twice that of the icosahedron's, and that of a 60-sided prism."""
 
 _TERM = re.compile(r"(?:([xyz])|axis\(([^()]*)\))(\d+|inf)")
-_SAME_RAD = 1e-2  # what rounded axes may add up to; different elements of a group lie 0.05 rad apart
+_SAME_RAD = 1e-2  # tolerance for rounded axes; different elements of a group are 0.05 rad apart
 _TIE = 1e-9
-_REFERENCE_ROTVEC = (0.3721, -0.8147, 1.1369)  # generic: on no symmetry plane of anything one would draw
+_REFERENCE_ROTVEC = (0.3721, -0.8147, 1.1369)  # generic: on no symmetry plane of usual objects
 
 
 @dataclass(frozen=True)
 class SymmetryTerm:
-    """One generator: turns by 2 pi / `order` (math.inf: any turn) about `axis`, 3 numbers in the object frame."""
+    """One generator: rotations by 2 pi / `order` (math.inf: any angle) about `axis`, 3 numbers in the object frame."""
 
     axis: tuple[float, float, float]
     order: float
@@ -38,7 +38,7 @@ class SymmetryTerm:
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """The smallest turn (3, 3) of a finite term."""
+        """The smallest rotation (3, 3) of a finite term."""
         return rotation_about(self.axis, 2.0 * math.pi / self.order)
 
     def __str__(self) -> str:
@@ -46,7 +46,7 @@ class SymmetryTerm:
 
 
 def name_axis(axis: ArrayLike) -> str:
-    """Return 'x', 'y' or 'z' for a positive coordinate axis and 'axis(a,b,c)' with nine digits for any other (3,)."""
+    """Return 'x', 'y' or 'z' for a positive coordinate axis, else 'axis(a,b,c)' with nine digits, for an axis (3,)."""
     a = np.asarray(axis, dtype=np.float64)
     for letter, unit in zip("xyz", np.eye(3), strict=True):
         if np.array_equal(a, unit):
@@ -55,9 +55,9 @@ def name_axis(axis: ArrayLike) -> str:
 
 
 def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.float64] | None:
-    """Return all products (K, 3, 3) of the (3, 3) generators, identity first, or None if there are over MAX_ORDER."""
+    """Return all products (K, 3, 3) of the (3, 3) generators, identity first; None if there are over MAX_ORDER."""
     found = [np.eye(3)]
-    for rotation in found:  # grows while it is walked
+    for rotation in found:  # grows during the loop
         for generator in generators:
             product = rotation @ generator
             traces = np.einsum("kij,ij->k", np.stack(found), product)
@@ -73,9 +73,9 @@ def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.flo
 class SymmetryGroup:
     """The proper rotations about `centre_m` (3,) in the object frame that map an object onto itself.
 
-    The group is {R_axis(any angle)} x `rotations` when `continuous_axis` (3,) is set, and `rotations` (K, 3, 3)
-    otherwise; the identity comes first. Raises SymmetryError if the terms generate more than MAX_ORDER rotations or
-    make a sphere of the object, which is not supported.
+    The group is {R_axis(any angle)} x `rotations` if `continuous_axis` (3,) is set, else `rotations` (K, 3, 3); the
+    identity comes first. Raises SymmetryError if the terms generate more than MAX_ORDER rotations, or would make the
+    object a sphere, which is not supported.
     """
 
     centre_m: NDArray[np.float64]
@@ -86,7 +86,7 @@ class SymmetryGroup:
     def __post_init__(self) -> None:
         centre_m = np.array(self.centre_m, dtype=np.float64)
         if centre_m.shape != (3,) or not np.isfinite(centre_m).all():
-            raise SymmetryError(f"The centre of a symmetry is three finite numbers in metres, not {self.centre_m!r}.")
+            raise SymmetryError(f"the centre of a symmetry is {self.centre_m!r}; give three finite numbers in metres")
         axis = next((term.unit_axis for term in self.terms if math.isinf(term.order)), None)
         if axis is None:
             rotations = close_rotations([term.rotation for term in self.terms])
@@ -94,8 +94,8 @@ class SymmetryGroup:
             rotations = _list_flips(self.terms, axis)
         if rotations is None:
             raise SymmetryError(
-                f"The symmetry '{self}' does not close: its turns generate more than {MAX_ORDER} rotations; correct an"
-                " axis or an order (a spherical object is not supported: name its turns about one axis)."
+                f"the symmetry '{self}' does not close: it generates more than {MAX_ORDER} rotations; correct an axis "
+                "or an order (a spherical object is not supported: name its rotations about one axis)"
             )
         for name, value in (("centre_m", centre_m), ("rotations", rotations), ("continuous_axis", axis)):
             object.__setattr__(self, name, value)
@@ -104,8 +104,8 @@ class SymmetryGroup:
     def parse(cls, text: str, centre_m: ArrayLike) -> SymmetryGroup:
         """Read `none`, or terms joined by `*`, each an axis (x, y, z or axis(a,b,c)) and an order (2, 3, ... or inf).
 
-        `z6`: six turns about z; `zinf*x2`: a cylinder; `x2*y2`: a box. `centre_m` (3,): a point on every axis, object
-        frame. Raises SymmetryError for text that is not such a product, and for products that are not a group.
+        `z6`: six rotations about z; `zinf*x2`: a cylinder; `x2*y2`: a box. `centre_m` (3,) is a point on every axis, in
+        the object frame. Raises SymmetryError for text that is not such a product, or a product that is not a group.
         """
         cleaned = re.sub(r"\s+", "", text).lower()
         terms = () if cleaned == "none" else tuple(_parse_term(term, text) for term in cleaned.split("*"))
@@ -127,35 +127,34 @@ class SymmetryGroup:
     def list_elements(self, max_step_rad: float = math.radians(10.0)) -> NDArray[np.float64]:
         """Return all elements as T_object_object (K, 4, 4), metres, identity first.
 
-        A continuous axis is sampled evenly, at an even number of turns (so that half turns are among them) at most
-        `max_step_rad` apart. Raises SymmetryError if `max_step_rad` is not positive.
+        A continuous axis is sampled at an even number of equal steps of at most `max_step_rad`, so that half turns are
+        included. Raises SymmetryError if `max_step_rad` is not positive.
         """
         R = self._sample_rotations(max_step_rad)
         return make_transform(R, self.centre_m - R @ self.centre_m)
 
     def is_representative(self, R: NDArray[np.float64], step_rad: float | None = None) -> NDArray[np.bool_]:
-        """Say (N,) of each rotation R_sensor_object (N, 3, 3) whether it stands for its equivalents {R S : S in group}.
+        """Mark (N,) the rotations R_sensor_object (N, 3, 3) that represent their equivalents {R S : S in group}.
 
-        The representative is the equivalent nearest to a fixed generic rotation (a Dirichlet domain). Equivalents
-        exactly as near, a set of measure zero, all count, so that a pose is never lost. With a continuous axis,
-        `step_rad` (the spacing of the rotations asked about) is required, and R counts if it lies within half a step,
-        along its orbit, of the nearest one: an orbit sampled evenly at `step_rad` keeps one. Ask only about sets that
-        are closed under the group, such as a grid over all of SO(3); others are to be compared by `find_canonical`.
-        Raises SymmetryError if `step_rad` is missing.
+        The representative is the equivalent nearest to a fixed generic rotation (a Dirichlet domain). Exact ties, a set
+        of measure zero, all count, so that no pose is lost. With a continuous axis, `step_rad`, the spacing of the
+        rotations, is required: R counts if it is within half a step, along its orbit, of the nearest equivalent, so an
+        orbit sampled evenly at `step_rad` keeps one. Use it only for sets that are closed under the group, such as a
+        grid over all of SO(3); compare other sets with `find_canonical`. Raises SymmetryError without `step_rad`.
         """
         nearness, angle_rad = self._measure_nearness(R)
         is_nearest = nearness[:, 0] >= nearness.max(axis=1) - _TIE
         if self.continuous_axis is None:
             return is_nearest
         if step_rad is None or not step_rad > 0:
-            raise SymmetryError(f"The symmetry '{self}' is continuous: give the positive step_rad of the rotations.")
+            raise SymmetryError(f"the symmetry '{self}' is continuous; give a positive step_rad of the rotations")
         half_step_rad = step_rad / 2.0
         return is_nearest & (angle_rad[:, 0] > -half_step_rad) & (angle_rad[:, 0] <= half_step_rad)
 
     def find_canonical(self, R: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return for each R_sensor_object (N, 3, 3) the equivalent (N, 3, 3) nearest to the fixed generic rotation.
 
-        Two poses are equivalent if and only if these agree and so do the positions of the group's centre.
+        Two poses are equivalent if and only if these rotations and the positions of the group's centre agree.
         """
         nearness, angle_rad = self._measure_nearness(R)
         best = nearness.argmax(axis=1)
@@ -171,17 +170,17 @@ class SymmetryGroup:
 
     def _sample_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
         if not max_step_rad > 0:
-            raise SymmetryError(f"The step along a continuous symmetry must be positive, not {max_step_rad} rad.")
+            raise SymmetryError(f"the step along a continuous symmetry is {max_step_rad} rad; give a positive number")
         if self.continuous_axis is None:
             return self.rotations
         count = 2 * math.ceil(math.pi / max_step_rad - 1e-9)
-        turns = rotation_about(self.continuous_axis, np.arange(count) * (2.0 * math.pi / count))
-        return (self.rotations[:, None] @ turns[None]).reshape(-1, 3, 3)
+        about_axis = rotation_about(self.continuous_axis, np.arange(count) * (2.0 * math.pi / count))
+        return (self.rotations[:, None] @ about_axis[None]).reshape(-1, 3, 3)
 
     def _measure_nearness(
         self, R: NDArray[np.float64], R_ref: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return max over the continuous turn of tr(R_ref^T R S_k R_axis(angle)), (N, K), and that angle (N, K)."""
+        """Return max over the continuous angle of tr(R_ref^T R S_k R_axis(angle)), (N, K), and that angle (N, K)."""
         if R_ref is None:
             R_ref = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
         A = R_ref.T @ np.asarray(R, dtype=np.float64)
@@ -200,12 +199,12 @@ def _parse_term(term: str, text: str) -> SymmetryTerm:
     components = _parse_axis(match) if match else None
     if match is None or components is None:
         raise SymmetryError(
-            f"The symmetry '{text}' cannot be read at '{term}': write 'none', or terms such as z6, zinf or"
-            " axis(1,1,0)2 joined by '*'."
+            f"the symmetry '{text}' cannot be read at '{term}'; give 'none', or terms such as z6, zinf or axis(1,1,0)2 "
+            "joined by '*'"
         )
     order = math.inf if match[3] == "inf" else int(match[3])
     if order < 2:
-        raise SymmetryError(f"The order of '{term}' in the symmetry '{text}' must be 2 or more, or inf.")
+        raise SymmetryError(f"the order of '{term}' in the symmetry '{text}' is below 2; give 2 or more, or inf")
     return SymmetryTerm(components, order)
 
 
@@ -226,11 +225,11 @@ def _list_flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDA
     for term in terms:
         along = float(term.unit_axis @ axis)
         if abs(along) > math.cos(_SAME_RAD):
-            continue  # turns about the continuous axis itself add nothing
+            continue  # it is about the continuous axis itself
         if term.order != 2 or abs(along) > _SAME_RAD:
             raise SymmetryError(
-                f"The symmetry '{'*'.join(map(str, terms))}' would make the object a sphere, which is not supported:"
-                " beside a continuous axis there can only be half turns about an axis perpendicular to it."
+                f"the symmetry '{'*'.join(map(str, terms))}' would make the object a sphere, which is not supported; "
+                "beside a continuous axis, give only half turns about axes perpendicular to it"
             )
         rotations[1:] = [rotation_about(term.unit_axis - along * axis, math.pi)]
     return np.stack(rotations)

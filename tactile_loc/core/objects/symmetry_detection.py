@@ -1,4 +1,4 @@
-"""Which rotations map an object's surface onto itself: found from the mesh, or checked when declared."""
+"""Detection of the rotations that map an object's surface onto itself, and verification of declared ones."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
 _logger = logging.getLogger(__name__)
 
 RESOLUTION_M = 5e-5
-"""The deviation of a surface that a tactile sensor sees, where it is about half a millimetre wide."""
+"""The smallest deviation that a tactile sensor sees, on a patch about half a millimetre wide."""
 
-_IGNORED = 1e-3  # the fraction of the few points that may lie farther off: whether that is a feature the many say
+_IGNORED = 1e-3  # fraction of the few points that may be farther off; the many points tell whether they are a feature
 _EQUAL_MOMENTS = 0.06
 _VERIFY_STEP_RAD = math.radians(16.0)
 _VERIFY_EVALUATIONS = 40_000
-_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # its multiples meet no finite group
+_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # its multiples are in no finite group
 _SCAN_ORDERS = (2, 3, 5, 7)
-_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half turns, that about x is named before y and z
+_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # among equivalent half turns, x is named before y, and y before z
 
 
 def detect_symmetry(
@@ -33,12 +33,11 @@ def detect_symmetry(
 ) -> SymmetryGroup:
     """Return the rotations about the surface's centroid that map the surface of a mesh onto itself.
 
-    `vertices_m` (V, 3), `faces` (F, 3). A rotation counts unless some patch of the rotated surface, half a millimetre
-    wide and more, lies farther than `tolerance_m` from the surface: a pocket breaks the symmetry of a plate however
-    large the plate is. What the facets of a tessellated curve leave open is forgiven beyond that, where they are.
-    Axes of up to 60-fold symmetry and continuous ones are found. A sphere is reported as a cylinder, with a warning.
-    `seed` draws the surface points that are looked at: 0.4 mm apart, or 40,000. Raises ObjectError for a mesh without
-    a surface.
+    `vertices_m` (V, 3), `faces` (F, 3). A rotation counts unless some patch of the rotated surface, at least half a
+    millimetre wide, is farther than `tolerance_m` from the surface: a pocket breaks a plate's symmetry, however large
+    the plate is. The error of a tessellated curve's facets is allowed in addition, where they are. Axes of up to
+    60-fold symmetry and continuous ones are found. A sphere is reported as a cylinder, with a warning. `seed` draws the
+    surface points used, 0.4 mm apart, at most 40,000. Raises ObjectError for a mesh without a surface.
     """
     probe = SurfaceProbe(vertices_m, faces, seed)
     search = _Search(probe, tolerance_m)
@@ -53,26 +52,14 @@ def detect_symmetry(
     return search.group(terms)
 
 
-def verify_symmetry(
-    group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float = RESOLUTION_M
-) -> float:
-    """Return how far, in metres, the surface lies from itself under the worst of the group's elements.
-
-    `vertices_m` (V, 3), `faces` (F, 3). The largest deviation of a patch half a millimetre wide, less what facets
-    leave open; a continuous axis is sampled. Deviations below `tolerance_m` may be reported a little too large or as
-    nil. Raises ObjectError for a mesh without a surface.
-    """
-    return _find_worst(SurfaceProbe(vertices_m, faces), group, tolerance_m)[0]
-
-
 def require_symmetry(
     group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float | None = None
 ) -> None:
     """Raise SymmetryError if the surface of a mesh differs from itself by more than `tolerance_m` under the group.
 
-    Arguments as in `verify_symmetry`; by default what is forgiven is `SurfaceProbe.declared_tolerance_m`, which is
-    more than detection does: who declares the symmetry of a scan knows it better. The error says under which turn, by
-    how much and where.
+    `vertices_m` (V, 3), `faces` (F, 3). The default tolerance is `SurfaceProbe.declared_tolerance_m`, which is more
+    than in detection, because the user knows the symmetry of a scan better. The error names the rotation, the deviation
+    and its place.
     """
     probe = SurfaceProbe(vertices_m, faces)
     tolerance_m = probe.declared_tolerance_m() if tolerance_m is None else tolerance_m
@@ -80,23 +67,23 @@ def require_symmetry(
     if deviation_m > tolerance_m:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
         raise SymmetryError(
-            f"The object does not have the symmetry '{group}': the surface differs by {1e3 * deviation_m:.2g} mm after"
-            f" {_name_turn(R)}, at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the"
-            " symmetry, or declare none."
+            f"the object does not have the symmetry '{group}': the surface differs by {1e3 * deviation_m:.2g} mm after "
+            f"{_name_rotation(R)}, at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the "
+            "symmetry, or declare none"
         )
 
 
-Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # how far, after which turn (3, 3), where (3,)
+Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # distance, after rotation (3, 3), at point (3,)
 
 
 def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation over a group's elements, metres, and where in the object frame."""
+    """Return the largest deviation over a group's elements, metres, and its place in the object frame."""
     both = (worst(probe, group, tolerance_m) for worst in (_find_worst_of_few, _find_worst_patch))
     return max(both, key=lambda deviation: deviation[0])
 
 
 def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Move a few points by all elements, and leave a thousandth of them out of account."""
+    """Return the largest deviation of a few points under all elements, ignoring a thousandth of the points."""
     elements = group.list_elements(_VERIFY_STEP_RAD)[1:]
     few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
@@ -110,7 +97,7 @@ def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: f
 
 
 def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Move many points by what generates the elements: a feature that any element moves, one of these does."""
+    """Return the largest deviation of many points under the generators: they move any feature that an element moves."""
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
     for R in _list_generators(group):
         mapped_m = _map_points(probe.many.points_m, R, group.centre_m - probe.centre_m)
@@ -123,14 +110,14 @@ def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: fl
 def _map_points(
     points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Points (N, 3) turned by R (3, 3) about a centre (3,); metres."""
+    """Rotate points (N, 3) by R (3, 3) about a centre (3,); metres."""
     return (points_m - centre_m) @ R.T + centre_m
 
 
 def _list_generators(group: SymmetryGroup) -> NDArray[np.float64]:
-    """The turns (K, 3, 3) that generate a group, and their inverses; of a continuous axis one that meets no other."""
-    turns = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
-    both = [R for turn in turns for R in ((turn,) if np.allclose(turn, turn.T) else (turn, turn.T))]
+    """List a group's generators (K, 3, 3) and their inverses; a continuous axis is represented by one rotation."""
+    forward = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
+    both = [R for one in forward for R in ((one,) if np.allclose(one, one.T) else (one, one.T))]
     return np.array(both).reshape(-1, 3, 3)
 
 
@@ -146,7 +133,7 @@ class _Search:
         self._tolerance_m = tolerance_m
 
     def group(self, candidates: Iterable[tuple[NDArray[np.float64], float]]) -> SymmetryGroup:
-        """Return the group of those candidate (axis, order) that hold together with the ones before, higher first."""
+        """Return the group of the candidates (axis, order) that are compatible with earlier ones, high orders first."""
         group = SymmetryGroup(self._probe.centre_m)
         for term in sorted((self._find_term(*candidate) for candidate in candidates), key=_rank_term):
             if math.isinf(group.order):
@@ -163,11 +150,11 @@ class _Search:
         return group
 
     def is_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
-        """Say whether a turn maps the surface onto itself, within the tolerance."""
+        """Whether a rotation maps the surface onto itself, within the tolerance."""
         return self._is_nearly_symmetry(axis, angle_rad) and self._has_no_feature(axis, angle_rad)
 
     def _is_nearly_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
-        """Say whether a turn maps few points of the surface onto it, but for a thousandth."""
+        """Whether a rotation maps a few points of the surface onto it, except a thousandth of them."""
         R, few, half_m = rotation_about(axis, angle_rad), self._probe.few, 0.5 * self._tolerance_m
         first = few.first(150)
         deviation_m = self._probe.deviation_m(first.points_m @ R.T, first.open_m, half_m, candidates=24)
@@ -178,18 +165,18 @@ class _Search:
         return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
 
     def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
-        """Say whether no patch of the surface, turned there or back, lies beyond the tolerance."""
+        """Whether no patch of the surface, rotated either way, is beyond the tolerance."""
         many = self._probe.many
         for sign in (1.0, -1.0)[: 1 if angle_rad == math.pi else 2]:
-            turned_m = many.points_m @ rotation_about(axis, sign * angle_rad).T
-            if self._probe.patch_deviation_m(turned_m, many.open_m, self._tolerance_m)[0]:
+            rotated_m = many.points_m @ rotation_about(axis, sign * angle_rad).T
+            if self._probe.patch_deviation_m(rotated_m, many.open_m, self._tolerance_m)[0]:
                 return False
         return True
 
     def order_about(self, axis: NDArray[np.float64], multiple_of: int = 1) -> float:
         """Return the order of the symmetry about an axis (3,): math.inf, up to 60, or 1 for none."""
-        turns_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
-        if all(self._is_nearly_symmetry(axis, t) for t in turns_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
+        angles_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
+        if all(self._is_nearly_symmetry(axis, a) for a in angles_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
             return math.inf
         largest = MAX_ORDER // 2
         held = [p for p in _list_primes(largest) if self._has_nearly_order(axis, p)]
@@ -201,21 +188,21 @@ class _Search:
         return 1
 
     def _has_nearly_order(self, axis: NDArray[np.float64], order: int) -> bool:
-        # a screw thread passes a small turn, so every multiple is looked at, the half turn first
+        # a screw thread passes for small angles, so every multiple is tested, the half turn first
         return all(self._is_nearly_symmetry(axis, 2.0 * math.pi * k / order) for k in range(order // 2, 0, -1))
 
     def terms_about(self, axis: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
-        """Return the terms about an axis (3,) whose moment stands out, and about one perpendicular to it."""
+        """Return the terms about an axis (3,) with a distinct moment, and about one perpendicular to it."""
         order = self.order_about(axis)
         terms = [(axis, order)] if order > 1 else []
         flip = self._flip(axis, order)
         return terms if flip is None else [*terms, (flip, 2.0)]
 
     def terms_anywhere(self, extra: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
-        """Return the terms of a surface with three equal moments; `extra` (E, 3) directions are looked at first."""
+        """Return the terms of a surface with three equal moments; `extra` (E, 3) directions are tested first."""
         few = self._probe.few
         if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
-            _logger.warning("The object is a sphere, whose symmetry is not supported: it is treated as a cylinder.")
+            _logger.warning("the object is a sphere, whose symmetry is not supported; it is treated as a cylinder")
             return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), 2.0)]
         terms: list[tuple[NDArray[np.float64], float]] = []
         points_m = few.points_m[:200]
@@ -237,14 +224,14 @@ class _Search:
         return terms
 
     def _flip(self, axis: NDArray[np.float64], order: float) -> NDArray[np.float64] | None:
-        """Return an axis (3,) of a half turn perpendicular to one of the given order, or None if there is none."""
+        """Return an axis (3,) of a half turn perpendicular to one of the given order; None without one."""
         u = _find_perpendicular(axis)
         if math.isinf(order):
             return u if self.is_symmetry(u, math.pi) else None
         # the half turns of a dihedral group repeat every pi / order
-        turns = rotation_about(axis, np.linspace(0.0, math.pi / order, 120, endpoint=False))
+        rotations = rotation_about(axis, np.linspace(0.0, math.pi / order, 120, endpoint=False))
         points_m = self._choose_points(rotation_about(axis, np.arange(1, 6) * _GOLDEN_RAD) @ u)
-        for candidate in self._scan(turns @ u, 2, points_m, 12):
+        for candidate in self._scan(rotations @ u, 2, points_m, 12):
             polished = self._polish(candidate, math.pi, points_m)
             polished = polished - (polished @ axis) * axis
             if self.is_symmetry(polished, math.pi):
@@ -253,18 +240,18 @@ class _Search:
         return None
 
     def _choose_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return points (200, 3): half anywhere, half where half turns about arbitrary `axes` (K, 3) show most."""
+        """Return points (200, 3): half anywhere, half where half turns about arbitrary `axes` (K, 3) move them most."""
         points_m = self._probe.few.points_m[:1500]
-        turned_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
-        distance_m = self._probe.distance_m(turned_m).reshape(len(axes), -1).max(axis=0)
+        rotated_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
+        distance_m = self._probe.distance_m(rotated_m).reshape(len(axes), -1).max(axis=0)
         return points_m[np.concatenate([np.argsort(distance_m)[-100:], np.arange(100)])]
 
     def _scan(
         self, directions: NDArray[np.float64], order: int, points_m: NDArray[np.float64], count: int
     ) -> NDArray[np.float64]:
-        """Return up to `count` directions (K, 3), some way apart, about which one turn of an order looks best."""
-        turned_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
-        distance_m = self._probe.distance_m(turned_m, candidates=1)
+        """Return up to `count` directions (K, 3), some way apart, about which a rotation of an order fits best."""
+        rotated_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
+        distance_m = self._probe.distance_m(rotated_m, candidates=1)
         scores = np.square(distance_m).reshape(len(directions), -1).mean(axis=1)
         spacing = np.sort(np.abs(directions @ directions[0]))[-min(4, len(directions))]
         chosen: list[NDArray[np.float64]] = []
@@ -276,9 +263,9 @@ class _Search:
     def _polish(
         self, axis: NDArray[np.float64], angle_rad: float, points_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the axis (3,) tilted so that a turn about it fits the surface best: Gauss-Newton, point to plane.
+        """Return the axis (3,), tilted so that a rotation about it fits the surface best: Gauss-Newton, point to plane.
 
-        A tilt by epsilon turns S into exp(epsilon) S exp(-epsilon), which moves q = S p by ((1 - S) epsilon) x q.
+        A tilt by epsilon changes S into exp(epsilon) S exp(-epsilon), which moves q = S p by ((1 - S) epsilon) x q.
         """
         for _ in range(10):
             R = rotation_about(axis, angle_rad)
@@ -295,7 +282,7 @@ class _Search:
         return axis
 
     def _find_term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
-        """Return a term about a coordinate axis if it is one within a fifth of the tolerance."""
+        """Return a term, about a coordinate axis if that is within a fifth of the tolerance."""
         axis = axis / np.linalg.norm(axis)
         main = int(np.argmax(np.abs(axis).round(6)))
         axis = axis * np.sign(axis[main])
@@ -319,7 +306,7 @@ def _rank_term(term: SymmetryTerm) -> tuple[float, bool, str]:
 
 
 def _find_perpendicular(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a unit vector (3,) perpendicular to an axis: nearly a coordinate axis where it can be."""
+    """Return a unit vector (3,) perpendicular to an axis, near a coordinate axis if possible."""
     unit = np.eye(3)[np.argmin(np.abs(axis).round(2))]
     u = unit - (unit @ axis) * axis
     return u / np.linalg.norm(u)
@@ -333,8 +320,8 @@ def _sample_hemisphere(count: int) -> NDArray[np.float64]:
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
 
-def _name_turn(R: NDArray[np.float64]) -> str:
-    """Describe a rotation (3, 3) as 'a turn of 60 deg about z'."""
+def _name_rotation(R: NDArray[np.float64]) -> str:
+    """Describe a rotation (3, 3), for instance as 'a rotation of 60 deg about z'."""
     angle_rad = math.acos(float(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)))
     axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     if np.linalg.norm(axis) < 1e-6:  # a half turn: R + 1 = 2 a a^T
@@ -342,4 +329,4 @@ def _name_turn(R: NDArray[np.float64]) -> str:
     axis = (axis / np.linalg.norm(axis)).round(3) + 0.0
     if axis[np.argmax(np.abs(axis))] < 0:
         axis, angle_rad = -axis + 0.0, 2.0 * math.pi - angle_rad
-    return f"a turn of {math.degrees(angle_rad):.4g} deg about {name_axis(axis)}"
+    return f"a rotation of {math.degrees(angle_rad):.4g} deg about {name_axis(axis)}"

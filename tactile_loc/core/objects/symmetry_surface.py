@@ -1,4 +1,4 @@
-"""A mesh's surface as symmetry detection sees it: moments, samples, what facets leave open, distances to it."""
+"""A mesh's surface for symmetry detection: moments, samples, errors of its facets, and distances to it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from tactile_loc.core.errors import ObjectError
 
 _DENSE_COUNT = 40_000
 _POINT_COUNT = 3_000
-_PITCH_M, _MOST_CHECKED = 4e-4, 40_000  # of the points that find a local feature
-_PATCH = 1.5  # pitches: two deviating points that near are a patch that a sensor sees, one alone is a speck
-_FACETS = 1.5  # what facets leave open, in parts of the sagitta: a doubly curved surface has more than a cylinder
-_EVENLY = (0.7548776662466927, 0.5698402909980532)  # whose multiples fill a square evenly: 1 / p, 1 / p^2, p^3 = p + 1
-_FEW = 500  # points that are worth looking at closely
-_NEAR = 24  # samples about a point whose facets count: about a millimetre
-_SMOOTH_RAD = math.radians(25.0)  # a bend below this is a facet of a curve, not an edge: 15 facets and more to a turn
+_PITCH_M, _MOST_CHECKED = 4e-4, 40_000  # of the points that find local features
+_PATCH = 1.5  # pitches: two deviating points this near are a patch that a sensor sees; a single one is a speck
+_FACETS = 1.5  # error of facets, as a multiple of the sagitta: larger on a doubly curved surface than on a cylinder
+_EVENLY = (0.7548776662466927, 0.5698402909980532)  # multiples fill a square evenly: 1 / p, 1 / p^2, p^3 = p + 1
+_FEW = 500  # points for which the closest search is affordable
+_NEAR = 24  # samples around a point whose facets count: about a millimetre
+_SMOOTH_RAD = math.radians(25.0)  # a smaller bend belongs to a curve of at least 15 facets per turn, not to an edge
 _CURVE_EDGES = 12  # fewer such bends are draft angles and chamfers, not a tessellated curve
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSample:
-    """Points (N, 3) of a surface about its centroid, and what the facets leave open there (N,); metres."""
+    """Points (N, 3) of a surface, about its centroid, and the facets' errors there (N,); metres."""
 
     points_m: NDArray[np.float64]
     open_m: NDArray[np.float64]
@@ -34,15 +34,15 @@ class SurfaceSample:
         return len(self.points_m)
 
     def first(self, count: int) -> SurfaceSample:
-        """Return the first so many points."""
+        """Return the first `count` points."""
         return SurfaceSample(self.points_m[:count], self.open_m[:count])
 
 
 class SurfaceProbe:
-    """Answers how far points lie from a mesh's surface, and how far a rotated surface lies from itself.
+    """Measures distances of points from a mesh's surface, and of a rotated surface from itself.
 
-    Everything is about the area centroid `centre_m` (3,) of the surface, in metres. The answers depend on the surface,
-    hardly on how it is cut into triangles. Raises ObjectError for a mesh without area or with non-finite vertices.
+    All coordinates are about the area centroid `centre_m` (3,) of the surface, in metres. Results depend on the
+    surface, and hardly on its triangulation. Raises ObjectError for a mesh without area or with non-finite vertices.
     """
 
     def __init__(self, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], seed: int = 0) -> None:
@@ -61,24 +61,24 @@ class SurfaceProbe:
         self._tree = cKDTree(dense)
         points, face = self._sample(_POINT_COUNT, rng, at_least=0)
         order = rng.permutation(len(points))
-        self.few = SurfaceSample(points[order], self._open_m[face[order]])  # any first few cover the surface evenly
+        self.few = SurfaceSample(points[order], self._open_m[face[order]])  # the first few cover the surface evenly
         count = int(np.clip(self._area.sum() / _PITCH_M**2, 1, _MOST_CHECKED))
         self._pitch_m = math.sqrt(self._area.sum() / count)
         points, face = self._sample(count, rng, at_least=0)
-        self.many = SurfaceSample(points, self._open_m[face])  # so many that no feature falls between them
+        self.many = SurfaceSample(points, self._open_m[face])  # dense enough for every feature
 
     def covariance_m2(self) -> NDArray[np.float64]:
-        """Return the covariance (3, 3) of the surface about its centroid, integrated exactly, in square metres."""
+        """Return the exact covariance (3, 3) of the surface about its centroid, square metres."""
         means = self._corners.mean(axis=1)
         corner_part = np.einsum("f,fci,fcj->ij", self._area, self._corners, self._corners)
         mean_part = np.einsum("f,fi,fj->ij", self._area, means, means)
         return (corner_part + 9.0 * mean_part) / (12.0 * self._area.sum())
 
     def declared_tolerance_m(self) -> float:
-        """Return how far a surface may differ from itself under a symmetry that was declared: 0.5 % of its length.
+        """Return how far a surface may differ from itself under a declared symmetry: 0.5 % of its length.
 
-        Length is twice the largest distance from the centroid; a slender or flat object's tolerance is 1 % of its
-        smallest width (twice the standard deviation), if that is less.
+        Length is twice the largest distance from the centroid. For a slender or flat object, the tolerance is 1 % of
+        its smallest width (twice the standard deviation), if that is less.
         """
         length_m = 2.0 * self.radius_m
         width_m = 2.0 * math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2())[0]), 0.0))
@@ -87,7 +87,7 @@ class SurfaceProbe:
     def plane_residuals(
         self, points_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return for points (N, 3) how far above the nearest face (N,), its normal (N, 3), and if straight above (N,).
+        """Return heights (N,) of points (N, 3) above the nearest face, its normals (N, 3), and whether straight above.
 
         A point that is not straight above its nearest face is nearest to one of its edges.
         """
@@ -97,20 +97,19 @@ class SurfaceProbe:
         return height_m, normals, height_m**2 >= 0.99 * squared_m2
 
     def distance_m(self, points_m: NDArray[np.float64], candidates: int = 4) -> NDArray[np.float64]:
-        """Return the distances (N,) of points (N, 3) to the faces of the nearest samples, `candidates` for each.
+        """Return the distances (N,) of points (N, 3) to the faces of the nearest samples, `candidates` per point.
 
-        They may be too large, where triangles are slivers.
+        They may be too large if triangles are slivers.
         """
         return np.sqrt(self._find_nearest_face(points_m, candidates)[0])
 
     def deviation_m(
         self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], exact_above_m: float, candidates: int = 256
     ) -> NDArray[np.float64]:
-        """Return how far (N,) points (N, 3) lie from the surface, less what facets leave open there.
+        """Return how far (N,) points (N, 3) are from the surface, minus the facets' errors there.
 
-        `open_m` (N,): what those leave open where the points came from. Deviations above `exact_above_m` are looked
-        at again among the faces of more samples, up to `candidates`, and of very many only if the points are few, so
-        that the surfaces may agree.
+        `open_m` (N,) are the facets' errors where the points came from. Deviations above `exact_above_m` are measured
+        again with the faces of more samples, up to `candidates`; with very many only if the points are few.
         """
         deviation_m = self._measure_beyond_facets(points_m, open_m, 1)
         for more, most in ((4, len(points_m)), (_NEAR, len(points_m)), (256, _FEW)):
@@ -122,10 +121,10 @@ class SurfaceProbe:
     def patch_deviation_m(
         self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], above_m: float
     ) -> tuple[float, int]:
-        """Return what two neighbours among the sample `many`, moved to points (N, 3), both deviate at most, and where.
+        """Return the largest deviation of two neighbours in the sample `many`, moved to points (N, 3), and its index.
 
-        A single point's deviation is a speck smaller than a sensor sees. Only those above `above_m` are looked at;
-        (0.0, 0) if no two are neighbours. Other arguments as of `deviation_m`.
+        A single deviating point is smaller than a sensor sees. Only deviations above `above_m` count; the result is
+        (0.0, 0) without neighbours. Other arguments are as for `deviation_m`.
         """
         deviation_m = self.deviation_m(points_m, open_m, above_m)
         far = np.flatnonzero(deviation_m > above_m)
@@ -145,21 +144,19 @@ class SurfaceProbe:
     def _find_nearest_face(
         self, points_m: NDArray[np.float64], count: int
     ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
-        """Return the squared distances (N,) to and indices (N,) of the nearest of the nearest samples' faces (N, C)."""
+        """Return squared distances (N,) to the nearest face, its index (N,), and the nearest samples' faces (N, C)."""
         faces = self._dense_face[self._tree.query(points_m, k=count)[1]].reshape(-1)
         repeated_m = np.repeat(points_m, count, axis=0)
-        squared_m2 = _measure_squared_distance(repeated_m, self._corners[faces], self._normals[faces]).reshape(
-            -1, count
-        )
+        squared_m2 = _measure_squared_distance(repeated_m, self._corners[faces], self._normals[faces])
+        squared_m2, faces = squared_m2.reshape(-1, count), faces.reshape(-1, count)
         nearest = squared_m2.argmin(axis=1)
         row = np.arange(len(nearest))
-        faces = faces.reshape(-1, count)
         return squared_m2[row, nearest], faces[row, nearest], faces
 
     def _sample(
         self, count: int, rng: np.random.Generator, at_least: int
     ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Return points (N, 3) spread over the area and their faces (N,), with `at_least` so many on every face."""
+        """Return points (N, 3) spread over the area and their faces (N,), at least `at_least` (0 or 1) per face."""
         steps = (np.arange(count) + rng.random(count)) / count
         cumulated = np.cumsum(self._area)
         face = np.searchsorted(cumulated, steps * cumulated[-1]).clip(max=len(cumulated) - 1)
@@ -171,10 +168,10 @@ class SurfaceProbe:
         return np.einsum("nc,nci->ni", weights, self._corners[face]), face
 
     def _estimate_open_m(self) -> NDArray[np.float64]:
-        """Estimate how far (F,) each face may be from the curve that it stands for.
+        """Estimate how far (F,) each face may be from the curve that it approximates.
 
-        That is some of the facets' sagitta, (width / 2) tan(bend / 4), where the face bends on into another. It is at
-        most 1 % of the object's length, and bends wider than all but a few are edges of the object's own.
+        That is a multiple of the facets' sagitta, (width / 2) tan(bend / 4), at bends between faces. It is at most 1 %
+        of the object's length. Bends wider than all but a few are edges of the object itself.
         """
         first, second, length_m = _find_shared_edges(self._corners, 1e-7 * self.radius_m)
         cosine = np.abs(np.einsum("ei,ei->e", self._normals[first], self._normals[second]))
@@ -193,21 +190,21 @@ def _require_triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]
     """Return the corners (F, 3, 3) of the triangles, or raise ObjectError for a mesh without a surface."""
     vertices_m, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(faces)
     if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise ObjectError(f"A mesh needs vertices (V, 3) and faces (F, 3), not {vertices_m.shape} and {faces.shape}.")
+        raise ObjectError(f"a mesh has vertices {vertices_m.shape} and faces {faces.shape}; give (V, 3) and (F, 3)")
     if faces.min() < 0 or faces.max() >= len(vertices_m):
-        raise ObjectError(f"The mesh has {len(vertices_m)} vertices, but its faces name others.")
+        raise ObjectError(f"the mesh has {len(vertices_m)} vertices, but its faces name others; export it again")
     corners = vertices_m[faces]
     if not np.isfinite(corners).all():
-        raise ObjectError("The mesh has vertices that are not finite numbers: repair it.")
+        raise ObjectError("the mesh has vertices that are not finite numbers; repair or export it again")
     if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
-        raise ObjectError("The mesh has no area: all of its triangles are degenerate.")
+        raise ObjectError("the mesh has no area: all of its triangles are degenerate; export it again")
     return corners
 
 
 def _find_shared_edges(
     corners: NDArray[np.float64], merge_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the two faces (E,), (E,) on either side of each edge between just two, and the edges' lengths (E,)."""
+    """Return the two faces (E,), (E,) at each edge shared by just two, and the edges' lengths (E,)."""
     cells = np.round(corners.reshape(-1, 3) / merge_m).astype(np.int64)
     hashed = (cells * np.array([1, 1_000_003, 998_244_353_000_003], dtype=np.int64)).sum(axis=1)
     vertex = np.unique(hashed, return_inverse=True)[1].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Square lattices of translations, and where an object can be over the sensing rectangle."""
+"""Square lattices of translations, and the range of places of an object over the sensing rectangle."""
 
 from __future__ import annotations
 
@@ -13,27 +13,26 @@ Float = NDArray[np.float64]
 SMALLEST_SPACING_M = 1e-6
 
 PLASTIC = 1.32471795724474602596  # the real root of x^3 = x + 1
-SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # its multiples, modulo 1, fill a square: Roberts' R2 sequence
+SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # multiples, modulo 1, fill a square: Roberts' R2 sequence
 
 
 def compute_lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
-    """Return how many points (..., 2) `make_plane_lattice` has along x and y between low and high (..., 2), metres.
+    """Return the numbers (..., 2) of points of `make_plane_lattice` along x and y, from low to high (..., 2), metres.
 
-    Each point stands for a square of side `pitch_m`; the fewest squares that cover the range are taken, at least one.
+    Each point stands for a square of side `pitch_m`: the fewest squares that cover the range, at least one.
     Raises GridError when the pitch is not a positive number.
     """
     _require_pitch(pitch_m)
-    # A range that is a whole number of pitches must not get one more from rounding.
+    # rounding must not add a point to a range of a whole number of pitches
     squares = np.ceil((np.asarray(high_m, float) - np.asarray(low_m, float)) / pitch_m - 1e-9)
-    shape: NDArray[np.int64] = np.maximum(squares, 1).astype(np.int64)
-    return shape
+    return np.asarray(np.maximum(squares, 1).astype(np.int64))
 
 
 def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
     """Return the points (K, 2) of a square lattice of pitch `pitch_m`, centred between low (2,) and high (2,).
 
     Metres; x varies slowest. No place in the range is farther than half a pitch from a point along either axis. The
-    points lie inside the range; one that is shorter than a pitch, or empty (high below low), gets one point, its
+    points lie inside the range. An empty range (high below low), or one shorter than a pitch, gets one point in its
     middle. Raises GridError when the pitch is not a positive number.
     """
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
@@ -45,10 +44,10 @@ def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
 
 
 def make_shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
-    """Return the points (K, 2) of the square lattice that is shifted by the `number`-th of SHIFTS, as far as in range.
+    """Return the points (K, 2), within range, of the square lattice shifted by the `number`-th of SHIFTS.
 
-    Metres; lattices of successive numbers fill one another's gaps evenly. Number 0 has a point in the middle of the
-    range, low (2,) to high (2,); one without a point in it gets its middle. Raises GridError as the plane lattice does.
+    Metres. Successive numbers fill each other's gaps evenly. Number 0 has a point in the middle of the range from low
+    (2,) to high (2,). A range without a point gets its middle. Raises GridError as `make_plane_lattice` does.
     """
     _require_pitch(pitch_m)
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
@@ -63,21 +62,21 @@ def make_shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: in
 
 
 def require_spacing(spacing_m: float) -> None:
-    """Raise GridError unless a grid can have this spacing, in metres: it is a micrometre or more."""
+    """Raise GridError unless a grid can have this spacing, metres: at least a micrometre."""
     if not SMALLEST_SPACING_M <= spacing_m < np.inf:
-        raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give one of at least 0.001 mm")
+        raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give at least 0.001 mm")
 
 
 def _require_pitch(pitch_m: float) -> None:
     if not (np.isfinite(pitch_m) and pitch_m > 0):
-        raise GridError(f"a lattice needs a positive pitch, not {pitch_m * 1e3:g} mm; give a spacing above zero")
+        raise GridError(f"a lattice's pitch is {pitch_m * 1e3:g} mm; give a spacing above 0")
 
 
 def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
     """Return low (2,) and high (2,) of t_xy for which the bounding box of points + t overlaps the rectangle.
 
-    Metres, sensor frame. `points_m` (V, 3) or (..., V, 3) are already turned (R p); the result is (..., 2) each. The
-    rectangle is (x0, x1, y0, y1). At low and high the box and the rectangle just touch.
+    Metres, sensor frame. `points_m` (V, 3) or (..., V, 3) are already rotated (R p); the results are (..., 2). The
+    rectangle is (x0, x1, y0, y1). At low and high, box and rectangle just touch.
     """
     points = np.asarray(points_m, float)[..., :2]
     x0, x1, y0, y1 = rectangle_m

@@ -1,4 +1,4 @@
-"""Modes that are one: poses which, by the object's symmetry, are nearer to a likelier pose than a radius."""
+"""Merging of modes: poses that are within a radius of a likelier pose, up to the object's symmetry."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: int | None = None) -> NDArray[np.int64]:
     """Return for each of poses (K, 4, 4), the likeliest first, the index (K,) of the pose that it merges with.
 
-    A pose that is kept has its own index. One within its radius, metres, a number or (K,), of a kept pose merges with
-    the likeliest such pose. After `most` kept poses the others have -1.
+    A kept pose has its own index. A pose within its radius, metres, a number or (K,), of kept poses merges with the
+    likeliest of them. After `most` kept poses, the others get -1.
     """
     radii_m = np.broadcast_to(radius_m, len(T_object))
     merged = np.full(len(T_object), -1)

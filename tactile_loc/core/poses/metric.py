@@ -1,4 +1,4 @@
-"""Pose sets and the metric between poses: a pose is `T_sensor_object`, and a distance is millimetres of surface.
+"""Pose sets and the metric between poses: a pose is `T_sensor_object`, a distance is metres of surface.
 
 The mean squared distance between an object's surface points at two poses is exactly a Euclidean distance in R^12.
 With centroid c and covariance C = L L^T of the surface, phi(T) = [R L, R c + t] gives
@@ -37,16 +37,17 @@ class PoseMetric:
     def embed(self, T_sensor_object: Poses) -> NDArray[np.float64]:
         """Map poses (N, 4, 4) to points phi (N, 12) in metres; Euclidean distance there is the metric."""
         R, t = np.ascontiguousarray(T_sensor_object[..., :3, :3]), T_sensor_object[..., :3, 3]
-        turned = (R.reshape(-1, 3) @ self._lever).reshape(*R.shape[:-2], 9)  # one large product, not N small ones
-        return np.concatenate([turned, R @ self.object.mesh.centroid_m + t], axis=-1)
+        rotated = (R.reshape(-1, 3) @ self._lever).reshape(*R.shape[:-2], 9)  # one large product is faster
+        return np.concatenate([rotated, R @ self.object.mesh.centroid_m + t], axis=-1)
 
     def embed_orbits(self, T_sensor_object: Poses) -> NDArray[np.float64]:
-        """Map poses (N, 4, 4) to points (K, N, D) in metres, a row for each of K equivalents by symmetry.
+        """Map poses (N, 4, 4) to points (K, N, D), metres, one row for each of K equivalents by symmetry.
 
         The distance up to symmetry is the least over K between these and the first row of other poses. Without a
-        continuous axis these are phi (D = 12) of all equivalents. With one, all turns about it are one point (D = 6):
-        the least squared distance over them is that between [r R a, R c + t], with the unit axis a through the
-        centroid c and r^2 = (trace C + a^T C a) / 2, exactly, for C is the same in all directions across the axis.
+        continuous axis, these are phi (D = 12) of all equivalents. With one, all rotations about it are one point
+        (D = 6): the least squared distance over them is that between [r R a, R c + t]. Here a is the unit axis, c the
+        centroid and r^2 = (trace C + a^T C a) / 2. This is exact, because C is the same in all directions across the
+        axis.
         """
         symmetry = self.object.symmetry
         if symmetry.continuous_axis is None:
@@ -59,20 +60,20 @@ class PoseMetric:
         return np.stack([np.concatenate(pair, axis=-1) for pair in columns])
 
     def distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-        """Return the distance (...,) in metres between poses (..., 4, 4), symmetry not regarded."""
+        """Return the distance (...,), metres, between poses (..., 4, 4), without symmetry."""
         return np.linalg.norm(self.embed(T1) - self.embed(T2), axis=-1)
 
     def equivalents(self, T_sensor_object: Poses, step_m: float) -> Poses:
         """Return the poses (K, N, 4, 4) that look the same as T (N, 4, 4) by symmetry.
 
-        A continuous symmetry is sampled so that neighbouring equivalents are at most `step_m` metres apart.
+        For a continuous symmetry, neighbouring equivalents are at most `step_m` metres apart.
         """
         lever_m = np.sqrt(np.trace(self.object.mesh.covariance_m2))
         S = self.object.symmetry.list_elements(max_step_rad=float(step_m / lever_m))
         return T_sensor_object[None] @ S[:, None]
 
     def nearest_equivalents(self, T_sensor_object: Poses, T_near: Poses, step_m: float = 1e-4) -> Poses:
-        """Return of each pose (N, 4, 4) the one (N, 4, 4) that looks the same and is nearest to T_near (N, 4, 4).
+        """Return, for each pose (N, 4, 4), the equivalent (N, 4, 4) that is nearest to T_near (N, 4, 4).
 
         A continuous symmetry is sampled at most `step_m` metres apart.
         """
@@ -83,7 +84,7 @@ class PoseMetric:
         return np.asarray(same[far.argmin(axis=0), np.arange(len(T_near))])
 
     def symmetric_distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-        """Return the distance (N,) in metres between poses (N, 4, 4), the least over the symmetry group: exactly."""
+        """Return the distance (N,), metres, between poses (N, 4, 4): exactly the least over the symmetry group."""
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
 
@@ -106,7 +107,7 @@ class PoseGrid:
         return len(self.T_sensor_object)
 
     def raise_level(self, height_m: float) -> PoseGrid:
-        """Return the grid with all poses `height_m` metres farther along z; what looks poses up is shared."""
+        """Return the grid with all poses `height_m` metres farther along z; the search trees are shared."""
         if height_m == 0.0:
             return self
         T = self.T_sensor_object.copy()
@@ -115,11 +116,11 @@ class PoseGrid:
         return PoseGrid(T, self.metric, (level, height + height_m))
 
     def _move_to_level(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points (..., D) of the metric's space as seen from the level at which the trees are."""
+        """Map points (..., D) of the metric's space to the level of the search trees."""
         if self._level is None:
             return points
         lowered = points.copy()
-        lowered[..., -1] -= self._level[1]  # the last coordinate is that of the centroid along z
+        lowered[..., -1] -= self._level[1]  # the last coordinate is the centroid's z
         return lowered
 
     @cached_property
@@ -148,9 +149,9 @@ class PoseGrid:
     def nearest(
         self, T_sensor_object: Poses, within_m: float = np.inf
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return distance (M,) in metres and index (M,) of the grid pose nearest to poses (M, 4, 4) or equivalents.
+        """Return distance (M,), metres, and index (M,) of the grid pose nearest to poses (M, 4, 4), up to symmetry.
 
-        Where none is nearer than `within_m` metres, the distance is inf and the index -1; a bound makes it faster.
+        If none is nearer than `within_m` metres, the distance is inf and the index -1. A bound makes it faster.
         """
         points = self._move_to_level(self.metric.embed_orbits(T_sensor_object))
         distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
@@ -161,9 +162,9 @@ class PoseGrid:
 
     @cached_property
     def spacing_m(self) -> float:
-        """Mean distance in metres between neighbouring poses, symmetry regarded; inf for one pose alone.
+        """Mean distance, metres, between neighbouring poses, up to symmetry; inf for a single pose.
 
-        Of a large grid, some poses, spread evenly over its order, stand for all.
+        For a large grid, it is measured on some poses, evenly spread over its order.
         """
         if self._level is not None:
             return self._level[0].spacing_m
@@ -172,31 +173,31 @@ class PoseGrid:
         return float(self._orbit_tree.query(points, k=2)[0][:, 1].mean())
 
     def distances(self, T_sensor_object: Poses) -> NDArray[np.float64]:
-        """Return the distance (N,) in metres of every grid pose from one pose (4, 4), the least over the symmetry."""
+        """Return the distances (N,), metres, of all grid poses from one pose (4, 4), up to symmetry."""
         same = self._move_to_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
         return np.asarray(measure_distances(self._orbit_tree.data, same).min(axis=1))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-        """Return each pose's distance (N,) in metres to its nearest other pose (of `subset` indices, or of all)."""
+        """Return each pose's distance (N,), metres, to its nearest other pose (of `subset` indices, or of all)."""
         points = self.phi if subset is None else self.phi[subset]
         distances: NDArray[np.float64] = self._tree.query(self._move_to_level(points), k=2)[0]
         return distances[:, 1]
 
     def find_within(self, radius_m: float, index: int) -> NDArray[np.int64]:
-        """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
+        """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, up to symmetry."""
         same = self.metric.embed_orbits(self.T_sensor_object[index : index + 1])[:, 0]
         found = self._orbit_tree.query_ball_point(self._move_to_level(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 
 
 def measure_distances(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Euclidean distances (A, B) between points (A, D) and (B, D), to some 1e-8 of how large they are."""
+    """Return the Euclidean distances (A, B) between points (A, D) and (B, D), with a relative error of about 1e-8."""
     squared = (a * a).sum(axis=1)[:, None] - 2 * (a @ b.T) + (b * b).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
 def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> NDArray[np.bool_]:
-    """Mark (N,) the poses (N, 4, 4) to keep so that no two kept are within `radius_m` metres up to symmetry."""
+    """Mark (N,) the poses (N, 4, 4) to keep, so that no two are within `radius_m` metres, up to symmetry."""
     keep = np.ones(len(T_sensor_object), bool)
     if len(keep) == 0 or metric.object.symmetry.is_trivial:
         return keep

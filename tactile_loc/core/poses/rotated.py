@@ -1,8 +1,9 @@
-"""Poses that may be rotated by any yaw about the sensor's z axis: which of them, and which yaw, is nearest to a pose.
+"""Poses that may be rotated by any yaw about the sensor's z axis, and the search for the nearest of them.
 
-With phi(T) of the pose metric as a matrix P (3, k), one column for each axis of the object's spread and one for its
-centroid, a turn by a yaw is Rz P. The least |A - Rz B|^2 over yaws follows from the largest trace of Rz^T A B^T. With
-rows 0 and 1 as complex numbers a and b, and z = sum a conj(b), that is |z| + A_2 . B_2, at the yaw arg z.
+Write phi(T) of the pose metric as a matrix P (3, k), with one column for each axis of the object's spread and one for
+its centroid. A rotation by a yaw gives Rz P. The least |A - Rz B|^2 over yaws follows from the largest trace of
+Rz^T A B^T. With rows 0 and 1 as complex numbers a and b, and z = sum a conj(b), the largest trace is |z| + A_2 . B_2,
+at the yaw arg z.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class RotatedPoses:
     def nearest(self, T_sensor_object: Poses) -> tuple[Float, NDArray[np.int64], Float]:
         """Return distances (M,), metres, indices (M,) and yaws (M,), rad, of the rotated poses nearest to (M, 4, 4).
 
-        Poses that look the same by the object's symmetry are equal.
+        Distances are up to the object's symmetry.
         """
         count = len(T_sensor_object)
         found = np.empty(count), np.empty(count, np.int64), np.empty(count)
@@ -57,9 +58,9 @@ class RotatedPoses:
         return np.sqrt(np.maximum(least, 0.0)), index, yaw_rad
 
     def distances(self, T_sensor_object: Poses, numbers: NDArray[np.int64], yaw_rad: Float) -> Float:
-        """Return the distances (M, V), metres, of poses (M, 4, 4) from poses `numbers` (M,) at yaws (M, V), rad.
+        """Return distances (M, V), metres, of poses (M, 4, 4) from poses `numbers` (M,) at yaws (M, V), rad.
 
-        Symmetry is regarded.
+        Distances are up to the object's symmetry.
         """
         least = np.full(yaw_rad.shape, np.inf)
         ours, heights = self._across[numbers], self._along[numbers]
@@ -72,9 +73,9 @@ class RotatedPoses:
 
 
 def _rows(phi: Float) -> tuple[NDArray[np.complex128], Float]:
-    """Points (N, 3 (k - 1) + 3) of the metric's space as matrices (N, 3, k): rows 0 and 1 as complex numbers, row 2.
+    """Split points (N, 3 (k - 1) + 3) of the metric's space into rows 0 and 1 as complex numbers, and row 2: (N, k).
 
-    The first numbers of a point are a matrix (3, k - 1), row by row, or a single column; the last three the centroid.
+    A point's first numbers are a matrix (3, k - 1), row by row, or one column; the last three are the centroid.
     """
     matrix = phi[:, :-3].reshape(len(phi), 3, -1)
     columns = np.concatenate([matrix, phi[:, -3:, None]], axis=2)

@@ -1,4 +1,4 @@
-"""What refiners by registration share: contact clouds of touch and candidates, and when to believe a registration."""
+"""The base of refiners that register contact clouds of a touch and its candidates."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.scene import Scene
 
-ROUGHLY = 0.02  # overlaps are counted in pixels: a loss this small is none
-MILLI = 1e3  # clouds are registered in mm: the thresholds of registration suit numbers near one
+ROUGHLY = 0.02  # overlaps are counted in pixels, so a loss this small is ignored
+MILLI = 1e3  # clouds are registered in mm, because the thresholds of registration suit numbers near one
 FEWEST_POINTS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Surface points (P, 3) in mm, sensor frame, their unit normals (P, 3), and about how far neighbours are apart."""
+    """Surface points (P, 3), mm, sensor frame, their unit normals (P, 3), and the distance between neighbours."""
 
     points_mm: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -38,7 +38,7 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """What a registration found: `T_mm` (4, 4), translation in mm, that moves the source onto the target, or None."""
+    """The result of a registration: `T_mm` (4, 4), mm, moves the source onto the target; None without a result."""
 
     T_mm: NDArray[np.float64] | None = None
     converged: bool = False
@@ -46,42 +46,42 @@ class Registration:
 
 
 class CloudRefiner(Refiner):
-    """Registers the contact cloud of each candidate to the touch's: a subclass says how, `register`.
+    """Registers the contact cloud of each candidate to the touch's; a subclass defines `register`.
 
-    Options of a subclass derive from this class's.
+    A subclass's options derive from this class's.
     """
 
     class Options(ComponentOptions):
-        """How densely the clouds are sampled, and what they hold."""
+        """The density of the clouds, and their contents."""
 
         image_px: int = Field(default=200, ge=16, description="the longer image side is thinned to about this, pixels")
         moving_points: int = Field(default=800, ge=50, description="points of the candidate's cloud, thinned evenly")
         fixed_points: int = Field(default=3000, ge=50, description="points of the touch's cloud, thinned evenly")
-        walls: bool = Field(default=True, description="let the outline's walls take part, not the surface alone")
+        walls: bool = Field(default=True, description="use the outline's walls too, not just the surface")
 
     @abstractmethod
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform that moves a candidate's cloud onto the touch's; both have points."""
+        """Return the transform that moves a candidate's cloud onto the touch's; neither is empty."""
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Do the same for several candidates of one touch; override it where that is faster than one by one."""
+        """Register several candidates of one touch; override it if that is faster than one by one."""
         return [self.register(source, target) for source in sources]
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Move the candidate (4, 4), metres, by the transform that registers its contact cloud to the touch's.
 
-        A registration whose own contact overlaps the touch's less than the candidate's is not returned.
+        If the registered pose's contact overlaps the touch's less than the candidate's, the candidate is returned.
         """
         return self.refine_many(touch, [candidate], scene)[0]
 
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
-        """Refine several candidates of one touch, as `refine` does each; they are rendered together."""
+        """Refine several candidates of one touch as `refine` does; they are rendered together."""
         if not candidates:
             return []
         geometry, wanted = touch.thin(self.options.image_px)
         thinned = dataclasses.replace(scene, geometry=geometry)
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        starts = thinned.bring_to_contact(given)[0]  # the poses whose contact is registered
+        starts = thinned.bring_to_contact(given)[0]
         seen = [
             ContactShape(d, touch.press_depth_m) for d in thinned.render_contact_depths(starts, touch.press_depth_m)
         ]
@@ -94,7 +94,7 @@ class CloudRefiner(Refiner):
     def _register_shapes(
         self, seen: Sequence[ContactShape], wanted: ContactShape, geometry: SensorGeometry
     ) -> list[Registration]:
-        """Register what poses show to what is wanted; clouds of hardly a point stay where they are."""
+        """Register the poses' shapes to the wanted one; clouds of too few points are not registered."""
         target = self._cloud(wanted, geometry, self.options.fixed_points)
         if len(target) < FEWEST_POINTS:
             return [Registration()] * len(seen)
@@ -103,14 +103,14 @@ class CloudRefiner(Refiner):
         return [next(results) if len(s) >= FEWEST_POINTS else Registration() for s in sources]
 
     def _cloud(self, shape: ContactShape, geometry: SensorGeometry, most: int) -> Cloud:
-        """A contact shape's cloud, thinned evenly to about `most` points."""
+        """Return a contact shape's cloud, thinned evenly to about `most` points."""
         points, normals = make_contact_cloud(shape, geometry, self.options.walls)
         every = max(1, round(len(points) / most))
         return Cloud(points[::every] * MILLI, normals[::every], geometry.pixel_pitch_m * MILLI * every**0.5)
 
 
 def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the transform (4, 4) with its rotation cleared of rounding: the nearest proper one."""
+    """Return the transform (4, 4) with the nearest proper rotation, without rounding errors."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     T = T.copy()
     T[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
@@ -118,7 +118,7 @@ def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """The pose (4, 4), metres, after a transform in mm, if there is one."""
+    """Return the pose (4, 4), metres, moved by a transform in mm, if there is one."""
     if T_mm is None:
         return T_sensor_object
     T = T_mm.copy()
@@ -129,7 +129,7 @@ def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None
 def _choose_better(
     found: Registration, pose: NDArray[np.float64], after: float, given: NDArray[np.float64], before: float
 ) -> RefinedPose:
-    """The registered pose (4, 4) if its overlap with the touch is not less than the given candidate's, else that."""
+    """Return the registered pose if it overlaps the touch as well as the given candidate, else the candidate."""
     if found.T_mm is not None and after >= before - ROUGHLY:
         return RefinedPose(pose, after, found.converged and after > 0, found.iterations)
     return RefinedPose(given.copy(), before, converged=False, iterations=found.iterations)

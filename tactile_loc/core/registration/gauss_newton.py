@@ -1,7 +1,7 @@
-"""Poses registered to all touches at once: robust Gauss-Newton steps, many poses side by side.
+"""Registration of poses to all touches at once: robust Gauss-Newton steps for many poses side by side.
 
-Lengths in mm. A twist (6,) is a rotation (rad) before a translation (mm); it turns about a touch's own centre, in its
-sensor's frame, or about the object's centre in the first sensor's frame.
+Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (mm). It is about a touch's own centre in
+its sensor's frame, or about the object's centre in the first sensor's frame.
 """
 
 from __future__ import annotations
@@ -17,18 +17,20 @@ from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
 
-SETTLED_MM = 1e-3  # a pose that moves less has arrived
-COARSELY = 3  # one point of so many is looked at at first
-FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # of a step
+SETTLED_MM = 1e-3  # a pose that moves less has converged
+COARSELY = 3  # the first steps use one of this many points
+FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest step
 DAMPING = 1e-4
-LEVER_MM = 10.0  # a turn moves what is so far away
+LEVER_MM = 10.0  # distance at which a rotation counts as motion
 Floats = NDArray[np.float64]
 
 
 class Registered(NamedTuple):
-    """Where poses end: `T` (K, 4, 4), where the first sensor sees the object, and `T_each` (K, N, 4, 4), where each
-    sensor's touch has it; the `information` (K, 6, 6) of a twist of the former about the object's centre, before the
-    last step; and `moved` (K,), how long that was, mm."""
+    """Where poses end: `T` (K, 4, 4) in the first sensor's frame, and `T_each` (K, N, 4, 4) as each touch shows it.
+
+    `information` (K, 6, 6) is that of a twist of T about the object's centre before the last step. `moved` (K,) is the
+    length of that step, mm.
+    """
 
     T: Floats
     T_each: Floats
@@ -38,11 +40,11 @@ class Registered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """What N touches show, and the object: its triangles, `samples` of its surface and its centre `middle` (3,).
+    """The observations of N touches, and the object: its triangles, `samples` of its surface and its centre `middle`.
 
-    `T_sensor_first` (N, 4, 4) is where a sensor is, but for a twist about its touch's centre, with the variances
-    `sensor` (N, 6) of the sensor's pose and `press` (N, 6) of its press. `noise` is the least standard deviation of a
-    point, which the observed weights assume.
+    `T_sensor_first` (N, 4, 4) are the sensor poses up to a twist about each touch's centre. Its variances are
+    `sensor` (N, 6), of the sensor's pose, and `press` (N, 6), of its press. `noise` is the least standard deviation of
+    a point, which the observed weights assume.
     """
 
     observed: Observed
@@ -57,8 +59,8 @@ class Registration:
     def register(self, T: Floats, scales: Floats, finely: int) -> Registered:
         """Move poses T (K, 4, 4), in the first sensor's frame, to where they explain all touches.
 
-        `scales` (I,) is the scale of the robust weights, step by step; the last `finely` steps look at all points, the
-        others at one of COARSELY.
+        `scales` (I,) are the scales of the robust weights, step by step. The last `finely` steps use all points, the
+        others one of COARSELY.
         """
         T, count = T.copy(), len(T)
         T_each = self.T_sensor_first @ T[:, None]
@@ -80,12 +82,14 @@ class Registration:
         return Registered(self._view_from_first(T, T_each[:, 0]), T_each, information, moved)
 
     def _step(self, T: Floats, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, ...]:
-        """One Gauss-Newton step of poses (K, 4, 4) and of every sensor's error: both, moved; the parts (K, 2, 6, 6) of
-        the information, that of the first touch's points and that of the others; and how far the poses moved, mm.
+        """Take one Gauss-Newton step of poses (K, 4, 4) and of each sensor's error.
 
-        Of touch i with equations A u = b for a twist u of its own pose, whose error e has the covariance S, remains
-        (1 + A S)^-1 (A, b + A e) for the object's twist x, u = Ad x - e + (what S allows). All touches' points are
-        taken for as noisy as they are off together.
+        Return both, moved; the parts (K, 2, 6, 6) of the information, the first touch's and the others'; and the
+        lengths (K,) of the step, mm.
+
+        Touch i gives equations A u = b for a twist u of its own pose. Its error e has the covariance S. Then
+        (1 + A S)^-1 (A, b + A e) are the equations for the object's twist x, u = Ad x - e + (what S allows). The points
+        of all touches are taken to be as noisy as their common misfit.
         """
         A, b = self._equations(T_each, scale, every)
         if len(self.press) == 1:
@@ -104,13 +108,13 @@ class Registration:
         parts = np.stack([first, H - H_each[:, 0]], axis=1)
         x, moved = _solve_step(H, g)
         T = exponential(x, T[:, :3, :3] @ self.middle + T[:, :3, 3]) @ T
-        # each sensor's own error, given where the object is: S (1 + A S)^-1 (b + A e - A Ad x)
+        # each sensor's own error, given the object's pose: S (1 + A S)^-1 (b + A e - A Ad x)
         own = left[..., 6] - (left[..., :6] @ (Ad @ x[:, None, :, None]))[..., 0]
         T_each = exponential(S * own, centres) @ (self.T_sensor_first @ T[:, None])
         return T, T_each, parts, moved
 
     def _step_of_one(self, T: Floats, A: Floats, b: Floats) -> tuple[Floats, ...]:
-        """The same of one touch alone, of equations A (K, 6, 6) and b (K, 6): the pose takes up all errors."""
+        """Take the same step with one touch, with equations A (K, 6, 6) and b (K, 6): the pose takes up all errors."""
         seen, R = self.T_sensor_first @ T, self.T_sensor_first[:, :3, :3]
         lever = self.observed.centres - seen[:, :3, :3] @ self.middle - seen[:, :3, 3]
         Ad = adjoint(R, lever)
@@ -121,7 +125,7 @@ class Registration:
         return T, (self.T_sensor_first @ T)[:, None], np.stack([H, np.zeros_like(H)], axis=1), moved
 
     def _equations(self, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """The equations A (K, N, 6, 6), b (K, N, 6) of twists by which poses T_each explain each touch better."""
+        """Build the equations A (K, N, 6, 6), b (K, N, 6) of twists that improve how T_each explain each touch."""
         from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
         from tactile_loc.core.registration.kernels import build_equations
 
@@ -135,10 +139,10 @@ class Registration:
         return A * surer[..., None], b * surer
 
     def _marginalise_first(self, parts: Floats, T: Floats) -> Floats:
-        """The information (K, 6, 6) of twists, about the object's centre, of where the first sensor sees the object.
+        """Return the information (K, 6, 6) of twists of the first sensor's pose of the object, about its centre.
 
-        Of `parts` (K, 2, 6, 6) the first touch's is direct, but for its press; the others' reaches it through the
-        error of the first sensor's pose.
+        Of `parts` (K, 2, 6, 6), the first touch's is direct, except for its press. The others' is reduced by the error
+        of the first sensor's pose.
         """
         to_centre = adjoint(np.eye(3), T[:, :3, :3] @ self.middle + T[:, :3, 3] - self.observed.centres[0])[:, None]
         allowed = np.stack([self.press[0], self.sensor[0]])[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
@@ -146,9 +150,9 @@ class Registration:
         return np.asarray((total + total.swapaxes(1, 2)) / 2)
 
     def _view_from_first(self, T: Floats, seen: Floats) -> Floats:
-        """Where the first sensor sees the object (K, 4, 4): its own pose's error regarded, that of its press not.
+        """Return the object's poses (K, 4, 4) in the first sensor's frame, corrected by its error but not by its press.
 
-        `T` (K, 4, 4) is where it would if it were where it is taken to be, `seen` where its touch has the object.
+        `T` (K, 4, 4) are the poses for the reported sensor pose, `seen` those that the sensor's touch shows.
         """
         allowed = self.sensor[0] + self.press[0]
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
@@ -157,8 +161,8 @@ class Registration:
 
 
 def _solve_step(H: Floats, g: Floats) -> tuple[Floats, Floats]:
-    """The twists x (K, 6) that solve H x = g, slightly damped, none too far; and how far they move poses (K,), mm."""
-    diagonal = np.einsum("kii->ki", H).reshape(-1, 2, 3)  # turning, then sliding
+    """Return twists x (K, 6) that solve H x = g, slightly damped and limited; and how far they move poses (K,), mm."""
+    diagonal = np.einsum("kii->ki", H).reshape(-1, 2, 3)  # rotation, then translation
     damping = DAMPING * diagonal.mean(axis=2, keepdims=True) + np.full((1, 1, 3), 1e-9)
     damped = H.copy()
     np.einsum("kii->ki", damped)[:] += damping.reshape(-1, 6)

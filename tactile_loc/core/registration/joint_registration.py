@@ -1,8 +1,8 @@
-"""The joint registration engine: poses of the object's surface against all touches at once, point to plane.
+"""The joint registration engine: fits poses of the object's surface to all touches at once, point to plane.
 
-The surface that a touch shows lies on the object, and no other surface reaches deeper into the gel. Both are residuals
+The surface that a touch shows lies on the object, and no other surface reaches deeper into the gel. Both give residuals
 of one robust Gauss-Newton problem. Its unknowns are the pose and, within their standard deviations, the press depth of
-every touch and the pose of every sensor but the first. The Hessian gives the covariance.
+each touch and the pose of each sensor except the first. The Hessian gives the covariance.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from tactile_loc.core.slots.scene import View
 if TYPE_CHECKING:
     from tactile_loc.core.objects.surface_field import SurfaceField
 
-VERSION = 1  # of what comes out, for the store's keys
-ROUGHLY = 0.02  # IoUs are counted in pixels: a loss this small is none
-FINELY = 4  # the last steps, which look at all points
-SAMPLES = 4000  # points of the object's surface that must not reach into the gel
+VERSION = 1  # part of the store's keys: raise it when the output changes
+ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
+FINELY = 4  # the last steps, which use all points
+SAMPLES = 4000  # points of the object's surface, which must not reach into the gel
 BLOCK = 16  # neighbouring samples that are skipped together
 Floats = NDArray[np.float64]
 Covariances = list[Floats | None]
 
 
 class RegistrationOptions(ComponentOptions):
-    """How many points of a touch are used, how far to trust them, and how the robust weights become narrower."""
+    """How many points of a touch are used, how far they are trusted, and how the robust weights become narrower."""
 
     image_px: int = Field(default=120, ge=16, description="the longer image side is thinned to about this, pixels")
     points: int = Field(default=300, ge=20, description="points of each touch's surface, thinned evenly")
-    scale_mm: float = Field(default=3.0, gt=0, description="residuals beyond this are mistrusted at first, mm")
-    scale_end_mm: float = Field(default=0.1, gt=0, description="the same at last, mm")
-    iterations: int = Field(default=15, ge=2, description="most steps")
+    scale_mm: float = Field(default=3.0, gt=0, description="scale of the robust weights in the first step, mm")
+    scale_end_mm: float = Field(default=0.1, gt=0, description="the same in the last step, mm")
+    iterations: int = Field(default=15, ge=2, description="largest number of steps")
     noise_mm: float = Field(default=0.03, gt=0, description="least standard deviation of a point of a touch, mm")
-    patch_mm: float = Field(default=1.0, gt=0, description="points nearer to one another err alike, mm")
-    press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, share of it")
+    patch_mm: float = Field(default=1.0, gt=0, description="distance within which errors of points are alike, mm")
+    press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, as a share of it")
 
 
 @keep_old_names(settle="register_coarsely", covariances="estimate_covariances", scales_mm="list_scales_mm")
 class JointRegistration:
-    """Registers poses to touches. It holds options only, so one engine serves any object and any touches."""
+    """Registers poses to touches. It only holds options, so one engine serves any object and any touches."""
 
     def __init__(self, options: RegistrationOptions | None = None) -> None:
         self.options = options or RegistrationOptions()
@@ -64,14 +64,14 @@ class JointRegistration:
     def refine(self, views: Sequence[View], T_first_object: Poses) -> list[RefinedPose]:
         """Refine poses (K, 4, 4), metres, in the first touch's sensor frame, against all touches.
 
-        A pose that explains the touches worse after registration is returned as it was, not converged.
+        A pose that explains the touches worse after registration is returned unchanged, not converged.
         """
         if not len(T_first_object):
             return []
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         after = _explain(views, found.T)
         before = np.ones_like(after)
-        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly everything explains no less than before
+        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly everything cannot be worse than before
         before[:, doubted] = _explain(views, T_first_object[doubted])
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         results = []
@@ -84,41 +84,41 @@ class JointRegistration:
         return results
 
     def register_coarsely(self, views: Sequence[View], T_first_object: Poses) -> Poses:
-        """Register many poses (K, 4, 4), metres, roughly, and return where they end (K, 4, 4), better or not.
+        """Register many poses (K, 4, 4), metres, roughly; return where they end (K, 4, 4), even if that is worse.
 
-        A fraction of the points is used, and nothing is drawn.
+        Only a fraction of the points is used, and nothing is rendered.
         """
         return self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), 0).T
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
-        """Register poses (K, 4, 4), metres, that are near already; return where they end and their covariances.
+        """Register poses (K, 4, 4), metres, that are already near; return where they end and their covariances.
 
-        For control loops: nothing is drawn, so that a pose may explain less than before. Covariances (6, 6) are as
-        RefinedPose's, None where the touches do not determine the pose.
+        For control loops: nothing is rendered, so a pose may explain less than before. Covariances (6, 6) are as in
+        RefinedPose; None if the touches do not determine the pose.
         """
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         return found.T, _covariances(found, views[0])
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
-        """Take one step of registration from poses (K, 4, 4), metres; return where it ends, and the covariances there.
+        """Take one step of registration from poses (K, 4, 4), metres; return where it ends and the covariances.
 
-        For larger problems of which registration is a part: these are the touches' equations at a pose, solved.
-        Residuals beyond `scale_mm` are mistrusted; covariances are as for `follow`, at T_first_object.
+        For larger problems that contain a registration: this solves the touches' equations at a pose. `scale_mm` is
+        the scale of the robust weights. Covariances are as for `follow`, at T_first_object.
         """
         found = self._register(views, T_first_object, np.array([scale_mm]), 1)
         return found.T, _covariances(found._replace(T=T_first_object), views[0])
 
     def estimate_covariances(self, views: Sequence[View], T_first_object: Poses) -> Covariances:
-        """Return the covariance (6, 6), as RefinedPose's, of each pose (K, 4, 4), metres, that fits the touches."""
+        """Return the covariance (6, 6), as in RefinedPose, of each pose (K, 4, 4), metres, that fits the touches."""
         return self.step(views, T_first_object, self.options.scale_end_mm)[1]
 
     def list_scales_mm(self, count: int) -> Floats:
-        """Return the scale of the robust weights (count,), step by step: narrower up to the middle."""
+        """Return the scales of the robust weights (count,), step by step: narrower up to the middle."""
         start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> Registered:
-        """Register poses (K, 4, 4), metres, to touches; poses in metres, but information in mm and rad."""
+        """Register poses (K, 4, 4), metres, to touches; return poses in metres, but information in mm and rad."""
         from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
         options, mesh = self.options, views[0].scene.object.mesh
@@ -139,7 +139,7 @@ class JointRegistration:
 
 
 def _scale(T: Floats, unit: float) -> Floats:
-    """Return transforms (..., 4, 4) whose lengths are in another unit."""
+    """Return transforms (..., 4, 4) with their lengths in another unit."""
     scaled = T.copy()
     scaled[..., :3, 3] *= unit
     return scaled
@@ -158,21 +158,21 @@ def _covariances(found: Registered, view: View) -> Covariances:
 
 
 def _lever_m(view: View, T: Floats) -> Floats:
-    """From the object frame's origin to the centroid (3,), metres, along the sensor's axes."""
+    """Return the vector (3,), metres, from the object frame's origin to the centroid, along the sensor's axes."""
     return np.asarray(T[:3, :3] @ view.scene.object.mesh.centroid_m)
 
 
 def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
-    """The covariance (6, 6), x, y, z in m before rotations in rad, of information in mm whose rotations come first.
+    """Return the covariance (6, 6), x, y, z in m, then rotations in rad, of information in mm with rotations first.
 
-    The information is about the object's centroid, at `lever_m` (3,) from the frame's origin. The covariance is that of
-    the origin.
+    The information is about the object's centroid, at `lever_m` (3,) from the frame's origin, the covariance about the
+    origin.
     """
     swapped = information[[3, 4, 5, 0, 1, 2]][:, [3, 4, 5, 0, 1, 2]]
     values, vectors = np.linalg.eigh(swapped)
     if not values[-1] > 0:
         return None
-    # a direction that no touch constrains has a standard deviation of some 30 mm, or 3 rad
+    # a direction that no touch constrains gets a standard deviation of about 30 mm or 3 rad
     covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
     unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
     return move_covariance(covariance * unit * unit[:, None], -lever_m)

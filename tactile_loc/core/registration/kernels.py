@@ -1,7 +1,7 @@
-"""What touches ask of the poses that sensors see the object at, compiled (numba).
+"""The equations of the joint registration, compiled (numba).
 
-Lengths in mm. A twist (6,) is a rotation (rad) before a translation (mm); it turns about the touch's own centre, in its
-sensor's frame.
+Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (mm). It is about the touch's own centre,
+in its sensor's frame.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from tactile_loc.core.objects.surface_field import find_closest_on_triangle, fin
 
 # mypy: ignore-errors
 
-GROSS_MM = 0.5  # a point that is off by more is no more of a sign of noise
+GROSS_MM = 0.5  # a larger misfit counts as this much: it is an outlier, not noise
 NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
 
 
 @njit(fast=True)
 def build_equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
-    """Fill the equations A u = b of twists u by which poses T_each (K, N, 4, 4) explain their touches better.
+    """Fill the equations A u = b of twists u that make poses T_each (K, N, 4, 4) explain their touches better.
 
-    Of the poses from first to last, one of `every` (K,) points; `triangles` are the object's in mm, `samples` points of
-    its surface in blocks, `scale` in mm that of the robust weights. A (K, N, 6, 6), b (K, N, 6) and `misfit` (K, 2),
-    the points' weighted squared distances, mm^2, and their weights, are zero before.
+    Only poses from first to last are filled, with one of `every` (K,) points. `triangles` are the object's, in mm;
+    `samples` are points of its surface in blocks; `scale`, mm, is that of the robust weights. A (K, N, 6, 6),
+    b (K, N, 6) and `misfit` (K, 2), the points' weighted squared distances, mm^2, and their weights, start as zeros.
     """
     for k in range(first, last):
         for i in range(T_each.shape[1]):
@@ -38,9 +38,9 @@ def build_equations(first, last, T_each, every, observed, triangles, samples, sc
 
 @njit(fast=True)
 def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
-    """Add the equations of touch i's points: each lies on the object's surface, which faces as the point does.
+    """Add the equations of touch i's points: each lies on the object's surface, which faces the same way.
 
-    To the misfit (2,) are added their weighted squared distances, mm^2, and their weights.
+    Their weighted squared distances, mm^2, and their weights are added to the misfit (2,).
     """
     x, y = np.empty(3), np.empty(3)
     J = np.empty(6)
@@ -66,7 +66,7 @@ def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
             d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
         r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
         weight = every * observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
-        # back into the sensor's frame; the object moves by u, so that the residual falls by d . u(p)
+        # back into the sensor's frame; the object moves by u, so the residual falls by d . u(p)
         for a in range(3):
             y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
         compute_row(p, observed.centres[i], y, J)
@@ -105,7 +105,7 @@ def add_kept_out(i, T, observed, samples, scale, every, A, b):
             pixel = observed.images[offset + v * width + u]
             nothing = pixel[0] < 0.0
             surface = -pixel[0] if nothing else pixel[0]
-            if not surface > z:  # not observed, or nothing is wrong
+            if not surface > z:  # not observed, or not deeper
                 continue
             r = min(surface, gel) - z
             d[0] = d[1] = 0.0
@@ -125,7 +125,7 @@ def add_kept_out(i, T, observed, samples, scale, every, A, b):
 
 @njit(fast=True)
 def compute_row(p, centre, d, J):
-    """The derivative (6,) of d . (motion of p) by a twist about the centre."""
+    """Compute the derivative (6,) of d . (motion of p) with respect to a twist about the centre."""
     l0, l1, l2 = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
     J[0], J[1], J[2] = l1 * d[2] - l2 * d[1], l2 * d[0] - l0 * d[2], l0 * d[1] - l1 * d[0]
     J[3], J[4], J[5] = d[0], d[1], d[2]
@@ -133,7 +133,7 @@ def compute_row(p, centre, d, J):
 
 @njit(fast=True)
 def add(J, r, weight, A, b):
-    """Add weight J^T J, its upper half, and weight J^T r."""
+    """Add weight J^T J (its upper half) and weight J^T r."""
     for m in range(6):
         w = weight * J[m]
         b[m] += w * r

@@ -1,4 +1,4 @@
-"""What touches show, as the joint registration takes it."""
+"""The observations of touches, in the form that the joint registration uses."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from tactile_loc.core.sensing.touch import ContactShape
 
 MILLI = 1e3
 FEWEST_PATCHES = 3.0
-UNSEEN = 0.1  # what weight it has that nothing is seen: contacts are missed in patches, and edges wander
+UNSEEN = 0.1  # weight of pixels without contact: contacts are missed in patches, and edges are inexact
 Floats = NDArray[np.float64]
 
 
 class Observed(NamedTuple):
-    """What N touches show, all in mm and each in its own sensor's frame.
+    """The observations of N touches, all in mm, each in its own sensor's frame.
 
-    `points` (P, 3) on the surface in contact with unit `normals` (P, 3), which point into the sensor, and `weights`
-    (P,), 1/mm^2, which may be `slack` (P,) off for nothing; those of touch i from starts[i] to starts[i + 1], and
-    `centres` (N, 3) their middles. `cameras` (N, 11): pinhole?, fx, fy, cx, cy, the gel's greatest height, its
-    rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for every four
-    neighbouring pixels, the least height of the surface that is seen (NaN: not observed; negative: it is the gel's,
-    nothing touches), below which nothing between their centres can be, and the place x, y, z of the nearest contact;
-    those of touch i are rows of sizes[i] (height, width) from offsets[i].
+    `points` (P, 3) are on the surface in contact, with unit `normals` (P, 3) that point into the sensor, `weights`
+    (P,), 1/mm^2, and `slack` (P,), the misfit that costs nothing. Those of touch i are from starts[i] to
+    starts[i + 1], with middles `centres` (N, 3). `cameras` (N, 11) have: pinhole?, fx, fy, cx, cy, the gel's greatest
+    height, its rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for
+    every four neighbouring pixels, the least height seen, below which nothing can be between their centres (NaN: not
+    observed; negative: the gel's, without contact), and x, y, z of the nearest contact. Those of touch i are rows of
+    sizes[i] (height, width) from offsets[i].
     """
 
     points: NDArray[np.float64]
@@ -45,16 +45,16 @@ class Observed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One touch as it is registered: a contact shape, and the sensor's geometry while it was pressed."""
+    """One touch to register: a contact shape, and the sensor's geometry while it was pressed."""
 
     shape: ContactShape
     geometry: SensorGeometry
 
 
 def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
-    """Return what touches show, in mm: at most about `points` of each on the surface.
+    """Return the observations of touches, in mm, with at most about `points` surface points each.
 
-    `noise_m` is the least standard deviation of a measured surface point; noise is alike over patches of `patch_m`
+    `noise_m` is the least standard deviation of a measured surface point; errors are alike over patches of `patch_m`
     metres.
     """
     clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
@@ -63,7 +63,10 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     images = [_image_mm(touch) for touch in touches]
     sizes = np.array([image.shape[:2] for image in images])
     starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
-    middles = np.stack([_middle_mm(t, cloud[0]) for t, cloud in zip(touches, clouds, strict=True)])
+    middles = np.stack([
+        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # thinning may leave nothing
+        for touch, cloud in zip(touches, clouds, strict=True)
+    ])  # fmt: skip
     cameras = np.stack([_camera_mm(t, weight) for t in touches])
     pixels = np.concatenate([image.reshape(-1, 4) for image in images])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
@@ -71,10 +74,10 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Points (P, 3) in mm and normals (P, 3) of what is in contact, thinned evenly, their weights (P,), 1/mm^2, and by
-    how much they may be off for nothing (P,), mm: a wall is somewhere between two pixels.
+    """Return contact points (P, 3), mm, thinned evenly, their normals (P, 3), weights (P,), 1/mm^2, and slack (P,), mm.
 
-    They weigh as much together as there are patches that err each for itself.
+    Walls have slack, because they lie somewhere between two pixels. The total weight is that of as many points as there
+    are patches with independent errors.
     """
     points, normals = make_contact_cloud(touch.shape, touch.geometry)
     pitch_mm = touch.geometry.pixel_pitch_m * MILLI
@@ -86,17 +89,10 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
     return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
 
 
-def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
-    """The middle (3,) of the contact, mm; of the gel where thinning left none of it."""
-    if len(points_mm):
-        return np.asarray(points_mm.mean(axis=0))
-    return touch.geometry.gel_middle_m * MILLI
-
-
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
-    """What four neighbouring pixels (H - 1, W - 1, 4) show: the least height, and the nearest contact's place; mm.
+    """Return the least height and the nearest contact's place, mm, of each four neighbouring pixels: (H - 1, W - 1, 4).
 
-    Where none of them shows contact the height is the gel's, and negative.
+    If none of the four shows contact, the height is the gel's, negated.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -114,18 +110,18 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
 
 
 def _least_of_four(heights: Floats) -> Floats:
-    """The least of every four neighbouring pixels: (H - 1, W - 1) of (H, W)."""
+    """Return the least of every four neighbouring pixels: (H - 1, W - 1) of (H, W)."""
     above, below = heights[:-1], heights[1:]
     return np.minimum(np.minimum(above[:, :-1], above[:, 1:]), np.minimum(below[:, :-1], below[:, 1:]))
 
 
 def _gel_mm(touch: Seen) -> Floats:
-    """How far the surface is at least where nothing touches: z, mm; at each pixel if the gel is curved."""
+    """Return the gel's undeformed z, mm, a lower bound of the surface without contact; per pixel for a curved gel."""
     return np.asarray((touch.geometry.full_penetration_m + touch.shape.press_depth_m) * MILLI)
 
 
 def _camera_mm(touch: Seen, weight: float) -> Floats:
-    """The row (11,) of `Observed.cameras`."""
+    """Return the row (11,) of `Observed.cameras`."""
     geometry = touch.geometry
     scale = 1.0 if geometry.is_pinhole else 1 / MILLI
     gel_mm = np.max(_gel_mm(touch))

@@ -1,4 +1,4 @@
-"""Twists in batches: a rotation (rad) before a shift, (..., 6), that turns about a centre given with it."""
+"""Twists in batches, (..., 6): a rotation vector (rad), then a translation, about a given centre."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import axis_times_sine, cross_matrix, make_transform
 
-TINY = 1e-30  # of a squared angle: no turn at all has none by which to divide
+TINY = 1e-30  # added to a squared angle, to divide by it without rotation
 Floats = NDArray[np.float64]
 
 
 def exponential(x: Floats, centre: Floats) -> Floats:
-    """Return the motions (..., 4, 4) that turn by x[..., :3] about centres (..., 3), then shift by x[..., 3:]."""
+    """Return the motions (..., 4, 4) that rotate by x[..., :3] about centres (..., 3), then shift by x[..., 3:]."""
     turn = x[..., :3]
     half = 0.5 * np.sqrt((turn * turn).sum(axis=-1) + TINY)[..., None, None]
     K = cross_matrix(turn)
@@ -22,7 +22,7 @@ def exponential(x: Floats, centre: Floats) -> Floats:
 
 
 def logarithm(T: Floats, centre: Floats) -> Floats:
-    """Return the twists (..., 6) whose motions about centres (..., 3) are T (..., 4, 4); of less than a right angle."""
+    """Return the twists (..., 6) of motions T (..., 4, 4) about centres (..., 3), for rotations below a right angle."""
     R = T[..., :3, :3]
     skew = axis_times_sine(R)
     sine = np.minimum(1.0, np.sqrt((skew * skew).sum(axis=-1, keepdims=True)))
@@ -31,11 +31,11 @@ def logarithm(T: Floats, centre: Floats) -> Floats:
 
 
 def adjoint(R: Floats, lever: Floats) -> Floats:
-    """Return (..., 6, 6): twists about one centre as twists about another, in axes turned by R (..., 3, 3).
+    """Return (..., 6, 6), which converts twists about one centre to another, in axes rotated by R (..., 3, 3).
 
     `lever` (..., 3) leads from the first centre to the other, along the other's axes.
     """
     moved = np.zeros((*np.broadcast_shapes(R.shape[:-2], lever.shape[:-1]), 6, 6))
     moved[..., :3, :3] = moved[..., 3:, 3:] = R
-    moved[..., 3:, :3] = -cross_matrix(lever) @ R  # turning shifts the other centre: w x lever
+    moved[..., 3:, :3] = -cross_matrix(lever) @ R  # a rotation shifts the other centre: w x lever
     return moved

@@ -1,1 +1,1 @@
-"""What a tactile sensor sees: its geometry, contact, touches and places."""
+"""Sensing: sensor geometry, contact, touches and places."""

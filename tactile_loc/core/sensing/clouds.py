@@ -9,17 +9,17 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 
 Points = NDArray[np.float64]
-OUTLINE_PX = 1.5  # standard deviation of the smoothing across which an outline's direction is measured
+OUTLINE_PX = 1.5  # standard deviation of the smoothing before an outline's direction is measured
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's neighbours
 
 
 def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = True) -> tuple[Points, Points]:
-    """Return the surface in contact as points (P, 3) in metres, sensor frame, and unit normals (P, 3).
+    """Return the surface in contact as points (P, 3), metres, sensor frame, and unit normals (P, 3).
 
-    A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too: where a pixel
-    in contact borders one that is not, and the surface drops there faster than it could by sloping away, the pressed
-    solid ends in a wall from the surface up to the press depth. Walls hold a flat face sideways, which its surface
-    alone cannot. At the sensor's border the solid is cut off, not ended, so there are none.
+    A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too. Where
+    contact ends and the surface drops too fast to be a slope, the pressed solid ends in a wall, from the surface up to
+    the press depth. Walls hold a flat face sideways, which its surface alone cannot. There
+    are none at the sensor's border, where the solid is only cut off.
     """
     rows, columns = _crop(shape.contact & geometry.observed_mask)
     observed = geometry.observed_mask[rows, columns]
@@ -37,7 +37,7 @@ def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: boo
 
 
 def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """The rows and columns around a mask (H, W), with a margin of three pixels: most of the image is not in contact."""
+    """Return the rows and columns around a mask (H, W), with a margin of three pixels."""
     spans = []
     for axis in (1, 0):
         where = np.flatnonzero(mask.any(axis=axis))
@@ -46,21 +46,21 @@ def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _backproject(z_m: Points, geometry: SensorGeometry, rows: slice, columns: slice) -> Points:
-    """Points (h, w, 3) in metres of depths (h, w) that were cut out of the sensor's image."""
+    """Return points (h, w, 3), metres, of depths (h, w) that were cut out of the sensor's image."""
     x, y = geometry.pixel_slopes[0][columns], geometry.pixel_slopes[1][rows]
     k = z_m if geometry.is_pinhole else np.ones_like(z_m)
     return np.stack([x * k, y[:, None] * k, z_m], axis=-1)
 
 
 def _estimate_normals(xyz: Points, contact: NDArray[np.bool_]) -> Points:
-    """Unit normals (P, 3) of the pixels in contact, from differences between neighbours that are both in contact."""
+    """Return unit normals (P, 3) of the pixels in contact, from differences between neighbours in contact."""
     down, right = (_differentiate(xyz, contact, axis)[contact] for axis in (0, 1))
     normals = np.cross(down, right)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
 def _differentiate(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points:
-    """Mean of the forward and backward differences (H, W, 3) that stay in contact; a lone pixel's is flat."""
+    """Return the mean of the forward and backward differences (H, W, 3) within contact; a lone pixel's is flat."""
     step = np.diff(xyz, axis=axis)
     first, second = [np.take(contact, r, axis) for r in (range(contact.shape[axis] - 1), range(1, contact.shape[axis]))]
     both = (first & second)[..., None]
@@ -76,7 +76,7 @@ def _differentiate(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points
 def _sample_walls(
     xyz: Points, drop: Points, contact: NDArray[np.bool_], observed: NDArray[np.bool_], pitch: float
 ) -> tuple[Points, Points]:
-    """Points (P, 3) and outward normals (P, 3) of the walls, a pixel pitch apart; `drop` (h, w) is their height."""
+    """Return points (P, 3) and outward normals (P, 3) of walls of height `drop` (h, w), a pixel pitch apart."""
     outside = ~contact & observed
     outwards = _estimate_outline(contact, observed)
     points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
@@ -89,16 +89,16 @@ def _sample_walls(
         points.append(xyz[borders][which] + pitch * step)
         side = np.array([columns, rows, 0.0])
         directions = outwards[borders]
-        # A line one pixel wide slopes nowhere on average, and has walls all the same.
+        # a line one pixel wide has no mean slope, but it has walls
         leaving = directions @ side[:, None] > 0
         normals.append(np.where(leaving, directions, side)[which])
     return np.concatenate(points), np.concatenate(normals)
 
 
 def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
-    """Unit directions (H, W, 3) across the outline, out of contact: the slope of the mask, smoothed over a few pixels.
+    """Return unit directions (H, W, 3) across the outline, out of contact: the slope of the smoothed mask.
 
-    Smoothing undoes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
+    Smoothing removes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -110,6 +110,6 @@ def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -
 
 
 def _shift(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
-    """The mask (H, W) as seen from each pixel's neighbour; False beyond the image."""
+    """Return the mask (H, W) at each pixel's neighbour; False beyond the image."""
     padded = np.pad(mask, 1)
     return padded[1 + rows : padded.shape[0] - 1 + rows, 1 + columns : padded.shape[1] - 1 + columns]

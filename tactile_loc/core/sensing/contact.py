@@ -2,9 +2,9 @@
 
 Only the part of the object over the rectangle counts. The lowest point of a triangle over a rectangle is a corner of
 their intersection: a vertex inside, an edge crossing a side, or the triangle's height at a corner of the rectangle.
-Looking at exactly these makes the result exact. Over a curved gel the lowest point may lie anywhere on a triangle: its
-edges, cut at the rectangle, and its inside are looked at every STEP_M; of a gel of radius r that misses at most
-STEP_M^2 / 8 r, below a micrometre. Compiled with numba; imported only when poses are brought to contact.
+Only these are computed, so the result is exact. Over a curved gel, the lowest point may be anywhere on a triangle. Its
+edges, cut at the rectangle, and its inside are sampled every STEP_M. For a gel of radius r, that misses at most
+STEP_M^2 / 8 r, below a micrometre. The module is compiled with numba, so it is imported only when it is needed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tactile_loc.core.sensing.zbuffer import place
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 STEP_M = 2.5e-4
-ROUNDS = 4  # in which a pinhole's relief, known along rays, is found upright
+ROUNDS = 4  # iterations to convert a pinhole's relief, known along rays, to heights above the plane
 BINS = 256  # into which blocks of triangles are sorted by height
 
 
@@ -33,8 +33,8 @@ def bring_to_contact(
 ) -> tuple[Poses, NDArray[np.bool_]]:
     """Return poses (N, 4, 4), moved along z so that the object touches the surface, and which (N,) have contact.
 
-    Metres. A pose without any surface over the sensing rectangle keeps its z and is marked False. Where the gel is
-    curved, what is brought to the standoff is the least height over its relief.
+    Metres. A pose without any surface over the sensing rectangle keeps its z and is marked False. Over a curved gel,
+    the least height above its relief is brought to the standoff.
     """
     T = np.array(T_sensor_object, float, copy=True)
     lowest = (
@@ -50,7 +50,7 @@ def bring_to_contact(
 def find_lowest_points(
     mesh: TriangleMesh, T_sensor_object: Poses, rectangle_m: tuple[float, float, float, float]
 ) -> NDArray[np.float64]:
-    """Return z (N,) in metres of the surface's lowest point over a rectangle (x0, x1, y0, y1); inf where none is."""
+    """Return z (N,), metres, of the surface's lowest point over a rectangle (x0, x1, y0, y1); inf without one."""
     R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
     rotations, starts, members = group_rotations(R)
     triangles, t = make_triangle_blocks(mesh), np.ascontiguousarray(t)
@@ -63,7 +63,7 @@ def find_lowest_points(
 def find_lowest_over_relief(
     mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
 ) -> NDArray[np.float64]:
-    """Return the least of z - relief (N,), metres, of poses' surface over the sensing rectangle; inf where none is."""
+    """Return the least z - relief (N,), metres, of poses' surface over the sensing rectangle; inf without surface."""
     T = np.ascontiguousarray(T_sensor_object, float)
     result = np.full(len(T), np.inf)
     gel = (np.asarray(geometry.rectangle, float), *make_upright_relief(geometry))
@@ -72,10 +72,10 @@ def find_lowest_over_relief(
 
 
 def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a curved gel's relief (H, W), metres, over points of the plane z = surface, and their lattice.
+    """Return a curved gel's relief (H, W), metres, above points of the plane z = surface, and their lattice.
 
-    The lattice (4,), metres, are x and y of the first point and the steps to the next. Parallel rays see it so; a
-    pinhole's pixel sees the gel beside the point of the plane that it aims at.
+    The lattice (4,), metres, is x and y of the first point and the steps to the next. Parallel rays see this relief
+    directly; a pinhole's pixel sees the gel beside the point of the plane that it aims at.
     """
     from scipy.ndimage import map_coordinates
 
@@ -94,8 +94,8 @@ def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], 
 def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Group rotations (N, 3, 3) that are equal to the bit.
 
-    Returns the distinct rotations (K, 3, 3), starts (K + 1,) and members (N,): the indices of the poses that have
-    rotation k are members[starts[k]:starts[k + 1]]. Unitless.
+    Returns the distinct rotations (K, 3, 3), starts (K + 1,) and members (N,): the indices of the poses with rotation k
+    are members[starts[k]:starts[k + 1]]. Unitless.
     """
     flat = np.ascontiguousarray(R, dtype=float).reshape(len(R), 9) + 0.0
     keys = flat.view(np.dtype((np.void, flat.itemsize * 9))).ravel()
@@ -106,18 +106,18 @@ def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 @njit
 def _fill_lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
-    """Fill the lowest z (N,) of the poses that have one of the rotations from first to last."""
+    """Fill the lowest z (N,) of the poses with the rotations from first to last."""
     for k in range(first, last):
         _search_blocks(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
 
 
 @njit
 def _search_blocks(triangles, R, members, t, rectangle, result):
-    """Search the blocks of triangles roughly from the lowest up, and stop when no other can be lower."""
+    """Search the blocks of triangles roughly from the lowest up; stop when no other can be lower."""
     count = len(triangles.radii)
     middles, floor, p = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
     for b in range(count):
-        _turn(R, triangles.centres[b], middles[b])
+        _rotate(R, triangles.centres[b], middles[b])
         floor[b] = middles[b, 2] - triangles.radii[b]
     order, bin_m = _sort_from_below(floor)
     for i in members:
@@ -131,7 +131,7 @@ def _search_blocks(triangles, R, members, t, rectangle, result):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for c in range(3):
-                    _turn(R, triangles.corners[f, c], p[c])
+                    _rotate(R, triangles.corners[f, c], p[c])
                 if min(p[0, 2], p[1, 2], p[2, 2]) < best:
                     best = min(best, _find_lowest_of_triangle(p, x0, x1, y0, y1))
         result[i] = best + t[i, 2]
@@ -139,13 +139,13 @@ def _search_blocks(triangles, R, members, t, rectangle, result):
 
 @njit
 def _is_beside(centre, r, x0, x1, y0, y1):
-    """Whether a sphere is nowhere over a rectangle."""
+    """Whether no part of a sphere is over a rectangle."""
     return centre[0] + r < x0 or centre[0] - r > x1 or centre[1] + r < y0 or centre[1] - r > y1
 
 
 @njit
 def _sort_from_below(heights):
-    """The order (F,) of heights (F,) sorted into bins, and how wide a bin is: numpy's sort takes seconds to compile."""
+    """Return the order (F,) of heights (F,) sorted into bins, and the bin width; numpy's sort compiles for seconds."""
     low = high = heights[0]
     for height in heights:
         low, high = min(low, height), max(high, height)
@@ -164,15 +164,15 @@ def _sort_from_below(heights):
 
 
 @njit
-def _turn(R, p, turned):
-    """Fill the point (3,) where the rotation R takes p (3,)."""
+def _rotate(R, p, rotated):
+    """Fill the point (3,) to which the rotation R takes p (3,)."""
     for a in range(3):
-        turned[a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
+        rotated[a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
 
 
 @njit
 def _find_lowest_of_triangle(p, x0, x1, y0, y1):
-    """Lowest z of one triangle (3, 3) over a rectangle; inf when it is nowhere over it."""
+    """Return the lowest z of one triangle (3, 3) over a rectangle; inf when it is not over it."""
     if max(p[0, 0], p[1, 0], p[2, 0]) < x0 or min(p[0, 0], p[1, 0], p[2, 0]) > x1:
         return np.inf
     if max(p[0, 1], p[1, 1], p[2, 1]) < y0 or min(p[0, 1], p[1, 1], p[2, 1]) > y1:
@@ -188,7 +188,7 @@ def _find_lowest_of_triangle(p, x0, x1, y0, y1):
 
 @njit
 def _find_lowest_of_edge(a, b, x0, x1, y0, y1):
-    """Lowest z of the part of the segment a-b over the rectangle; inf when no part is."""
+    """Return the lowest z of the part of segment a-b over the rectangle; inf without such a part."""
     enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
@@ -198,9 +198,9 @@ def _find_lowest_of_edge(a, b, x0, x1, y0, y1):
 
 @njit
 def _clip_segment(a, b, x0, x1, y0, y1):
-    """Where, in shares of its length, the segment a-b enters and leaves the rectangle (Liang-Barsky clipping).
+    """Return where segment a-b enters and leaves the rectangle, as fractions of its length (Liang-Barsky clipping).
 
-    It leaves before it enters when no part is over it.
+    If no part is over the rectangle, it leaves before it enters.
     """
     enter, leave = 0.0, 1.0
     for axis, low, high in ((0, x0, x1), (1, y0, y1)):
@@ -216,7 +216,7 @@ def _clip_segment(a, b, x0, x1, y0, y1):
 
 @njit
 def _find_height_at(p, x, y):
-    """Height z of the triangle's plane at (x, y) when that point lies in the triangle, else inf."""
+    """Return z of the triangle's plane at (x, y) if that point is in the triangle, else inf."""
     ax, ay = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]
     bx, by = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
     area = ax * by - ay * bx
@@ -231,7 +231,7 @@ def _find_height_at(p, x, y):
 
 @njit
 def _fill_lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
-    """Fill the least heights (N,) over the gel of the poses from first to last."""
+    """Fill the least heights (N,) above the gel of the poses from first to last."""
     p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
     x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for i in range(first, last):
@@ -251,7 +251,7 @@ def _fill_lowest_curved(first, last, triangles, T, rectangle, relief, lattice, r
 
 @njit
 def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
-    """Least height of a triangle (3, 3) over the gel: along its edges, and at points inside."""
+    """Return the least height of a triangle (3, 3) above the gel, along its edges and at points inside."""
     best = np.inf
     for c in range(3):
         best = min(best, _find_lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
@@ -272,7 +272,7 @@ def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
 
 @njit
 def _find_lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
-    """Least height over the gel of the part of a segment a-b over the rectangle; inf when none is."""
+    """Return the least height above the gel of the part of segment a-b over the rectangle; inf without such a part."""
     enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
@@ -287,7 +287,7 @@ def _find_lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
 
 @njit
 def _interpolate_relief(relief, lattice, x, y):
-    """The relief, linear between the lattice's points; beyond them it goes on as at the last."""
+    """Return the relief, linear between the lattice's points and constant beyond them."""
     rows, columns = relief.shape
     c = min(max((x - lattice[0]) / lattice[2], 0.0), columns - 1.0)
     r = min(max((y - lattice[1]) / lattice[3], 0.0), rows - 1.0)

@@ -1,9 +1,9 @@
-"""How well poses explain a touch: what of the contact that they make the touch shows, and how deep.
+"""Comparison of the contacts that poses make with that of a touch: how well the poses explain it.
 
-An intersection over union is easily read, and counts alike what noise hides of a contact and what a wrong pose adds.
-Evidence regards besides how much of what is seen a pose accounts for, and how far off the depth is there; its weights
-were fitted to the true poses among those that a search of the whole object finds, of simulated touches with strong
-noise, with more of the IoU, which clean touches are told apart by.
+An intersection over union is easy to read, and treats contact hidden by noise and contact added by a wrong pose alike.
+Evidence also uses the area that a pose explains and the error of depth there. Its weights were fitted to simulated
+touches with strong noise: to the true poses among all poses that a search of the whole object finds. The IoU's
+weight was then raised, because the IoU discriminates between clean touches.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
-# Of the press depth, what a pixel counts for being in contact at all: as much as the deepest imprint does. With less,
-# the depth, which noise falsifies first, decides between poses; with more, depth hardly matters.
+# The value of any pixel in contact, as a share of the press depth: as much as the deepest imprint. With less, depth
+# decides between poses, which noise falsifies first; with more, depth hardly matters.
 OUTLINE_SHARE = 1.0
-# What evidence counts, in nats: imprint IoU, the logarithm of 1 + mm^2 of common contact, and a mm of depth there
+# Weights of evidence, nats: per imprint IoU, per log(1 + mm^2) of common contact, and per mm of depth error there
 IOU_NATS, AREA_NATS, DEPTH_NATS = 10.0, 3.0, 15.0
-FAR_OFF_M = 5e-4  # depths that differ by more are no worse
+FAR_OFF_M = 5e-4  # larger depth errors count as this
 
 
 class Explained(NamedTuple):
-    """Of N poses the contact IoUs and the imprint IoUs, 0 to 1, and the evidence, nats up to a constant; each (N,)."""
+    """Contact IoUs and imprint IoUs, 0 to 1, and evidence, nats up to a constant, of N poses; each (N,)."""
 
     contact_ious: Floats
     imprint_ious: Floats
@@ -37,7 +37,7 @@ def compare_imprints(
 ) -> Explained:
     """Compare contact depths (N, H, W) that poses make with those that a touch shows (H, W); metres.
 
-    Contact is what is less deep than the press depth, where the sensor observes, `observed` (H, W). What explains
+    Contact is where the depth is below the press depth and the sensor observes, `observed` (H, W). A pose that explains
     nothing has an IoU of 0.
     """
     press = np.float32(press_depth_m)

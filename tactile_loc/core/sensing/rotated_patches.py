@@ -1,6 +1,6 @@
 """The patch of a touch that is compared with those of places, rotated back by many yaws; compiled (numba).
 
-Where the gel is curved it is looked at from straight above the gel there, as an object that is touched there is.
+On a curved gel, the patch is seen along the gel's normal at the contact, as in the object's patches.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from tactile_loc.core.sensing.touch import Touch
 
 
 def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where the place that touches first is, where the touch is deepest, and how the gel lies there.
+    """Return where a touch is deepest, (3,), metres, and how the gel lies there.
 
-    The place (3,), metres, and R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
+    The latter is R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
     """
     geometry, shape = touch.geometry, touch.contact_shape
     depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
@@ -46,10 +46,11 @@ def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[
 def rotate_patches(
     touch: Touch, anchor_m: NDArray[np.float64], R_sensor_gel: NDArray[np.float64], yaw_rad: NDArray[np.float64]
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Return what a touch shows around its anchor (3,), metres, as CAMERA sees it rotated back by each of M yaws (M,).
+    """Return the patch of a touch around its anchor (3,), metres, as CAMERA sees it, rotated back by M yaws (M,).
 
-    That is contact depths (M, PATCH_PX, PATCH_PX), metres, from the plane across the gel's normal, the third axis of
-    R_sensor_gel (3, 3), cut at the touch's press depth, and which pixels the sensor observes; others are no contact.
+    The contact depths (M, PATCH_PX, PATCH_PX), metres, are from the plane across the gel's normal, the third axis of
+    R_sensor_gel (3, 3), cut at the touch's press depth. Also return which pixels the sensor observes; the others are
+    out of contact.
     """
     geometry, shape = touch.geometry, touch.contact_shape
     depth_m = np.empty((len(yaw_rad), PATCH_PX, PATCH_PX), np.float32)
@@ -57,16 +58,16 @@ def rotate_patches(
     camera = (geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy)
     deepest_m = np.broadcast_to(np.asarray(geometry.full_penetration_m, np.float64), geometry.shape)
     run_in_threads(
-        _turn, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), geometry.observed_mask, camera, deepest_m,
-        anchor_m, R_sensor_gel, np.asarray(yaw_rad, float), depth_m, seen,
+        _fill_patches, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), geometry.observed_mask, camera,
+        deepest_m, anchor_m, R_sensor_gel, np.asarray(yaw_rad, float), depth_m, seen,
     )  # fmt: skip
     return depth_m, seen
 
 
-# Of a flat gel one round is exact for parallel rays, two for a pinhole, which sees what is deeper elsewhere.
+# On a flat gel, one round is exact for parallel rays, and two for a pinhole, which sees deeper points elsewhere.
 @njit
-def _turn(first, last, depth, press, observed, camera, deepest, at, R, yaws, patches, seen):
-    """Fill the patches (M, S, S), and what is seen of them, of the yaws from first to last."""
+def _fill_patches(first, last, depth, press, observed, camera, deepest, at, R, yaws, patches, seen):
+    """Fill the patches (M, S, S), and which of their pixels are seen, of the yaws from first to last."""
     pinhole, fx, fy, cx, cy = camera
     side, half = patches.shape[1], (patches.shape[1] - 1) / 2
     tilted = R[2, 2] < 1.0

@@ -1,4 +1,4 @@
-"""What a sensor is: the geometry of its camera and its gel.
+"""The geometry of a sensor's camera and its gel.
 
 The sensor frame is the virtual camera's: origin at the camera, +z out of the sensor towards the object, x right and
 y down in the image. The undeformed sensing surface is the plane z = standoff. Pixel centres lie at half integers.
@@ -22,8 +22,8 @@ from tactile_loc.core.errors import SensorError
 Depth = NDArray[np.float32]
 
 LARGEST_PX = 8192
-FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # pixels a metre: what lies beyond is no length, whatever its unit
-SAME_RELIEF_M = 5e-5  # two gels whose surfaces differ by less are one
+FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # plausible pixels per metre, whatever the unit
+SAME_RELIEF_M = 5e-5  # gels whose surfaces differ by less count as the same
 
 
 @keep_old_names(resized="resize", every="subsample", pressed="press", with_long_side="resize_long_side")
@@ -33,13 +33,12 @@ class SensorGeometry:
 
     `fx`, `fy` are pixels for a pinhole camera and pixels per metre for an orthographic one; `cx`, `cy` are pixels.
     `standoff_m` is the distance from the camera to the undeformed surface, `max_depth_m` the deepest press in metres.
-    While an object is pressed in by `indentation_m` metres (see `press`), its deepest point is at z = `standoff_m`
-    and it is seen up to `max_depth_m` metres beyond; `surface_m` is where the undeformed surface is.
-    `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default all that the image
-    sees of it. `observed` (H, W) bool is False at pixels that carry no information; by default all pixels whose view
-    of the sensing surface lies on the rectangle count. `relief_m` (H, W) float32 is how much farther along z than
-    `surface_m` a pixel sees the undeformed gel, in metres, where that is not flat. Raises SensorError when the numbers
-    contradict one another.
+    While an object is pressed in by `indentation_m` metres (see `press`), its deepest point is at z = `standoff_m`, and
+    it is seen up to `max_depth_m` metres beyond; the undeformed surface is at `surface_m`.
+    `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default it is all that the
+    image sees. `observed` (H, W) bool is False at pixels without information; by default, all pixels on the rectangle
+    count. `relief_m` (H, W) float32, metres, is how much farther along z than `surface_m` each pixel sees the
+    undeformed gel, if that is not flat. Raises SensorError for contradictory numbers.
     """
 
     camera: Literal["pinhole", "orthographic"]
@@ -63,10 +62,10 @@ class SensorGeometry:
         for name in positive:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
-                raise SensorError(f"the sensor's {name} is {value}; it must be a positive number")
+                raise SensorError(f"the sensor's {name} is {value}; give a positive number")
         if max(self.shape) > LARGEST_PX:
             raise SensorError(
-                f"the sensor's image is {self.width_px} x {self.height_px} pixels; at most {LARGEST_PX} a side"
+                f"the sensor's image is {self.width_px} x {self.height_px} pixels; give at most {LARGEST_PX} per side"
             )
         if self.observed is not None and (self.observed.shape != self.shape or self.observed.dtype != np.bool_):
             raise SensorError(
@@ -77,7 +76,7 @@ class SensorGeometry:
         if not all(FEWEST_PX_M <= scale <= MOST_PX_M for scale in self.scale_at_surface):
             x, y = (1e-3 * scale for scale in self.scale_at_surface)
             raise SensorError(
-                f"the sensor sees {x:.3g} x {y:.3g} pixels a mm of its surface; check the camera's numbers"
+                f"the sensor sees {x:.3g} x {y:.3g} pixels per mm of its surface; check the camera's numbers"
             )
         x0, x1, y0, y1 = self.rectangle
         if not (x0 < x1 and y0 < y1):
@@ -90,8 +89,8 @@ class SensorGeometry:
             return
         if self.relief_m.shape != self.shape or not np.isfinite(self.relief_m).all():
             raise SensorError(
-                f"the undeformed surface is an array of shape {self.relief_m.shape}; it must hold a number, metres, "
-                f"for each pixel of the image, {self.shape} (rows, columns)"
+                f"the undeformed surface is an array of shape {self.relief_m.shape}; give a number, metres, for each "
+                f"pixel of the image, {self.shape} (rows, columns)"
             )
         if self.relief_m.min() <= -self.standoff_m:
             raise SensorError(
@@ -101,17 +100,17 @@ class SensorGeometry:
 
     @property
     def is_curved(self) -> bool:
-        """Whether the undeformed gel is not flat."""
+        """Whether the undeformed gel is curved."""
         return self.relief_m is not None
 
     @property
     def full_penetration_m(self) -> float | Depth:
-        """Where contact depths begin: z at the deepest point of contact; at each pixel (H, W) if the gel is curved."""
+        """z at the deepest point of contact, where contact depths begin; per pixel (H, W) if the gel is curved."""
         return self.standoff_m if self.relief_m is None else np.float32(self.standoff_m) + self.relief_m
 
     @cached_property
     def band(self) -> SensorGeometry:
-        """The sensor with a flat gel whose contact band holds all of this one's: what renderers are given."""
+        """The sensor for renderers: with a flat gel, and a contact band that holds all of this one's."""
         if self.relief_m is None:
             return self
         least, most = float(self.relief_m.min()), float(self.relief_m.max())
@@ -131,7 +130,7 @@ class SensorGeometry:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether rays spread from one point (pinhole) rather than run parallel (orthographic)."""
+        """Whether rays spread from one point (pinhole) instead of being parallel (orthographic)."""
         return self.camera == "pinhole"
 
     @property
@@ -148,7 +147,7 @@ class SensorGeometry:
 
     @property
     def view(self) -> tuple[float, float, float, float]:
-        """What the image sees (x_min, x_max, y_min, y_max), in metres, of the undeformed surface."""
+        """The part of the undeformed surface that the image sees (x_min, x_max, y_min, y_max), metres."""
         sx, sy = self.scale_at_surface
         return -self.cx / sx, (self.width_px - self.cx) / sx, -self.cy / sy, (self.height_px - self.cy) / sy
 
@@ -180,7 +179,7 @@ class SensorGeometry:
         return inside if self.observed is None else inside & self.observed
 
     def backproject(self, depth_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Turn depths z (..., H, W) in metres into points (..., H, W, 3) in the sensor frame, metres."""
+        """Convert depths z (..., H, W), metres, to points (..., H, W, 3) in the sensor frame, metres."""
         x, y = np.meshgrid(*self.pixel_slopes)
         z = np.asarray(depth_m, float)
         k = z if self.is_pinhole else np.ones_like(z)
@@ -201,7 +200,7 @@ class SensorGeometry:
         )  # fmt: skip
 
     def _resize_relief(self, width_px: int, height_px: int) -> Depth | None:
-        """The relief (height, width) at another image size, metres: linear between the pixels' centres."""
+        """Return the relief (height, width), metres, at another image size: linear between pixel centres."""
         if self.relief_m is None or (height_px, width_px) == self.shape:
             return self.relief_m
         from scipy.ndimage import map_coordinates
@@ -211,7 +210,7 @@ class SensorGeometry:
         return np.asarray(map_coordinates(self.relief_m, at, np.float32, order=1, mode="nearest"))
 
     def subsample(self, step: int) -> SensorGeometry:
-        """Return the sensor that sees only every `step`-th pixel, from the first: what [::step, ::step] keeps."""
+        """Return the sensor with only every `step`-th pixel, from the first: what [::step, ::step] keeps."""
         rows, columns = len(range(0, self.height_px, step)), len(range(0, self.width_px, step))
         observed = None if self.observed is None else self.observed[::step, ::step]
         relief_m = None if self.relief_m is None else self.relief_m[::step, ::step]
@@ -224,9 +223,9 @@ class SensorGeometry:
     def press(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
         """Return the sensor as it sees an object that is pressed `indentation_m` metres into the gel.
 
-        What is seen begins at the object's deepest point, at z = surface - indentation, and ends `press_depth_m`
+        The visible range begins at the object's deepest point, at z = surface - indentation, and ends `press_depth_m`
         metres behind it, by default at the undeformed surface. Camera, rectangle and observed pixels stay. Raises
-        SensorError for an indentation that is not positive, or that reaches the camera.
+        SensorError for an indentation that is not positive or reaches the camera.
         """
         if not 0 < indentation_m < self.surface_m:
             raise SensorError(
@@ -239,14 +238,14 @@ class SensorGeometry:
         )  # fmt: skip
 
     def resize_long_side(self, pixels: int) -> SensorGeometry:
-        """Return the same sensor, its longer image side `pixels` long, the shorter in proportion."""
+        """Return the same sensor with its longer image side `pixels` long, and the shorter in proportion."""
         k = pixels / max(self.shape)
         return self.resize(max(1, round(self.width_px * k)), max(1, round(self.height_px * k)))
 
     def is_same_sensor(self, other: SensorGeometry) -> bool:
-        """Tell whether `other` sees the same field, to within a pixel, in the same way.
+        """Whether `other` sees the same field, to within a pixel, in the same way.
 
-        The image's size, the mask, and how deep an object is pressed may differ.
+        The image's size, the mask and the press may differ.
         """
         ours, theirs = ((g.surface_m, *g.rectangle) for g in (self, other))
         same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
@@ -263,14 +262,14 @@ class SensorGeometry:
         return bool(np.abs(self.relief_m - theirs_m).max() < SAME_RELIEF_M)
 
     def describe(self) -> dict[str, Any]:
-        """Return the numbers as JSON values (metres, pixels), with digests of mask and relief: what identifies it."""
+        """Return what identifies the sensor, as JSON values: metres, pixels, and digests of mask and relief."""
         arrays = {"observed": self.observed, "relief_m": self.relief_m}
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in arrays}
         digests = {
             name: None if array is None else hashlib.sha256(_pack_bytes(array)).hexdigest()
             for name, array in arrays.items()
         }
-        if self.relief_m is None:  # flat sensors are described as ever
+        if self.relief_m is None:  # keeps the store's keys of flat sensors
             del digests["relief_m"]
         rectangle = None if self.rectangle_m is None else list(self.rectangle_m)
         return {**fields, "rectangle_m": rectangle, **digests}
@@ -286,10 +285,10 @@ Drawing = Literal["pressed", "paper"]
 def find_drawing(
     T_sensor_object: NDArray[np.float64], geometry: SensorGeometry, drawing: Drawing
 ) -> tuple[NDArray[np.float64], SensorGeometry]:
-    """Return poses (..., 4, 4), metres, and the sensor as what is compared with touches is drawn of them.
+    """Return the poses (..., 4, 4), metres, and the sensor with which poses are rendered for comparison with touches.
 
-    "pressed" draws what the sensor sees: the pressed object. "paper" draws it as Bauza et al. (CoRL 2020) do, where it
-    just touches: an indentation farther off, which a pinhole camera sees smaller; parallel rays see no difference.
+    "pressed" renders what the sensor sees: the pressed object. "paper" renders the object where it just touches, as in
+    Bauza et al. (CoRL 2020). A pinhole camera sees that smaller; parallel rays see no difference.
     """
     if drawing == "pressed" or geometry.indentation_m == 0.0:
         return T_sensor_object, geometry

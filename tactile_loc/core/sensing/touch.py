@@ -1,4 +1,4 @@
-"""What a sensor sees: the contact shape, and the touch."""
+"""Observations of a sensor: the contact shape, and the touch."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 @keep_old_names(every="subsample", pressed_to="press_to")
 @dataclass(frozen=True, eq=False)
 class ContactShape:
-    """How far the object's surface lies from full penetration: `depth_m` (H, W) float32 in metres, 0 ... press depth.
+    """Distance of the object's surface from full penetration: `depth_m` (H, W) float32, metres, 0 to press depth.
 
-    A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable when both are cut at the
-    same press depth: see `press_to`. `indentation_m` is how deep the object really was pressed in, if it is more
-    than what the shape shows: None means that nothing was cut off.
+    A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable if both are cut at the
+    same press depth: see `press_to`. `indentation_m` is how deep the object really was pressed in, if that is more
+    than the shape shows; None means that nothing was cut off.
     """
 
     depth_m: Depth
@@ -39,26 +39,26 @@ class ContactShape:
         return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
 
     def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
-        """Return intersection over union (0 to 1, unitless) of two contacts where pixels (H, W) are observed."""
+        """Return the intersection over union (0 to 1, unitless) of two contacts over the observed pixels (H, W)."""
         ours, theirs = self.contact & observed, other.contact & observed
         return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
 
     def press_to(self, press_depth_m: float) -> ContactShape:
-        """Return what is nearer than `press_depth_m` metres to full penetration; the object is pressed as deep."""
+        """Return the shape cut at `press_depth_m` metres from full penetration; the indentation stays."""
         cut_m = min(press_depth_m, self.press_depth_m)
         return ContactShape(np.minimum(self.depth_m, np.float32(cut_m)), cut_m, self.deepest_m)
 
     @property
     def deepest_m(self) -> float:
-        """How deep the object's deepest point is pressed in, metres."""
+        """Indentation of the object's deepest point, metres."""
         return self.press_depth_m if self.indentation_m is None else self.indentation_m
 
 
 def compute_contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
-    """Turn rendered camera depths (..., H, W) into contact depths (..., H, W): clip(z - standoff, 0, press depth).
+    """Convert rendered camera depths (..., H, W) to contact depths (..., H, W): clip(z - standoff, 0, press depth).
 
-    All in metres; a surface that no ray meets has depth inf and becomes `press_depth_m`, no contact. Where the gel is
-    curved, its relief is taken off too.
+    All are in metres. A pixel whose ray meets no surface has depth inf and becomes `press_depth_m`, no contact. A
+    curved gel's relief is subtracted too.
     """
     shape = np.subtract(depth_m, geometry.full_penetration_m, dtype=np.float32)
     return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
@@ -69,13 +69,13 @@ def compute_contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGe
 class Touch:
     """One tactile observation.
 
-    `contact_shape` as seen by a sensor of `geometry`, which becomes that of the pressed sensor: the object's deepest
-    point is at z = surface - indentation; `T_base_sensor` (4, 4) where the sensor was, if known, with the standard
-    deviations of its error along (metres) and about (radians) each axis through the touch; `T_sensor_object`
-    (4, 4) the true pose while it was pressed, known only in simulation or experiments. Lengths in metres. `image`
-    (H, W, 3) uint8 is the photo that the contact shape was estimated from, if it was.
-    Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact, and for a pose
-    that is no rigid transform: a reflection would make another object of the known one, its mirror image.
+    `contact_shape` is seen by a sensor of `geometry`, which is changed to that of the pressed sensor: the object's
+    deepest point is at z = surface - indentation. `T_base_sensor` (4, 4) is the sensor's pose, if known, with the
+    standard deviations of its error along (metres) and about (radians) each axis through the touch. `T_sensor_object`
+    (4, 4) is the true pose while it was pressed, known in simulation or experiments. Lengths are in metres. `image`
+    (H, W, 3) uint8 is the photo from which the contact shape was estimated, if any.
+    Raises TouchError when the shape does not fit the sensor, has no contact or nothing but contact, and for a pose that
+    is not a rigid transform: a reflection would turn the object into its mirror image.
     """
 
     contact_shape: ContactShape
@@ -92,7 +92,7 @@ class Touch:
         if depth.shape != self.geometry.shape:
             got, want = " x ".join(map(str, depth.shape)), " x ".join(map(str, self.geometry.shape))
             raise TouchError(
-                f"{self.name} is {got} pixels but the sensor's image is {want} (rows x columns); "
+                f"{self.name} is {got} pixels, but the sensor's image is {want} (rows x columns); "
                 "choose the sensor that took it, or set its image_size_px"
             )
         contact = self.contact_shape.contact[self.geometry.observed_mask]
@@ -117,16 +117,16 @@ class Touch:
 
     @property
     def press_depth_m(self) -> float:
-        """How deep the press is that the contact shape shows, metres."""
+        """Press depth of the contact shape, metres."""
         return self.contact_shape.press_depth_m
 
     @property
     def indentation_m(self) -> float:
-        """How deep the object's deepest point was pressed into the gel, metres."""
+        """Indentation of the object's deepest point, metres."""
         return self.contact_shape.deepest_m
 
     def thin(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
-        """Return the sensor and the contact shape with so many pixels only that the longer side has about `pixels`."""
+        """Return the sensor and the contact shape with fewer pixels: about `pixels` on the longer side."""
         step = max(1, round(max(self.geometry.shape) / pixels))
         return self.geometry.subsample(step), self.contact_shape.subsample(step)
 
@@ -134,11 +134,11 @@ class Touch:
 def contact_shape_from_array(
     values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch"
 ) -> ContactShape:
-    """Make a contact shape from depths (H, W) in metres, 0 = deepest; NaN or at least `max_depth_m` = no contact.
+    """Make a contact shape from depths (H, W), metres, 0 = deepest; NaN or at least `max_depth_m` = no contact.
 
-    Without `press_depth_m` the press depth is the deepest step the contact shows: its largest depth, at least a
-    quarter of `max_depth_m` because a flat imprint shows none. When no pixel is marked as out of contact, the shape
-    was cut at its largest depth (unless it is flat). Raises TouchError for a wrong type, unit or size.
+    Without `press_depth_m`, the press depth is the deepest step of the shape: its largest depth, but at least a quarter
+    of `max_depth_m`, because a flat imprint shows no step. If no pixel is out of contact and the shape is not flat, it
+    was cut at its largest depth. Raises TouchError for a wrong type, unit or size.
     """
     depth = np.asarray(values)
     if depth.ndim != 2 or depth.size == 0 or depth.dtype.kind not in "fiu":
@@ -146,10 +146,10 @@ def contact_shape_from_array(
             f"{name} is an array of shape {depth.shape} and type {depth.dtype}; a contact shape is (H, W) numbers, "
             "depth from full penetration"
         )
-    with np.errstate(over="ignore"):  # beyond float32 is beyond the sensor too
+    with np.errstate(over="ignore"):  # depths beyond float32 are beyond the sensor too
         depth = np.where(np.isnan(depth), np.inf, depth).astype(np.float32)
     if (depth < -1e-6).any():
-        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); 0 must mean full penetration")
+        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration")
     finite = depth[np.isfinite(depth)]
     if finite.size and finite.max() > 100 * max_depth_m:
         raise TouchError(
@@ -160,15 +160,15 @@ def contact_shape_from_array(
         press_depth_m = _find_deepest_step(depth, max_depth_m)
     if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
         raise TouchError(
-            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm; "
-            f"the sensor's range is 0 to {max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
+            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm, but the sensor's range is 0 to "
+            f"{max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
         )
     depth[_reaches(depth, press_depth_m)] = press_depth_m
     return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))
 
 
 def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:
-    """Return where depths are at a limit or beyond; the rounding of a unit's conversion must not make contact."""
+    """Whether depths are at a limit or beyond; rounding in the conversion of units must not make contact."""
     return depth_m >= np.float32(limit_m) * (1 - 1e-6)
 
 

@@ -1,12 +1,11 @@
-"""Depths by a z-buffer: every triangle is drawn pixel by pixel into each picture, exact at pixel centres.
+"""Depths by a z-buffer: every triangle is drawn pixel by pixel into each image, exactly at pixel centres.
 
-The cost is one pass a pose over the part of the mesh that is in view, whatever its rotation: best for poses that all
-differ a little. Triangles are kept in blocks of neighbours, and blocks beyond the contact band or beside the view are
-not looked at.
+Each pose costs one pass over the visible part of the mesh, whatever its rotation. This suits poses that all differ a
+little. Triangles are kept in blocks of neighbours. Blocks beyond the contact band or beside the view are skipped.
 A pixel's ray is r = (x/z, y/z, 1). With the corners of a triangle as the columns of P, P b = r gives the weights b of
-the corners; the ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind
+the corners. The ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind
 the camera need no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates, Graphics
-Hardware 1997). Parallel rays have r = (x, y, 1) and the depth is that of the weights' mean of the corners.
+Hardware 1997). Parallel rays have r = (x, y, 1), and the depth is the weighted mean of the corners' depths.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -24,15 +23,15 @@ from tactile_loc.core.objects.blocks import make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
-EDGE = 1e-9  # of a weight: a ray that meets the edge between two triangles must not slip through
-NARROW = 4  # pixels: a box that is no wider is looked at whole
+EDGE = 1e-9  # tolerance of a weight: a ray that meets the edge between two triangles must not slip through
+NARROW = 4  # pixels: narrower boxes are scanned completely
 NEAREST = 0.05  # of the standoff: corners nearer to the camera, or behind it, are not projected
 
 
 def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
-    """Return camera depths (N, H, W) in metres of poses (N, 4, 4), whether in contact or not.
+    """Return camera depths (N, H, W), metres, of poses (N, 4, 4), whether in contact or not.
 
-    What lies beyond the contact band is inf; exact from the camera up to there.
+    They are exact from the camera up to the end of the contact band, and inf beyond.
     """
     T = np.ascontiguousarray(T_sensor_object, float)
     depth = np.empty((len(T), *geometry.shape), np.float32)
@@ -46,9 +45,9 @@ def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Se
 def draw_nearest_faces(
     mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return what parallel rays along z, through evenly spaced x (W,) and y (H,), meet first of one pose (4, 4).
+    """Return what parallel rays along z, through evenly spaced x (W,) and y (H,), meet first on one pose (4, 4).
 
-    Depths (H, W), inf where nothing is met, and the mesh's faces (H, W), -1 there; in the unit of the mesh.
+    These are depths (H, W), in the unit of the mesh, inf without a hit, and the mesh's faces (H, W), -1 without a hit.
     """
     triangles, T = make_triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
     depth = np.empty((1, len(y), len(x)), np.float32)
@@ -62,10 +61,10 @@ def draw_nearest_faces(
 
 @njit
 def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
-    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last, and `which` triangles they are of, if asked."""
+    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last, and the triangles hit, `which`, if asked for."""
     placed, centre = np.empty((3, 3)), np.empty(3)
     pinhole, far = camera[0], camera[6]
-    # the planes of the outermost rays, each by its slope
+    # the planes of the outermost rays, each given by its slope
     left, right, top, bottom = slopes_x[0], slopes_x[-1], slopes_y[0], slopes_y[-1]
     for i in range(first, last):
         picture = depth[i]
@@ -94,14 +93,14 @@ def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
 
 @njit
 def place(T, p, placed):
-    """Fill the point (3,) where the pose T (4, 4) has p (3,)."""
+    """Fill the point (3,) to which the pose T (4, 4) takes p (3,)."""
     for a in range(3):
         placed[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
 
 
 @njit
 def _is_beyond(outside, slope, pinhole, r):
-    """Whether a sphere of radius r is beyond a plane of rays, its centre so far outside, measured across the view."""
+    """Whether a sphere of radius r, whose centre is `outside` of a plane of rays across the view, is beyond it."""
     return outside > r * (math.sqrt(1.0 + slope * slope) if pinhole else 1.0) * (1.0 + 1e-9)
 
 
@@ -114,7 +113,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
         return
     pinhole, far = camera[0], camera[6]
     zp, zq, zs = (p[2], q[2], s[2]) if pinhole else (1.0, 1.0, 1.0)
-    # The rows of P's inverse, but for the determinant: a weight is a x + b y + c.
+    # The rows of P's inverse, without the determinant: a weight is a x + b y + c.
     ap, bp, cp = q[1] * zs - zq * s[1], zq * s[0] - q[0] * zs, q[0] * s[1] - q[1] * s[0]
     aq, bq, cq = s[1] * zp - zs * p[1], zs * p[0] - s[0] * zp, s[0] * p[1] - s[1] * p[0]
     as_, bs, cs = p[1] * zq - zp * q[1], zp * q[0] - p[0] * zq, p[0] * q[1] - p[1] * q[0]
@@ -128,7 +127,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
         y = slopes_y[v]
         fp, fq, fs = (bp * y + cp) * k, (bq * y + cq) * k, (bs * y + cs) * k
         first, last = u0, u1
-        if u1 - u0 > NARROW:  # of slivers that lie across, most of the box is empty
+        if u1 - u0 > NARROW:  # the box of an oblique sliver is mostly empty
             most = (abs(ap) + abs(aq) + abs(as_)) * widest + abs(fp) + abs(fq) + abs(fs)
             first, last = _find_covered(ap, fp, 2 * EDGE * most, camera, first, last)
             first, last = _find_covered(aq, fq, 2 * EDGE * most, camera, first, last)
@@ -148,7 +147,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
 
 @njit
 def _find_covered(a, b, least, camera, first, last):
-    """First and last pixel of a row, of those from first to last, where a x + b may be no less than -least."""
+    """Return the first and last pixel of a row, from first to last, where a x + b may be at least -least."""
     if a == 0.0:
         return (first, last) if b >= -least else (0, -1)
     border = min(max(-1e9, (-least - b) / a * camera[1] + camera[3] - 0.5), 1e9)
@@ -159,7 +158,7 @@ def _find_covered(a, b, least, camera, first, last):
 
 @njit
 def _find_box(p, q, s, camera, width, height):
-    """First and last column, first and last row, of the pixels whose centres a triangle may cover."""
+    """Return the first and last column and row of the pixels whose centres a triangle may cover."""
     pinhole, fx, fy, cx, cy, near, _ = camera
     if pinhole and min(p[2], q[2], s[2]) < near:
         return 0, width - 1, 0, height - 1
@@ -171,7 +170,7 @@ def _find_box(p, q, s, camera, width, height):
 
 @njit
 def _find_span(a, b, c, scale, centre, size):
-    """First and last pixel whose centre lies between the least and the greatest of three coordinates."""
+    """Return the first and last pixel whose centre is between the least and the greatest of three coordinates."""
     first = min(max(-1.0, min(a, b, c) * scale + centre - 0.5 - 1e-6), size * 1.0)
     last = max(min(size * 1.0, max(a, b, c) * scale + centre - 0.5 + 1e-6), -1.0)
     return max(0, math.ceil(first)), min(size - 1, math.floor(last))

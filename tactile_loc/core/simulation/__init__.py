@@ -1,1 +1,1 @@
-"""Simulated touches: contact poses, noise and what a sensor would show."""
+"""Simulated touches: contact poses, noise, and training data for encoders."""

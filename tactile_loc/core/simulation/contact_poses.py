@@ -1,4 +1,4 @@
-"""From a sampler's candidate poses to a contact grid of the spacing that was asked for."""
+"""Contact grids of a given spacing, and random contact poses, from a sampler's candidate poses."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from tactile_loc.core.slots.scene import Scene
 
 log = logging.getLogger(__name__)
 
-CLOSE_ENOUGH = 0.03  # of the spacing asked for
+CLOSE_ENOUGH = 0.03  # relative error of the spacing
 MOST_ROUNDS = 3
 BATCH = 256  # random poses drawn and rendered at once
-HARDLY_ANY = 1e-3  # share of the random poses that must make contact
+HARDLY_ANY = 1e-3  # least share of the random poses that must make contact
 
 
 def make_contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
-    """Sample, bring to contact, drop poses without contact and symmetric duplicates, until the spacing is met.
+    """Sample poses, bring them to contact, and drop those without contact and symmetric duplicates.
 
-    Contact moves poses along z, so neighbours end up farther apart than the sampler set them; the sampler is asked
-    again with a corrected spacing (metres), unless its options fix some of its steps. Raises GridError when no pose is
-    left.
+    Contact moves poses along z, so neighbours end up farther apart than the sampler set them. Therefore sampling is
+    repeated with a corrected spacing (metres), unless the sampler's options fix some of its steps. Raises GridError
+    when no pose is left.
     """
     wanted_m = sampler.options.spacing_mm * 1e-3
     if not wanted_m > 0:
@@ -42,7 +42,7 @@ def make_contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
         if found[-1][0] <= CLOSE_ENOUGH:
             break
         asked_m *= wanted_m / spacing_m
-    return min(found, key=lambda f: f[0])[1]  # few poses step coarsely: the last is not always the nearest
+    return min(found, key=lambda f: f[0])[1]  # spacings of small grids change in steps: the last may not be the best
 
 
 def _list_contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
@@ -62,7 +62,7 @@ def mark_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> 
 def draw_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
     """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
 
-    Raises GridError when hardly any drawn pose has enough contact.
+    Raises GridError when hardly any pose drawn has enough contact.
     """
     found = [poses for poses, _ in draw_contacts(sampler, scene, count, rng)]
     return np.concatenate([np.empty((0, 4, 4)), *found])
@@ -74,8 +74,8 @@ def draw_contacts(
 ) -> Iterator[tuple[Poses, Float32]]:  # fmt: skip
     """Draw `count` contact poses as `draw_contact_poses` does; yield them in batches (K, 4, 4) with depths (K, H, W).
 
-    Contact depths, metres, are rendered at full press where `misplace` (if any) says that the poses really are; what
-    touches enough there is kept. Raises GridError when hardly any does.
+    Contact depths, metres, are rendered at full press. With `misplace`, they are rendered at the real poses that it
+    returns, and these must have enough contact. Raises GridError when hardly any pose has.
     """
     tried = kept = 0
     while kept < count:
@@ -93,7 +93,7 @@ def draw_contacts(
         yield poses, depths
         if tried > 2 / HARDLY_ANY and kept < HARDLY_ANY * tried:
             raise GridError(
-                f"hardly any random pose of {scene.object.name} touches the sensor with "
-                f"{sampler.options.min_contact_percent:g} % of it; lower grid.min_contact_percent or choose another "
-                "face"
+                f"hardly any random pose of {scene.object.name} touches "
+                f"{sampler.options.min_contact_percent:g} % of the sensor; lower grid.min_contact_percent or choose "
+                "another face"
             )

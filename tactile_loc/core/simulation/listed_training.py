@@ -1,14 +1,14 @@
-"""What encoders learn from where the poses that are searched are listed: a key is a pose's contact shape."""
+"""Training data for encoders with a grid of listed poses: each key is a pose's contact shape."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -22,7 +22,7 @@ from tactile_loc.core.slots.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class ListedTouches(TrainingTouches):
-    """Clean contact depths (N, H, W) in metres at full press, and each touch's label (N,): its nearest grid pose."""
+    """Clean contact depths (N, H, W), metres, at full press, and each touch's label (N,): its nearest grid pose."""
 
     depth_m: Float32
     labels: NDArray[np.int64]
@@ -33,9 +33,9 @@ class ListedTouches(TrainingTouches):
         return len(self.labels)
 
     def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches, made noisy, of all presses: keys are those of the deepest.
+        """Draw `count` different touches, with noise and any press; keys are at the deepest press.
 
-        Listed poses are not turned: there are no decoys.
+        There are no decoys, because touches are not rotated to listed poses.
         """
         chosen = np.sort(rng.choice(len(self), count, replace=False))
         deepest = self.geometry.max_depth_m
@@ -50,10 +50,10 @@ class ListedTouches(TrainingTouches):
 
 @dataclass(frozen=True, eq=False)
 class ListedProblem(TrainingProblem):
-    """Learn to find the nearest pose of a `grid`.
+    """The problem of finding the nearest pose of a `grid`.
 
-    `shapes` returns the contact depths (S, H, W) in metres of its poses at full press, shard by shard in its order.
-    Touches are at fresh poses from `sampler`, rendered through `scene`.
+    `shapes` yields the contact depths (S, H, W), metres, of its poses at full press, in shards, in the grid's order.
+    Touches are at new poses from `sampler`, rendered through `scene`.
     """
 
     grid: PoseGrid
@@ -78,23 +78,20 @@ class ListedProblem(TrainingProblem):
         return len(self.grid)
 
     def clean_keys(self, press_m: float) -> Iterable[Float32]:
-        """Return the contact depths (S, H, W) of the grid's poses at full press, metres, in shards."""
+        """Yield the contact depths (S, H, W), metres, of the grid's poses at full press, in shards."""
         return self.shapes()
 
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
-        """Render `count` touches at random poses of the continuous set that the grid covers."""
+        """Render `count` touches at random poses from the continuous set that the grid covers."""
         depths: list[Float32] = []
         labels: list[NDArray[np.int64]] = []
-
-        def misplaced(poses: Poses) -> Poses:
-            return noise.misplace(poses, self.geometry, rng)
-
-        for poses, depth in draw_contacts(self.sampler, self.scene, count, rng, misplaced):
+        misplace = partial(noise.misplace, geometry=self.geometry, rng=rng)
+        for poses, depth in draw_contacts(self.sampler, self.scene, count, rng, misplace):
             depths.append(depth)
             labels.append(self.grid.nearest(poses)[1])
         return ListedTouches(np.concatenate(depths), np.concatenate(labels), noise, self.geometry)
 
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how far apart poses `first` (K,) and `second` (K,) of the grid are, metres, symmetry not regarded."""
+        """Return the distances (K,), metres, of grid poses `first` (K,) and `second` (K,), without symmetry."""
         phi = self.grid.phi
         return np.asarray(np.linalg.norm(phi[first] - phi[second], axis=1))

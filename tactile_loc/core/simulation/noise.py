@@ -1,9 +1,10 @@
-"""What a real touch has and a clean render has not: a seeded model of the imperfections, in separable parts.
+"""A seeded model of the imperfections of real touches, in separable parts.
 
-In the order in which they happen: the sensor is not quite where its calibration says; the press is as deep as it is,
-and measured with an error; the elastomer rounds edges off; the contact's edge wanders, and so does the measured depth
-inside it; patches are missed (bubbles, dirt, a lifted border) and others appear (wear, markers, reflections). All sizes
-are metres on the sensing surface, so that the noise is the same however many pixels an image has."""
+In order of occurrence: the sensor is not exactly where its calibration says; the press is measured with an error; the
+elastomer rounds edges off; the contact's edge and the measured depth inside it vary randomly; patches are missed
+(bubbles, dirt, a lifted border), and others appear (wear, markers, reflections). All sizes are metres on the sensing
+surface, so the noise does not depend on the number of pixels.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +25,13 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-FAINTEST = 0.2  # of the least imprint that shows: the wandering threshold never falls below
-SHALLOWEST = 0.1  # of the true press: no measurement says less
-REACH = 4.0  # standard deviations of a Gaussian that count
+FAINTEST = 0.2  # least value of the varying threshold, as a share of its mean
+SHALLOWEST = 0.1  # least measured press, as a share of the true one
+REACH = 4.0  # standard deviations at which a Gaussian is cut off
 
 
 class Centres(NamedTuple):
-    """Points (P,) of a batch: the image that each is in, and where in it, x and y in metres."""
+    """Points (P,) in a batch of images: the image of each, and its place there, x and y in metres."""
 
     image: Index
     x_m: Float64
@@ -39,9 +40,9 @@ class Centres(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Gel:
-    """The pixels on the sensing rectangle: their `rows` and `columns` in the image, and where their centres are.
+    """The pixels on the sensing rectangle: their `rows` and `columns` in the image, and their centres.
 
-    `x_m` (W,) and `y_m` (H,) on the undeformed surface, `pitch_m` from pixel to pixel, `rectangle_m` the rectangle; m.
+    `x_m` (W,) and `y_m` (H,) are on the undeformed surface, `pitch_m` is the pixel pitch, `rectangle_m` the rectangle.
     """
 
     rows: slice
@@ -63,10 +64,9 @@ class Gel:
         return cls(rows, columns, x[columns], y[rows], (1 / sx, 1 / sy), geometry.rectangle)
 
     def blur(self, images: Float32, sigma_m: float) -> Float32:
-        """Blur images (N, H, W) by a Gaussian of `sigma_m` metres; beyond the rectangle their border goes on.
+        """Blur images (N, H, W) with a Gaussian of `sigma_m` metres; beyond the rectangle, their border continues.
 
-        Pixels are squares: a step between two of them becomes the Gaussian's error function exactly, however large they
-        are.
+        Pixels are squares: a step between two of them becomes exactly the Gaussian's error function, at any pixel size.
         """
         x, y = (
             _make_blur_weights(len(a), sigma_m / p) for a, p in zip((self.x_m, self.y_m), self.pitch_m, strict=True)
@@ -74,10 +74,10 @@ class Gel:
         return _transform_images(images, y, x)
 
     def draw_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
-        """Draw smooth random images (count, H, W) of zero mean and unit variance everywhere, unitless.
+        """Draw smooth random images (count, H, W) with mean 0 and variance 1 everywhere, unitless.
 
-        White noise on a lattice of `patch_m` metres, blurred by a Gaussian of the same standard deviation: the lattice
-        is the surface's, so that one seed gives one field, whatever the pixels.
+        White noise on a lattice of `patch_m` metres is blurred with a Gaussian of that standard deviation. The lattice
+        belongs to the surface, so one seed gives one field at any image size.
         """
         x0, x1, y0, y1 = self.rectangle_m
         x, y = _make_field_weights(self.x_m, x0, x1, patch_m), _make_field_weights(self.y_m, y0, y1, patch_m)
@@ -85,7 +85,7 @@ class Gel:
         return _transform_images(white, y, x)
 
     def mark_border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Mark (N, H, W) a strip along one random side of each image's rectangle, of widths (N,) in metres."""
+        """Mark (N, H, W) a strip along one random side of each image's rectangle, with widths (N,) in metres."""
         x0, x1, y0, y1 = self.rectangle_m
         side = rng.integers(4, size=len(width_m))
         left, right, top, bottom = (np.where(side == k, width_m, -np.inf)[:, None] for k in range(4))
@@ -94,13 +94,13 @@ class Gel:
         return columns[:, None, :] | rows[:, :, None]
 
     def draw_points(self, counts: Index, rng: np.random.Generator) -> Centres:
-        """Draw so many (N,) points of each image, uniformly on the rectangle."""
+        """Draw a number (N,) of points for each image, uniformly on the rectangle."""
         x0, x1, y0, y1 = self.rectangle_m
         image = np.repeat(np.arange(len(counts)), counts)
         return Centres(image, rng.uniform(x0, x1, len(image)), rng.uniform(y0, y1, len(image)))
 
     def draw_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
-        """Draw so many (N,) pixels of those marked (N, H, W) in each image, with replacement; none where none is."""
+        """Draw a number (N,) of the marked (N, H, W) pixels of each image, with replacement; none if none is marked."""
         held = np.count_nonzero(marked, axis=(1, 2))
         image = np.repeat(np.arange(len(counts)), np.where(held > 0, counts, 0))
         nth = (np.cumsum(held) - held)[image] + (rng.random(len(image)) * held[image]).astype(np.intp)
@@ -116,7 +116,7 @@ def stamp(
     value_m: NDArray[np.floating[Any]],
     combine: Callable[..., Any],
 ) -> None:
-    """Write discs of radii (P,) about `centres` into depths (N, H, W): `combine` (a ufunc) of old and value (P,). m."""
+    """Write discs of radii (P,), m, about `centres` into depths (N, H, W): `combine` is a ufunc of old and new."""
     left, right = _find_interval(gel.x_m, centres.x_m, radius_m)
     top, bottom = _find_interval(gel.y_m, centres.y_m, radius_m)
     for i, image in enumerate(centres.image):
@@ -128,21 +128,20 @@ def stamp(
 
 
 def _find_interval(pixels_m: Float64, centre_m: Float64, radius_m: Float64) -> tuple[Index, Index]:
-    """First and last-but-one index of the sorted pixels (W,) within radii (P,) of centres (P,), metres."""
+    """Return the slice bounds of the sorted pixels (W,) within radii (P,) of centres (P,), metres."""
     return np.searchsorted(pixels_m, centre_m - radius_m), np.searchsorted(pixels_m, centre_m + radius_m)
 
 
 def _transform_images(images: Float32, rows: Float32, columns: Float32) -> Float32:
     """Apply matrices (H, h) to the rows and (W, w) to the columns of images (N, h, w): (N, H, W)."""
-    result: Float32 = rows @ (images @ columns.T)
-    return result
+    return np.asarray(rows @ (images @ columns.T))
 
 
 @lru_cache(maxsize=64)
 def _make_blur_weights(count: int, sigma_px: float) -> Float32:
-    """Weights (count, count) of pixel j's area in the Gaussian about pixel i's centre; the outer pixels go on forever.
+    """Return weights (count, count) of pixel j's area in the Gaussian about pixel i's centre; outer pixels continue.
 
-    Beyond `REACH` the Gaussian is cut off, so that an imprint has an end.
+    The Gaussian is cut off at `REACH`, so that an imprint has an end.
     """
     from scipy.special import ndtr
 
@@ -151,31 +150,30 @@ def _make_blur_weights(count: int, sigma_px: float) -> Float32:
     z = (edge[None] - centre[:, None]) / sigma_px
     share = np.where(z < -REACH, 0.0, np.where(z > REACH, 1.0, ndtr(z)))
     weights: Float32 = np.diff(share, axis=1).astype(np.float32)
-    weights.flags.writeable = False  # the same for every touch
+    weights.flags.writeable = False  # cached for all touches
     return weights
 
 
 def _make_field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: float) -> Float32:
-    """Weights (W, K) of the lattice's K points at each pixel; their squares sum to one, so that variance is one."""
+    """Return weights (W, K) of the lattice's K points at each pixel; their squares sum to one, for variance 1."""
     margin = int(REACH)
     lattice_m = low_m + patch_m * np.arange(-margin, np.ceil((high_m - low_m) / patch_m) + margin + 1)
     z = (pixels_m[:, None] - lattice_m) / patch_m
-    weights = np.where(np.abs(z) < REACH, np.exp(-0.5 * z**2), 0.0)  # tiny numbers would be slow ones
-    normalised: Float32 = (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
-    return normalised
+    weights = np.where(np.abs(z) < REACH, np.exp(-0.5 * z**2), 0.0)  # denormal numbers would be slow
+    return np.asarray((weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32))
 
 
 @dataclass(frozen=True)
 class TouchNoise:
-    """How strong each imperfection is. Lengths in metres, angles in radians; zeros switch a part off.
+    """The strength of each imperfection. Lengths in metres, angles in radians; zeros switch a part off.
 
     `press_share` (least, most) of the sensor's deepest press is drawn uniformly, and measured with a relative error of
-    standard deviation `press_error`. `smoothing_m` is the elastomer's rounding (standard deviation of a Gaussian on the
-    imprint). An imprint shallower than `least_m` does not show; over patches of `edge_patch_m` this threshold wanders
-    by `edge_m` (standard deviation), but never below `FAINTEST` of `least_m`. The depth of what shows drifts by
-    `drift_m` (standard deviation) over patches of `drift_patch_m`, and still shows. `missing` and `spurious` are mean
-    numbers of round patches, of radius up to `patch_m`; contact within a strip, up to `border_m` wide, along a random
-    side of the sensing rectangle is lost. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
+    standard deviation `press_error`. `smoothing_m` is the elastomer's rounding: the standard deviation of a Gaussian on
+    the imprint. An imprint shallower than `least_m` does not show. This threshold varies with standard deviation
+    `edge_m` over patches of `edge_patch_m`, but never falls below `FAINTEST` of `least_m`. The measured depth varies
+    with standard deviation `drift_m` over patches of `drift_patch_m`, without losing contact. `missing` and `spurious`
+    are mean numbers of round patches with radii up to `patch_m`. Contact is lost in a strip, up to `border_m` wide,
+    along a random side of the sensing rectangle. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
     calibration error, along and about each axis. Raises ConfigError for impossible values.
     """
 
@@ -200,18 +198,18 @@ class TouchNoise:
             raise ConfigError(f"the noise's press_share is {least:g} to {most:g}; give 0 < least <= most <= 1")
         for name, value in asdict(self).items():
             if name != "press_share" and not (math.isfinite(value) and value >= 0):
-                raise ConfigError(f"the noise's {name} is {value}; it must be zero or a positive number")
+                raise ConfigError(f"the noise's {name} is {value}; give 0 or a positive number")
         for name in ("edge_patch_m", "drift_patch_m"):
             if not getattr(self, name) > 0:
-                raise ConfigError(f"the noise's {name} is 0; it must be a positive number")
+                raise ConfigError(f"the noise's {name} is 0; give a positive number")
 
     def describe(self) -> dict[str, object]:
-        """Return the settings as JSON values: what identifies the noise."""
+        """Return the settings, which identify the noise, as JSON values."""
         return {**asdict(self), "press_share": list(self.press_share)}
 
     @property
     def misplaces(self) -> bool:
-        """Whether the sensor is elsewhere than it is believed to be."""
+        """Whether the sensor's pose has an error."""
         return self.sensor_m > 0 or self.sensor_rad > 0
 
     def draw_press(self, count: int, max_depth_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -221,34 +219,34 @@ class TouchNoise:
     def measure_press(
         self, press_depth_m: NDArray[np.float64], max_depth_m: float, rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return what the sensor says of press depths (N,), metres: off by `press_error`, within its range."""
+        """Return the measured press depths for true ones (N,), metres: with `press_error`, within the range."""
         factor = 1.0 + self.press_error * rng.normal(size=len(press_depth_m))
         return np.minimum(press_depth_m * np.maximum(factor, SHALLOWEST), max_depth_m)
 
     def misplace(self, T_sensor_object: Poses, geometry: SensorGeometry, rng: np.random.Generator) -> Poses:
-        """Return where poses (N, 4, 4), metres, really are when the sensor is not quite where it is believed to be.
+        """Return the real poses for poses (N, 4, 4), metres, of a sensor whose own pose has an error.
 
-        The sensor is turned about the centre of its sensing rectangle, whatever the object's frame or the standoff.
-        What comes out is not brought to contact.
+        The sensor is rotated about the centre of its sensing rectangle, independent of the object's frame and the
+        standoff. The poses returned are not brought to contact.
         """
         from scipy.spatial.transform import Rotation
 
         if not self.misplaces:
             return T_sensor_object.copy()
         count = len(T_sensor_object)
-        turn = Rotation.from_rotvec(self.sensor_rad * rng.normal(size=(count, 3))).as_matrix()
+        R = Rotation.from_rotvec(self.sensor_rad * rng.normal(size=(count, 3))).as_matrix()
         shift = self.sensor_m * rng.normal(size=(count, 3))
         x0, x1, y0, y1 = geometry.rectangle
         centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.standoff_m])
         lever = (T_sensor_object[:, :3, 3] - centre)[..., None]
-        return make_transform(turn @ T_sensor_object[:, :3, :3], (turn @ lever)[..., 0] + centre + shift)
+        return make_transform(R @ T_sensor_object[:, :3, :3], (R @ lever)[..., 0] + centre + shift)
 
     def corrupt(
         self, depth_m: Float32, press_depth_m: NDArray[np.float64], geometry: SensorGeometry, rng: np.random.Generator
     ) -> Float32:
-        """Return noisy contact depths (N, H, W) float32, metres, of clean ones at full press, cut at press depths (N,).
+        """Return noisy contact depths (N, H, W) float32, metres, from clean ones at full press; press depths are (N,).
 
-        No contact is exactly the press depth. What lies off the sensing rectangle stays clean: there is no elastomer.
+        No contact is exactly the press depth. Pixels off the sensing rectangle stay clean: there is no elastomer.
         """
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)
@@ -267,17 +265,16 @@ class TouchNoise:
         return noisy
 
     def cut(self, depth_m: Float32, press_depth_m: NDArray[np.float64], measured_m: NDArray[np.float64]) -> Float32:
-        """Return the contact depths (N, H, W) that a sensor reports which takes presses (N,) for `measured_m` (N,).
+        """Return the contact depths (N, H, W) that a sensor reports if it measures presses (N,) as `measured_m` (N,).
 
-        `depth_m` (N, H, W) are the noisy ones at the true presses; all in metres. A press that is taken for a lighter
-        one loses the rim of its contact; one that is taken for a deeper one shows no more than it did. No contact is
-        the measured press.
+        `depth_m` (N, H, W) are the noisy ones at the true presses; all in metres. A press measured as lighter loses the
+        rim of its contact. A press measured as deeper shows no more than it did. No contact is the measured press.
         """
         press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
         return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
 
     def _draw_threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
-        """The imprint that just does not show, metres: one number, or (count, H, W) where it wanders."""
+        """Draw the imprint below which nothing shows, metres: one number, or (count, H, W) if it varies."""
         least = np.float32(self.least_m)
         if self.edge_m == 0:
             return least
@@ -285,7 +282,7 @@ class TouchNoise:
         return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
 
     def _add_patches(self, depth: Float32, press: Float32, gel: Gel, rng: np.random.Generator) -> None:
-        """Take round patches out of depths (N, H, W) at presses (N, 1, 1), metres, and put spurious ones in."""
+        """Remove round patches of contact from depths (N, H, W) at presses (N, 1, 1), metres, and add spurious ones."""
         if self.missing > 0:
             centres = gel.draw_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)
             radius = self.patch_m * rng.uniform(0.3, 1.0, len(centres.image))

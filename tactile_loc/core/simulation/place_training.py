@@ -1,7 +1,7 @@
-"""What encoders learn from where an object's places are searched: a key is a place's patch, wholly seen.
+"""Training data for encoders with a search of places: each key is a place's patch, seen completely.
 
-A touch is seen as the search sees it: from its deepest point, turned back by the yaw that brings it nearest to one of
-the places, and only as far as the sensor reaches. The search tries all yaws, so decoys are turned by other ones.
+A touch is seen as in the search: from its deepest point, rotated back by the yaw that brings it nearest to one of the
+places, and only as far as the sensor reaches. The search tries all yaws, so decoys are rotated by other yaws.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -30,16 +30,16 @@ from tactile_loc.core.slots.encoder import Checkpoints, TrainingBatch, TrainingP
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 
-KEYS = 1024  # in a shard
-PIXEL_M = 0.8 * PITCH_M  # at most, of the touches that are learned from
-LIGHTEST = 0.25  # of the sensor's deepest press: so deep at least touches are pressed
-REACH = 2.0  # of the grid's spacing: what is farther from all places teaches nothing
-CLEAR = 2  # steps of yaw between a touch that is turned rightly and its decoys
+KEYS = 1024  # per shard
+PIXEL_M = 0.8 * PITCH_M  # largest pixel of the touches
+LIGHTEST = 0.25  # lightest press, as a share of the sensor's deepest
+REACH = 2.0  # grid spacings: a touch farther from all places is not used
+CLEAR = 2  # least steps of yaw between a correctly rotated touch and its decoys
 MOST_ROUNDS = 50
 
 
 class Labels(NamedTuple):
-    """Of M touches: the nearest places (M,), the yaws (M,), rad, by which they are turned, how far they are (M,), m."""
+    """Of M touches: the nearest places (M,), the yaws (M,), rad, that rotate them there, and the distances (M,), m."""
 
     numbers: NDArray[np.int64]
     yaw_rad: NDArray[np.float64]
@@ -48,10 +48,10 @@ class Labels(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PlaceProblem(TrainingProblem):
-    """Learn to find the nearest of an object's `places`, and the yaw by which it is turned.
+    """The problem of finding the nearest of an object's `places`, and its yaw.
 
-    Touches are at random poses of `sampler`, whose option `turns` is the number of yaws that are tried; they are
-    rendered through `scene`, which nothing presses yet.
+    Touches are at random poses of `sampler`, whose option `turns` is the number of yaws tried. They are rendered
+    through the unpressed `scene`.
     """
 
     places: Places
@@ -68,7 +68,7 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def key_presses_m(self) -> NDArray[np.float64]:
-        """The presses (P,), metres, from a light one to the sensor's deepest, in the steps in which places are cut."""
+        """The presses (P,), metres, from a light one to the sensor's deepest, in steps of PRESS_STEP_M."""
         deepest_m = min(HIGHEST_M, self.scene.geometry.max_depth_m)
         first = max(1, round(LIGHTEST * deepest_m / PRESS_STEP_M))
         last = max(first, int(deepest_m / PRESS_STEP_M + 1e-6))
@@ -78,8 +78,8 @@ class PlaceProblem(TrainingProblem):
     def grid(self) -> PoseGrid:
         """Raise ConfigError: no poses are listed."""
         raise ConfigError(
-            f"an object's {len(self)} places are no listed poses, which this encoder learns from; choose --grid face, "
-            "--grid hopf, or another encoder"
+            f"this encoder learns from listed poses, but the grid lists an object's {len(self)} places; choose --grid "
+            "face, --grid hopf, or another encoder"
         )
 
     @property
@@ -91,21 +91,18 @@ class PlaceProblem(TrainingProblem):
         return len(self.places)
 
     def clean_keys(self, press_m: float) -> Iterable[Float32]:
-        """Return the contact depths (S, PATCH_PX, PATCH_PX) of the places, cut at a press, metres, in shards."""
+        """Yield the contact depths (S, PATCH_PX, PATCH_PX), metres, of the places, cut at a press, in shards."""
         for start in range(0, len(self.places), KEYS):
             yield self.places.depths(press_m, slice(start, start + KEYS))
 
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
-        """Render `count` touches at random poses, of which a place is near. Raises GridError where hardly any is."""
+        """Render `count` touches at random poses that are near a place. Raises GridError when hardly any is."""
         kept_depths: list[Float32] = []
         kept_poses: list[Poses] = []
         missing = count
-
-        def misplaced(poses: Poses) -> Poses:
-            return noise.misplace(poses, self.fine.geometry, rng)
-
+        misplace = partial(noise.misplace, geometry=self.fine.geometry, rng=rng)
         for _ in range(MOST_ROUNDS):
-            for poses, depths in draw_contacts(self.sampler, self.fine, missing, rng, misplaced):
+            for poses, depths in draw_contacts(self.sampler, self.fine, missing, rng, misplace):
                 near = self._is_near_place(depths, poses)
                 kept_depths.append(depths[near])
                 kept_poses.append(poses[near])
@@ -113,12 +110,11 @@ class PlaceProblem(TrainingProblem):
             if missing <= 0:
                 return PlaceTouches(np.concatenate(kept_depths), np.concatenate(kept_poses), noise, self)
         raise GridError(
-            f"hardly any random touch of {self.scene.object.name} is near one of the grid's places; raise "
-            "grid.directions"
+            f"hardly any random touch of {self.scene.object.name} is near a place of the grid; raise grid.directions"
         )
 
     def _is_near_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
-        """Which (M,) of contact depths (M, H, W) at full press are touches that a place is near to; metres."""
+        """Whether contact depths (M, H, W) at full press are touches near a place; metres."""
         touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths_m]
         near = np.array([touch is not None for touch in touches], np.bool_)
         some = [touch for touch in touches if touch is not None]
@@ -127,7 +123,7 @@ class PlaceProblem(TrainingProblem):
         return near
 
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how far apart places `first` (K,) and `second` (K,) are as poses, metres, at the best yaw."""
+        """Return the distances (K,), metres, of places `first` (K,) and `second` (K,) as poses, at the best yaw."""
         T = self.places.T_place_object
         return np.array(
             [RotatedPoses(T[[b]], self._metric).nearest(T[[a]])[0][0] for a, b in zip(first, second, strict=True)]
@@ -135,7 +131,7 @@ class PlaceProblem(TrainingProblem):
 
     @cached_property
     def fine(self) -> Scene:
-        """The scene of the touches, at full press, and at few pixels that are finer than a patch's."""
+        """The scene of the touches: at full press, with few pixels that are finer than a patch's."""
         geometry = self.scene.geometry
         pixels = int(np.ceil(geometry.pixel_pitch_m * max(geometry.shape) / PIXEL_M))
         geometry = geometry.resize_long_side(min(pixels, max(geometry.shape))).press(geometry.max_depth_m)
@@ -152,35 +148,26 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def reach_m(self) -> float:
-        """How far the pose that a touch shows may be from the nearest place's, metres."""
+        """Largest distance of a touch's pose from the nearest place's, metres."""
         return REACH * 1e-3 * self.sampler.options.spacing_mm
 
-    @property
-    def yaw_step_rad(self) -> float:
-        """The step between yaws that are tried, rad."""
-        return float(2 * np.pi / self.sampler.options.turns)
-
     def touch(self, depth_m: Float32, press_m: float) -> Touch | None:
-        """Return the touch of a contact depth (H, W) at full press, cut at `press_m`, metres; None where it is none."""
+        """Return the touch of a contact depth (H, W) at full press, cut at `press_m`, metres; None if it is invalid."""
         geometry = self.fine.geometry
         try:
             return Touch(ContactShape(depth_m, press_m, geometry.indentation_m), geometry)
         except TouchError:
             return None
 
-    def full(self, depth_m: Float32) -> ContactShape:
-        """Return the contact shape of a contact depth (H, W), metres, at full press."""
-        return ContactShape(depth_m, self.fine.geometry.max_depth_m)
-
     def labels(self, touches: Sequence[Touch], T_sensor_object: Poses) -> Labels:
-        """Return the places nearest to touches, whose true poses are (M, 4, 4), metres."""
+        """Return the places nearest to touches with true poses (M, 4, 4), metres."""
         off_m, numbers, yaw_rad = self.rotated.nearest(move_to_anchors(touches, T_sensor_object))
         return Labels(numbers, yaw_rad, off_m)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceTouches(TrainingTouches):
-    """Clean contact depths (N, H, W) at full press, and the poses (N, 4, 4) that they are believed to show, metres."""
+    """Clean contact depths (N, H, W) at full press, and the poses (N, 4, 4) that the sensor reports, metres."""
 
     depth_m: Float32
     T_sensor_object: Poses
@@ -191,7 +178,7 @@ class PlaceTouches(TrainingTouches):
         return len(self.depth_m)
 
     def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches, measured to be pressed by `press_m` metres or a step more, and made noisy.
+        """Draw `count` different touches with noise, measured as pressed by `press_m` metres or up to a step more.
 
         Each has `decoys` decoys. A touch that noise hides, or moves away from all places, stays clean.
         """
@@ -199,7 +186,7 @@ class PlaceTouches(TrainingTouches):
 
         problem, chosen = self.problem, np.sort(rng.choice(len(self), count, replace=False))
         touches, labels = self._make_noisy(chosen, rng, press_m)
-        step_rad, poses = problem.yaw_step_rad, self.T_sensor_object[chosen]
+        step_rad, poses = float(2 * np.pi / problem.sampler.options.turns), self.T_sensor_object[chosen]
         yaw_rad = np.empty((count, 1 + decoys))
         yaw_rad[:, 0] = labels.yaw_rad + step_rad * rng.uniform(-0.5, 0.5, count)
         away_rad = rng.uniform(CLEAR * step_rad, 2 * np.pi - CLEAR * step_rad, (count, decoys))
@@ -217,11 +204,11 @@ class PlaceTouches(TrainingTouches):
     def _make_noisy(
         self, chosen: NDArray[np.int64], rng: np.random.Generator, press_m: float
     ) -> tuple[list[Touch], Labels]:
-        """The touches `chosen` (M,) with noise, but for those that it would spoil, and their labels."""
+        """Return the touches `chosen` (M,) with noise, or clean if noise would spoil them, and their labels."""
         problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
         geometry, clean = problem.fine.geometry, self.depth_m[chosen]
         believed_m = np.minimum(press_m + PRESS_STEP_M * rng.random(len(chosen)), geometry.max_depth_m)
-        # as far as a press is measured too deep, one that is measured so was lighter
+        # the true press is lighter by the factor by which it is measured too deep
         true_m = np.minimum(believed_m**2 / noise.measure_press(believed_m, np.inf, rng), geometry.max_depth_m)
         noisy = noise.cut(noise.corrupt(clean, true_m, geometry, rng), true_m, np.full(len(chosen), press_m))
         plain = [self._make_clean(depth, press_m) for depth in clean]
@@ -237,14 +224,15 @@ class PlaceTouches(TrainingTouches):
         return touches, labels
 
     def _make_clean(self, depth_m: Float32, press_m: float) -> Touch:
-        """A touch without noise, cut at a press depth, metres, or at full press where that leaves no contact."""
+        """Return a touch without noise, cut at a press depth, metres, or at full press if there would be no contact."""
         problem = self.problem
         light = problem.touch(np.minimum(depth_m, np.float32(press_m)), press_m)
-        return light or Touch(problem.full(depth_m), problem.fine.geometry)
+        geometry = problem.fine.geometry
+        return light or Touch(ContactShape(depth_m, geometry.max_depth_m), geometry)
 
 
 def move_to_anchors(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
-    """Return poses (M, 4, 4), metres, as seen from where each of M touches is deepest, along the gel's normal."""
+    """Return poses (M, 4, 4), metres, seen from the deepest points of M touches, along the gel's normals."""
     from tactile_loc.core.sensing.rotated_patches import find_anchor
 
     anchors = [find_anchor(touch) for touch in touches]

@@ -1,4 +1,4 @@
-"""Simulated touches: random contact poses and the contact shapes they make, clean or with a touch's noise."""
+"""Simulated touches: random contact poses and their contact shapes, clean or with noise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 
-MOST_ROUNDS = 200  # of drawing what is missing
+MOST_ROUNDS = 200  # of drawing missing touches
 
 
 def simulate_touches(
@@ -29,15 +29,15 @@ def draw_touches(
     sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
     noise: TouchNoise | None = None,
 ) -> tuple[list[Touch], int]:  # fmt: skip
-    """Make `count` touches with known poses, and say how many presses were refused on the way.
+    """Make `count` touches with known poses, and return how many presses were refused.
 
-    They are pressed `press_depth_m` metres deep (by default the sensor's deepest). A pose is where the object is while
-    it is pressed, its deepest point at z = surface - press depth. With `noise`, what is rendered is the pose that the
-    sensor's calibration error makes of the true one, its contact corrupted, cut at the press depth that the sensor
-    measures; the press itself is drawn unless it is given. A press is refused, and another drawn, when noise leaves
-    less true contact than the sampler asks of a pose, or when all that shows is a flat face; but for those, the same
-    `rng` draws the same poses whatever the noise. Raises TouchError for a press beyond the sensor's range or one that
-    hardly ever leaves an imprint, GridError when the object hardly ever touches.
+    They are pressed `press_depth_m` metres deep (by default the sensor's deepest). A pose is that of the pressed
+    object, with its deepest point at z = surface - press depth. With `noise`, the pose that is rendered has the
+    sensor's calibration error; its contact is corrupted, and cut at the measured press depth. The press is drawn unless
+    it is given. A press is refused and drawn again if noise leaves less true contact than the sampler requires, or if
+    it shows only a flat face. Apart from that, the same `rng` draws the same poses with any noise. Raises TouchError
+    for a press beyond the sensor's range or one that hardly ever leaves an imprint, GridError when the object hardly
+    ever touches.
     """
     deepest = scene.geometry.max_depth_m
     press = deepest if press_depth_m is None else press_depth_m
@@ -65,18 +65,18 @@ def draw_touches(
 
 
 class PressNoise:
-    """Presses an object on a sensor that is not quite what it is believed to be.
+    """Presses an object on a sensor that has the errors of `noise`.
 
-    All presses are `press_depth_m` metres deep, or as deep as `noise` draws them; nothing is pressed yet in `scene`.
+    All presses are `press_depth_m` metres deep, or drawn by `noise`. `scene` is unpressed.
     """
 
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
 
     def press(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
-        """Press poses (N, 4, 4) that just touch; return where they are then, metres, and the contact shape of each.
+        """Press poses (N, 4, 4) that just touch; return the pressed poses, metres, and the contact shape of each.
 
-        It is None where noise left less than this contact.
+        A shape is None if noise left less than `least_percent` of contact.
         """
         noise, geometry = self.noise, self.scene.geometry
         seen, touching = self._misplace(T_sensor_object)
@@ -90,28 +90,27 @@ class PressNoise:
         if noise == TouchNoise():
             return poses, list(shapes)
         least = max(1.0, least_percent / 100 * geometry.observed_mask.sum())
-        real = (clean < press.astype(np.float32)[:, None, None]) & geometry.observed_mask  # spurious contact is none
+        # spurious contact does not count
+        real = (clean < press.astype(np.float32)[:, None, None]) & geometry.observed_mask
         kept = touching & [np.count_nonzero(s.contact & r) >= least for s, r in zip(shapes, real, strict=True)]
         return poses, [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
 
     def _render_depths(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
-        """Contact depths (N, H, W) of poses pressed in by (N,), up to the sensor's deepest from their own; metres."""
+        """Render contact depths (N, H, W) of poses pressed by (N,), up to the sensor's maximal depth; metres."""
         depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
         for m in np.unique(press_m):
-            these = press_m == m
-            depths[these] = self.scene.press(m, self.scene.geometry.max_depth_m).render_contact_depths(
-                T_sensor_object[these]
-            )
+            these, scene = press_m == m, self.scene.press(m, self.scene.geometry.max_depth_m)
+            depths[these] = scene.render_contact_depths(T_sensor_object[these])
         return depths
 
     def _misplace(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
-        """Where the poses (N, 4, 4) really are, in contact, and which (N,) touch. Metres."""
+        """Return the real poses (N, 4, 4), in contact, and which (N,) touch. Metres."""
         if not self.noise.misplaces:
             return T_sensor_object, np.ones(len(T_sensor_object), bool)
         return self.scene.bring_to_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
 
     def _draw_presses(self, count: int) -> NDArray[np.float64]:
-        """How deep the presses (count,) are, metres."""
+        """Return the depths (count,) of presses, metres."""
         if self.press_depth_m is not None:
             return np.full(count, self.press_depth_m)
         return self.noise.draw_press(count, self.scene.geometry.max_depth_m, self.rng)
@@ -125,7 +124,7 @@ def lower(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
 
 
 def _make_touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
-    """One touch, or None where the imprint is no touch: nothing, or nothing but a flat face all over the sensor."""
+    """Make one touch; return None if there is no contact, or only a flat face all over the sensor."""
     try:
         return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)
     except TouchError:

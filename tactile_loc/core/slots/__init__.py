@@ -1,1 +1,1 @@
-"""The seven interfaces of plugins, the scene that they share, and their registry."""
+"""The seven plugin interfaces, the scene that they share, and their registry."""

@@ -1,4 +1,4 @@
-"""Grids of all rotations times the plane: what such a grid has in common, whichever rotations it lists."""
+"""The base of grids that combine all rotations with a plane lattice, whichever rotations they list."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ log = logging.getLogger(__name__)
 Float = NDArray[np.float64]
 
 MOST_DRAWN = 100_000  # rotations drawn at once
-MOST_TURNED = 1_000_000  # points turned at once: 24 MB
+MOST_ROTATED = 1_000_000  # points rotated at once: 24 MB
 
 
 class AllRotationsGrid(GridSampler):
-    """All of SO(3) times the plane, for a touch anywhere on the object: a subclass says which rotations, `rotations`.
+    """All of SO(3) times the plane, for a touch anywhere on the object; a subclass lists the `rotations`.
 
-    Options of a subclass derive from this class's; its `name` stands in messages.
+    A subclass's options derive from this class's, and its `name` appears in messages.
     """
 
     name: ClassVar[str]
@@ -43,27 +43,27 @@ class AllRotationsGrid(GridSampler):
     class Options(GridSampler.Options):
         """How dense the grid is, and when it is too large."""
 
-        # Every halving makes 32 times as many poses, so this cannot be as fine as a grid of one face.
+        # Halving it makes 32 times as many poses, so this cannot be as fine as a grid of one face.
         spacing_mm: float = Field(default=8.0, gt=0, description="mean distance between neighbouring poses, mm")
-        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
+        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid with more poses than this")
 
     @abstractmethod
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
-        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart, one for each that look alike."""
+        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart, one of each equivalent set."""
 
     @abstractmethod
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Return how many poses, about or at least, `sample` would make at a spacing in metres; it makes none."""
+        """Return a lower or approximate bound on the poses that `sample` would make at a spacing in metres."""
 
     @abstractmethod
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Say what to choose, "take ...", where a spacing in metres makes too many poses."""
+        """Return what to choose, "take ...", if a spacing in metres makes too many poses."""
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one for each class that looks the same.
+        """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one of each set that looks the same.
 
-        The centroid is on a square lattice of that pitch, at z = 0. Raises GridError when the spacing is below a
-        micrometre, or when there would be more than `max_poses`, before any are made.
+        The centroids are on square lattices of that pitch, at z = 0. Raises GridError, before any pose is made, for a
+        spacing below a micrometre or more than `max_poses` poses.
         """
         require_spacing(spacing_m)
         self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)
@@ -78,15 +78,13 @@ class AllRotationsGrid(GridSampler):
     @staticmethod
     def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
         """Return how many places (N,), `spacing_m` metres apart, rotations R (N, 3, 3) have over the sensor."""
-        counts: NDArray[np.int64] = compute_lattice_shape(*find_centroid_range(obj, R, geometry), spacing_m).prod(
-            axis=-1
-        )
-        return counts
+        shapes = compute_lattice_shape(*find_centroid_range(obj, R, geometry), spacing_m)
+        return np.asarray(shapes.prod(axis=-1))
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
         """Draw poses (count, 4, 4), metres, uniformly over all rotations and places where the boxes overlap; z is free.
 
-        A rotation is drawn as often as its region is large, as the grid has it.
+        A rotation is drawn in proportion to the area of its places, as in the grid.
         """
         return draw_places(obj, geometry, count, rng, lambda n: draw_rotations(n, rng))
 
@@ -96,21 +94,21 @@ class AllRotationsGrid(GridSampler):
             raise GridError(
                 f"the {self.name} grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs {count:,} poses or "
                 f"more, over the limit of {limit:,}; {self.advice(obj, geometry, spacing_m)}, raise max_poses, or "
-                "choose the face grid if the face that touches is known"
+                "choose the face grid if you know the face that touches"
             )
 
 
 def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
-    """Return low and high (N, 2) in metres of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
+    """Return low and high (N, 2), metres, of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
 
-    Between them, the turned object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
+    Between them, the rotated object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
     """
     points = obj.mesh.hull_corners_m - obj.mesh.centroid_m
     low, high = np.empty((len(R), 2)), np.empty((len(R), 2))
-    step = max(1, MOST_TURNED // len(points))
+    step = max(1, MOST_ROTATED // len(points))
     for s in range(0, len(R), step):
-        turned = points @ np.swapaxes(R[s : s + step], -1, -2)
-        low[s : s + step], high[s : s + step] = find_reachable_translations(turned, geometry.rectangle)
+        rotated = points @ np.swapaxes(R[s : s + step], -1, -2)
+        low[s : s + step], high[s : s + step] = find_reachable_translations(rotated, geometry.rectangle)
     return low, high
 
 
@@ -120,8 +118,8 @@ def draw_places(
 ) -> Poses:  # fmt: skip
     """Draw poses (count, 4, 4), metres, uniformly over rotations and the places where the boxes overlap; z is free.
 
-    `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. One is kept as often as its region is large, as a grid has
-    it: were it kept always, poses of a small region would be drawn too often.
+    `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. Each is kept in proportion to the area of its places, as
+    in a grid; otherwise rotations with few places would be drawn too often.
     """
     x0, x1, y0, y1 = geometry.rectangle
     longest_m = float(np.linalg.norm(obj.mesh.extents_m))
@@ -136,7 +134,7 @@ def draw_places(
 
 
 def _place_centroids(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
-    """Poses (N, 4, 4) of rotations (N, 3, 3) whose centroid is at (x, y, 0) for `xy_m` (N, 2), sensor frame, metres."""
+    """Return poses (N, 4, 4), metres, of rotations (N, 3, 3) with centroids at x, y (N, 2) and z = 0."""
     centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
     return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)
 

@@ -1,4 +1,4 @@
-"""The poses that touch every sensor, where each sensor's grid has them, and fusers of what touches say of them."""
+"""Poses that touch every sensor, looked up in each sensor's grid, and the base of fusers that use them."""
 
 from __future__ import annotations
 
@@ -22,54 +22,57 @@ from tactile_loc.core.slots.fuser import Fuser
 
 Indices = NDArray[np.int64]
 
-SAMPLE = 200  # poses, at least, that tell which contact excludes most
+SAMPLE = 200  # poses, at least, used to find the contact that excludes most
 
 
 class CommonPosesFuser(Fuser):
-    """Over the poses of the first grid that touch all sensors: a subclass says what a touch tells of them, `evidence`.
+    """Fuses over the first grid's poses that touch all sensors; a subclass defines the `evidence` of a touch.
 
-    Options of a subclass derive from this class's; `if_contradictory` is what a message advises where no pose is left.
+    A subclass's options derive from this class's. `if_contradictory` is the advice in the message when no pose is left.
     """
 
     if_contradictory: ClassVar[str] = "let the matcher score all poses"
 
     class Options(ComponentOptions):
-        """When a pose of the first grid counts as one that touches another sensor."""
+        """When a pose of the first grid counts as touching another sensor."""
 
         reach: float = Field(
             default=1.5,
             gt=0,
-            description="a pose touches a sensor if its grid has one within so many mean spacings of the coarser grid",
+            description="poses are equal within this many mean spacings of the coarser grid",
         )
 
     @abstractmethod
     def evidence(self, posterior: PosePosterior, index: Indices | slice) -> NDArray[np.float64]:
-        """Return what a touch says of its own grid's poses `index` (K,): log-weights (K,), in nats."""
+        """Return the log-weights (K,), nats, that a touch gives poses `index` (K,) of its own grid."""
 
     def fuse(
         self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
     ) -> PosePosterior:
         """Return the posterior over the first touch's grid; poses in metres.
 
-        Raises ConfigError for several touches without the pose of each sensor, touches of different objects, or a
-        prior that does not return one log-weight a pose, none of them NaN or +inf; GridError when no pose is left.
+        Raises ConfigError for several touches without sensor poses, touches of different objects, or a prior that does
+        not return one log-weight per pose, none NaN or +inf. Raises GridError when no pose is left.
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
         known_before = compute_prior_weights(prior, first)
         if len(first) and np.isneginf(known_before).all():
             raise GridError(
-                f"the prior excludes each of the {len(first):,} poses that the touch may be of; check its unit and its "
-                "frame, or widen it"
+                f"the prior excludes all {len(first):,} poses that the touch may be of; check its unit and its frame, "
+                "or widen it"
             )
         weights = known_before + self.evidence(posteriors[0], slice(None))
-        known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # of one touch alone it may be None
+        known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # a single touch may have None
         common = find_common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
         total = weights[common.first]
         for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
             total = total + self.evidence(posterior, index)
         if len(total) and not np.isfinite(total).any():
-            raise GridError(_describe_contradiction(len(posteriors), len(total), self.if_contradictory))
+            raise GridError(
+                f"the {len(posteriors)} touches contradict each other: each of the {len(total):,} poses that touch all "
+                f"sensors has probability 0 for one of them; {self.if_contradictory}"
+            )
         log_p = np.full(len(first), -np.inf)
         log_p[common.first] = total
         return PosePosterior(first, log_p)
@@ -77,27 +80,27 @@ class CommonPosesFuser(Fuser):
 
 @dataclass(frozen=True, eq=False)
 class OtherSensor:
-    """One more sensor: its grid, the motion T_sensor_first (4, 4) in metres, and how near a pose must be, metres."""
+    """One more sensor: its grid, the transform T_sensor_first (4, 4), metres, and how near a pose must be, metres."""
 
     grid: PoseGrid
     T_sensor_first: NDArray[np.float64]
     reach_m: float
 
     def look_up(self, T_first_object: Poses) -> Indices:
-        """Return the index (M,) of this grid's pose nearest to the first sensor's poses (M, 4, 4), -1 beyond reach."""
+        """Return the index (M,) of this grid's pose nearest to the first sensor's poses (M, 4, 4); -1 beyond reach."""
         return self.grid.nearest(self.T_sensor_first @ T_first_object, self.reach_m)[1]
 
 
 @dataclass(frozen=True, eq=False)
 class CommonPoses:
-    """Indices `first` (K,) of the first grid's poses that touch all sensors; `found` (N, K), theirs in each grid."""
+    """Indices `first` (K,) of the first grid's poses that touch all sensors, and `found` (N, K) in each grid."""
 
     first: Indices
     found: NDArray[np.int64]
 
 
 def require_fusable(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> None:
-    """Raise ConfigError unless there is a contact, a rigid pose (4, 4) of each of several sensors, and one object."""
+    """Raise ConfigError unless there is a touch, a rigid sensor pose (4, 4) of each of several, and one object."""
     if not posteriors or len(posteriors) != len(T_base_sensor):
         raise ConfigError(
             f"a fuser takes at least one posterior and a sensor pose for each, not {len(posteriors)} posteriors and "
@@ -118,28 +121,28 @@ def require_sensor_poses(T_base_sensor: Sequence[Poses | None]) -> None:
     for number, T in enumerate(T_base_sensor, start=1):
         if T is None:
             raise ConfigError(
-                f"touch {number} of {len(T_base_sensor)} does not say where its sensor was; several touches can only "
-                "be fused with the T_base_sensor of each"
+                f"touch {number} of {len(T_base_sensor)} has no sensor pose; to fuse several touches, give the "
+                "T_base_sensor of each"
             )
         require_rigid(T, f"T_base_sensor of touch {number}")
 
 
 def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
-    """Return the prior's log-weights (N,) of the grid's poses, zeros without one.
+    """Return the prior's log-weights (N,) of the grid's poses, or zeros without a prior.
 
-    Raises ConfigError unless it gives one a pose, none of them NaN or +inf.
+    Raises ConfigError unless it gives one per pose, none NaN or +inf.
     """
     if prior is None:
         return np.zeros(len(grid))
     if not callable(prior):
         raise ConfigError(
-            f"{quote(prior)} is no prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
+            f"{quote(prior)} is not a prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
         )
     weights = np.asarray(prior(grid.T_sensor_object), float)
     if weights.shape != (len(grid),) or not (weights < np.inf).all():
         raise ConfigError(
             f"the prior returned an array of shape {weights.shape} for {len(grid)} poses; it must "
-            "return one log-weight a pose, (N,), each finite or -inf"
+            "return one log-weight per pose, (N,), each finite or -inf"
         )
     return weights
 
@@ -147,44 +150,41 @@ def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.flo
 def find_common_poses(
     grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: NDArray[np.bool_]
 ) -> CommonPoses:
-    """Find those of the first grid's `possible` (N,) poses that touch all sensors; their order is the grid's.
+    """Find which of the first grid's `possible` (N,) poses touch all sensors, in the grid's order.
 
-    Seen from sensor i, a pose x of the first is inv(T_base_sensor_i) @ T_base_sensor_1 @ x; it touches sensor i if the
-    pose of that grid nearest to it, symmetry regarded, is within reach. The sensor that excludes most is asked first.
-    Raises GridError, which names the contact that dropped the last poses, when none is left.
+    Seen from sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. It touches sensor i
+    if that grid's nearest pose, up to symmetry, is within reach. The sensor that excludes most is looked up first.
+    Raises GridError, naming the contact that drops the last poses, when none is left.
     """
     others = _list_others(grids, T_base_sensor, reach)
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
-    found = np.tile(first, (len(grids), 1))  # right already for the first, and for what is seen from the same place
+    found = np.tile(first, (len(grids), 1))  # already right for the first grid and those seen from the same place
     for number in _order_others(others, poses[first]):
         found[number] = others[number].look_up(poses[first])
         touching = found[number] >= 0
         if len(first) and not touching.any():
-            raise GridError(_explain(number, len(first), len(poses), len(grids)))
+            raise GridError(
+                f"no pose touches all {len(grids)} sensors: contact {number + 1} drops the last {len(first):,} of the "
+                f"first grid's {len(poses):,} poses; check each T_base_sensor (metres, from sensor to base), or search "
+                "a grid that covers all faces, whole or hopf"
+            )
         first, found = first[touching], found[:, touching]
     return CommonPoses(first, found)
 
 
 def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
-    """What is to be looked up, by its place among the grids: not the first, nor that grid seen from the same place."""
+    """List the sensors to look up, by number: not the first, nor the same grid seen from the same place."""
     others: dict[int, OtherSensor] = {}
     for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
         if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
-            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * _find_spacing_m(grids[0], grid))
+            # a pose of the first grid is as inexact as its grid is coarse; a grid of one pose has no spacing
+            spacing_m = max((m for m in (grids[0].spacing_m, grid.spacing_m) if np.isfinite(m)), default=np.inf)
+            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * spacing_m)
     return others
 
 
-def _find_spacing_m(first: PoseGrid, other: PoseGrid) -> float:
-    """The coarser spacing, metres: a pose of the first grid is as far off the truth as its grid is coarse.
-
-    A grid of one pose has none; two of them know no bound.
-    """
-    known = [m for m in (first.spacing_m, other.spacing_m) if np.isfinite(m)]
-    return max(known, default=np.inf)
-
-
 def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
-    """The others, each time the one that excludes most of what is left of a few poses: less is left to look up."""
+    """Order the sensors so that each excludes most of the poses left, judged by a few poses: less is looked up."""
     if len(T_first_object) <= SAMPLE:
         return list(others)
     some = T_first_object[:: len(T_first_object) // SAMPLE]
@@ -194,22 +194,6 @@ def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list
         order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))
         left = left & touching.pop(order[-1])
     return order
-
-
-def _explain(number: int, dropped: int, poses: int, count: int) -> str:
-    """Say which contact dropped the last poses."""
-    return (
-        f"no pose touches all {count} sensors: contact {number + 1} drops the last {dropped:,} of the first grid's "
-        f"{poses:,} poses; check each T_base_sensor (metres, from sensor to base), or search a grid that covers "
-        "all faces, whole or hopf"
-    )
-
-
-def _describe_contradiction(touches: int, poses: int, advice: str) -> str:
-    return (
-        f"the {touches} touches contradict one another: each of the {poses:,} poses that touch all sensors has no "
-        f"probability for one of them; {advice}"
-    )
 
 
 __getattr__ = make_getattr(__name__)

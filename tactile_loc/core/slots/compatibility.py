@@ -1,4 +1,4 @@
-"""Which components cannot be combined, told by what they declare: refused when a configuration is read."""
+"""Components that cannot be combined, by their declared capabilities; refused when a configuration is read."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tactile_loc.core.slots.component import Component
 
 @dataclass(frozen=True)
 class Declared:
-    """A capability of a slot's component that has this value."""
+    """A capability of a slot's component with a given value."""
 
     slot: str
     capability: str
     value: bool
 
     def holds(self, component: Component) -> bool:
-        """Whether a component of the slot declares this."""
+        """Whether a component of the slot declares it."""
         return bool(getattr(component.capabilities, self.capability)) is self.value
 
     def __str__(self) -> str:
@@ -43,15 +43,15 @@ INCOMPATIBILITIES = (
     Incompatibility(
         Declared("grid", "places", True), Declared("matcher", "weights", False),
         "a sensor sees only part of the surroundings of a place, and this matcher cannot leave out the rest",
-        "choose another matcher, such as dense, or a grid that lists its poses, such as face",
+        "choose another matcher, such as dense, or a grid that lists poses, such as face",
     ),
 )  # fmt: skip
 
 
 def require_compatible(components: Mapping[str, Component], names: Mapping[str, str]) -> None:
-    """Raise ConfigError, one sentence, where components by slot exclude each other; `names` are what users call them.
+    """Raise ConfigError if components, by slot, exclude each other; `names` are the names that users know.
 
-    Slots that are missing are not looked at.
+    Missing slots are ignored.
     """
     for rule in INCOMPATIBILITIES:
         if rule.applies(components):

@@ -1,4 +1,4 @@
-"""What all components have: options, capabilities, a version, and a description for the store."""
+"""The base of all components: options, capabilities, a version, and a description for the store."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Float32 = NDArray[np.float32]
 class ComponentOptions(BaseModel):
     """Base of every component's options: frozen, no infinity or NaN, unknown keys refused.
 
-    A field's description states its unit. One that cannot change any result, such as where to compute, says so with
+    A field's description states its unit. A field that cannot change any result, such as the device, is marked with
     `json_schema_extra={"neutral": True}`.
     """
 
@@ -31,15 +31,14 @@ class ComponentOptions(BaseModel):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a component can and cannot do, so that nobody has to probe it. Each is read by code.
+    """What a component can and cannot do, as the code needs to know.
 
     `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
     `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
     `top_k_only`: a matcher scores only some poses, the others are -inf. `weights`: a matcher takes weights of queries.
-    `needs_training`: `fit` does work. `refines`: a refiner moves poses, unlike the null one. `covariances`: a refiner
-    says how sure its poses are. `contact_only`: a fuser asks only which poses touch a sensor, not how probable they
-    are. `places`: a grid lists the object's places instead of poses. Interface 1 had `uses_normals`, `differentiable`
-    and `device`, which are accepted and ignored.
+    `needs_training`: `fit` does work. `refines`: a refiner moves poses. `covariances`: a refiner gives covariances.
+    `contact_only`: a fuser only uses which poses touch a sensor, not their probabilities. `places`: a grid lists the
+    object's places instead of poses. Interface 1 had `uses_normals`, `differentiable` and `device`, which are ignored.
     """
 
     deterministic: bool = True
@@ -57,13 +56,13 @@ class Capabilities:
     device: InitVar[str] = "cpu"
 
     def __post_init__(self, uses_normals: bool, differentiable: bool, device: str) -> None:
-        """Ignore what interface 1 could declare and no code read."""
+        """Ignore what interface 1 could declare."""
 
 
 class Component(ABC):
     """Base of all components. `version` is part of the store's keys: raise it when the same input gives new output.
 
-    `outdated` is what a component of an earlier interface needs changed; who loads it sets it.
+    `outdated`, set on loading, is what has to be changed in a component of an earlier interface.
     """
 
     slot: ClassVar[str]
@@ -80,7 +79,7 @@ class Component(ABC):
     def describe(self) -> dict[str, Any]:
         """Return what identifies this component's output (class, version, options), as JSON values.
 
-        Options that are marked neutral are left out: they change where or how it computes, not what comes out.
+        Neutral options are left out: they change where or how it computes, but not its output.
         """
         kind = f"{type(self).__module__}:{type(self).__qualname__}"
         options = self.options.model_dump(mode="json", exclude=self.options.neutral())

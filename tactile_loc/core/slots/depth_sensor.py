@@ -1,4 +1,4 @@
-"""What sensors share: a fixed geometry, and observations that are contact shapes already."""
+"""The base of sensors with a fixed geometry, whose observations are contact shapes already."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DepthSensor(SensorModel):
 
     @abstractmethod
     def _make_geometry(self) -> SensorGeometry:
-        """Return the geometry (metres, pixels) that the options ask for."""
+        """Return the geometry (metres, pixels) from the options."""
 
     @property
     def geometry(self) -> SensorGeometry:
@@ -32,20 +32,20 @@ class DepthSensor(SensorModel):
         return self._geometry
 
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
-        """Take depths (H, W) in metres from full penetration, NaN or at least the maximal depth = no contact.
+        """Take depths (H, W), metres, from full penetration; NaN or at least the maximal depth means no contact.
 
-        Raises TouchError for an image (the sensor has no calibration for images), a wrong size, type or unit.
+        Raises TouchError for an image (the sensor is not calibrated for images), or a wrong size, type or unit.
         """
         depth = np.asarray(image)
         if depth.ndim == 3 or depth.dtype == np.uint8:
             raise TouchError(
-                f"the {type(self).__name__} sensor has no calibration for images; give a contact shape "
-                "(.npz, .npy or 16-bit .png), or choose a sensor that is calibrated for images: --sensor FOLDER"
+                f"the {type(self).__name__} sensor is not calibrated for images; give a contact shape (.npz, .npy or "
+                "16-bit .png), or choose a sensor that is calibrated for images: --sensor FOLDER"
             )
         shape = contact_shape_from_array(depth, self.geometry.max_depth_m)
         if depth.shape != self.geometry.shape:
             raise TouchError(
-                f"the contact shape is {depth.shape} pixels but the sensor's image is {self.geometry.shape} "
+                f"the contact shape is {depth.shape} pixels, but the sensor's image is {self.geometry.shape} "
                 "(rows, columns); choose the sensor that took it, or set its image_size_px"
             )
         return shape

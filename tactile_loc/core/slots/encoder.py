@@ -1,4 +1,4 @@
-"""The encoder slot: vectors of contact shapes, and what an encoder may learn from."""
+"""The encoder slot: embeddings of contact shapes, and the training data of an encoder."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from tactile_loc.core.slots.component import Component, Float32
 
 
 class Checkpoints:
-    """Where a training keeps its state, so that it can go on after an interruption. This one forgets everything."""
+    """Where a training keeps its state, to resume after an interruption. This base class keeps nothing."""
 
     def load(self) -> Path | None:
-        """Return the file that was saved last and is intact, or None."""
+        """Return the last intact file that was saved, or None."""
         return None
 
     def save(self, write: Callable[[Path], object]) -> None:
-        """Replace the saved file, atomically, by what `write(path)` writes."""
+        """Replace the saved file atomically with the one that `write(path)` writes."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingBatch:
     """Noisy touches with labels, each in V views: B touches, V at least one.
 
-    `depth_m` (B, V, H, W) are contact depths in metres, cut at presses `press_m` (B,); `seen` (B, V, H, W) says which
-    pixels the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0
-    shows what the key shows. The others are decoys: the same touch, turned so that no key of this object explains it.
-    `counts` (B, V) says which views count: a decoy that symmetry makes right does not.
+    `depth_m` (B, V, H, W) are contact depths, metres, cut at presses `press_m` (B,). `seen` (B, V, H, W) marks the
+    pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0
+    shows what the key shows. The others are decoys: the same touch, rotated so that no key of this object explains it.
+    `counts` (B, V) marks the views that count: a decoy that is right by symmetry does not.
     """
 
     depth_m: Float32
@@ -48,25 +48,25 @@ class TrainingBatch:
 
 
 class TrainingTouches(ABC):
-    """Simulated touches of known pose, rendered once: batches of them, each time with new noise."""
+    """Simulated touches of known pose, rendered once; each batch has new noise."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return how many touches there are."""
+        """Return the number of touches."""
 
     @abstractmethod
     def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches to be compared with keys that are cut at `press_m` metres.
+        """Draw `count` different touches, to compare with keys that are cut at `press_m` metres.
 
-        Each has `decoys` decoys if touches are turned when they are compared.
+        Each has `decoys` decoys, if touches are rotated when they are compared.
         """
 
 
 class TrainingProblem(ABC):
-    """What an encoder may learn from, all of it simulation: touches, and a key of each pose or place that is searched.
+    """The simulated training data of an encoder: touches, and one key for each pose or place that is searched.
 
-    `partly_seen` says whether touches show a part of what their keys show, and are encoded by `Encoder.encode_seen`.
-    `progress` and `checkpoints` are for the encoder to report to and to resume from.
+    `partly_seen`: touches show only a part of what their keys show, and are encoded with `Encoder.encode_seen`. The
+    encoder reports to `progress` and resumes from `checkpoints`.
     """
 
     progress: Progress
@@ -81,39 +81,39 @@ class TrainingProblem(ABC):
     @property
     @abstractmethod
     def key_presses_m(self) -> NDArray[np.float64]:
-        """The press depths (P,), metres, at which keys may be cut: touches are compared with keys of one of them."""
+        """The press depths (P,), metres, at which keys may be cut; a touch is compared with keys of one of them."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return how many keys there are."""
+        """Return the number of keys."""
 
     @abstractmethod
     def clean_keys(self, press_m: float) -> Iterable[Float32]:
-        """Return what the keys show, wholly and without noise, cut at a press: shards (S, H, W), S > 0, metres."""
+        """Yield the keys' whole contact depths without noise, cut at a press: shards (S, H, W), S > 0, metres."""
 
     @abstractmethod
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
-        """Render `count` touches at random poses, which are to have this noise."""
+        """Render `count` touches at random poses, to which this noise will be added."""
 
     @abstractmethod
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how far apart keys `first` (K,) and `second` (K,) are as poses, in the pose metric: (K,), metres."""
+        """Return the distances (K,), metres, in the pose metric between keys `first` (K,) and `second` (K,)."""
 
 
 class Encoder(Component):
-    """Maps contact shapes to vectors whose Euclidean distance says how alike the poses are."""
+    """Maps contact shapes to vectors whose Euclidean distance tells how similar the poses are."""
 
     slot = "encoder"
 
     def fit(self, problem: TrainingProblem) -> None:
-        """Learn from simulation. Does nothing unless the encoder needs training."""
+        """Train on simulated touches. Does nothing unless the encoder needs training."""
 
     def save_weights(self, path: Path) -> None:
-        """Write what `fit` learned to a safetensors file. Encoders that need no training have nothing to write."""
+        """Write the trained weights to a safetensors file. Raises NotImplementedError without training."""
         raise NotImplementedError(f"{type(self).__name__} has no weights")
 
     def load_weights(self, path: Path) -> None:
-        """Read what `save_weights` wrote, instead of calling `fit`. Raises WeightsError for another encoder's file."""
+        """Read the file of `save_weights` instead of calling `fit`. Raises WeightsError for another encoder's file."""
         raise NotImplementedError(f"{type(self).__name__} has no weights")
 
     @abstractmethod
@@ -123,11 +123,11 @@ class Encoder(Component):
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
-        """Return embeddings (N, D) of contact depths (N, H, W), metres, of which pixels `seen` (N, H, W) are known, and
-        weights (N, D), 0 to 1: how far each number of an embedding is known. Both are float32.
+        """Return embeddings (N, D) of contact depths (N, H, W), metres, known at pixels `seen` (N, H, W), and weights
+        (N, D), 0 to 1: how far each number of an embedding is known. Both are float32.
 
-        A grid of places compares touches by this, since a sensor's field ends; the matcher is given the weights. Where
-        all is seen, embeddings are those of `encode` and weights are one. By default, what is not seen is out of
+        A grid of places uses this, because a sensor's field ends; the matcher gets the weights. If all pixels are seen,
+        the embeddings equal those of `encode`, and the weights are one. By default, unseen pixels count as out of
         contact, and all weights are one: override it where that is a poor guess.
         """
         embeddings = self.encode(np.where(seen, depth_m, np.float32(press_depth_m)), press_depth_m, geometry)

@@ -1,4 +1,4 @@
-"""The fuser slot: posteriors of several touches and a prior become one."""
+"""The fuser slot: combines the posteriors of several touches and a prior."""
 
 from __future__ import annotations
 
@@ -22,6 +22,6 @@ class Fuser(Component):
     ) -> PosePosterior:
         """Return the posterior over the first touch's grid. `prior` maps its poses (N, 4, 4) to log-weights (N,).
 
-        `T_base_sensor` (4, 4) in metres is where each touch's sensor was, None if unknown. Raises ConfigError for
-        touches that it cannot combine, such as several of unknown sensor poses, and GridError when no pose is left.
+        `T_base_sensor` (4, 4), metres, is each sensor's pose, None if unknown. Raises ConfigError for touches that it
+        cannot combine, such as several without sensor poses, and GridError when no pose is left.
         """

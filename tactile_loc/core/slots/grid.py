@@ -1,4 +1,4 @@
-"""The grid slot: the poses, or the places of the object, that are searched."""
+"""The grid slot: the poses, or the object's places, that are searched."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class GridSampler(Component):
     slot = "grid"
 
     class Options(ComponentOptions):
-        """What every grid has: how dense it is, and how much contact a pose must make."""
+        """The options of every grid: its density, and the contact that a pose must make."""
 
         spacing_mm: float = Field(default=3.0, gt=0, description="mean distance between neighbouring poses, mm")
         min_contact_percent: float = Field(
@@ -30,9 +30,9 @@ class GridSampler(Component):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """Whether `spacing_mm` is the mean over the whole grid, which core then corrects for what contact does to it.
+        """Whether `spacing_mm` is the mean over the whole grid; core then corrects it for the effect of contact.
 
-        False where options set some steps apart from it, as tilts or a level of rotations.
+        False if options set some steps separately, such as tilts or a level of rotations.
         """
         return True
 
@@ -41,10 +41,10 @@ class GridSampler(Component):
         """Return candidate poses (N, 4, 4), about `spacing_m` metres apart; z is free, core brings them to contact."""
 
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
-        """Return the places of an object that can touch first: what is searched if `Capabilities.places` is declared.
+        """Return the object's places that can touch first, which are searched if `Capabilities.places` is declared.
 
-        Poses are not listed then: a touch shows where its deepest point is, and is turned by each of `options.turns`
-        yaws. `sample` and `random` are of the set of poses that this covers.
+        Poses are then not listed: a touch is aligned by its deepest point, at `options.turns` yaws. `sample` and
+        `random` describe the set of poses that this covers.
         """
         raise NotImplementedError(f"{type(self).__name__} lists poses")
 
@@ -52,7 +52,7 @@ class GridSampler(Component):
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
         """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free.
 
-        As many are drawn about each pose of the grid: probabilities fitted to touches at such poses, P(x | touch), have
-        a uniform P_train, which fusers take for granted where a posterior has no `log_train`. A rotation that has more
-        places over the sensor must be drawn more often: see `draw_places`.
+        Equally many are drawn about each pose of the grid. Probabilities P(x | touch) fitted to touches at such poses
+        have a uniform P_train, which fusers assume for a posterior without `log_train`. So a rotation with more places
+        over the sensor must be drawn more often: see `draw_places`.
         """

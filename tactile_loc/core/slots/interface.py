@@ -1,4 +1,4 @@
-"""The version of the plugin interface, and what becomes of components that were written for another one.
+"""The version of the plugin interface, and the adaptation of components written for an earlier one.
 
 | version | what changed |
 |---|---|
@@ -27,19 +27,19 @@ def takes_weights(matcher: Any) -> bool:
 
 
 def require_interface(kind: Any, slot: str, version: int) -> None:
-    """Raise TypeError unless a component's class has what its version of the interface demands of the slot."""
+    """Raise TypeError unless a component's class has what its interface version requires of the slot."""
     if version >= 2 and slot == "matcher" and kind.capabilities.weights and not takes_weights(kind):
         raise TypeError(f"{kind.__name__}.scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
 
 
 def adapt(kind: Any, slot: str, version: int) -> Any:
-    """Return the class of a component that was written for `version`, as this version of the interface asks for it.
+    """Return a component's class, written for interface `version`, adapted to the current version.
 
-    A matcher of version 1 is given `scores(queries, weights)`: by its own `weighted_scores`, or for listed poses alone.
+    A matcher of version 1 gets `scores(queries, weights)`, from its own `weighted_scores` or for listed poses only.
     """
     if version >= 2 or slot != "matcher" or takes_weights(kind):
         return kind
-    weighs = hasattr(kind, "weighted_scores")  # no class of ours has it
+    weighs = hasattr(kind, "weighted_scores")  # none of the built-in classes has it
     consequence = "its weighted_scores is used" if weighs else "it compares with listed poses only"
     logger.warning(
         "The matcher %s was written for plugin interface 1: %s. To bring it to interface %d, %s.",

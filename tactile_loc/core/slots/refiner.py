@@ -1,4 +1,4 @@
-"""The refiner slot: candidates in, refined poses out."""
+"""The refiner slot: refines candidate poses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_loc.core.slots.scene import Scene, View
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose to refine: `T_sensor_object` (4, 4) in metres, its grid index and log-probability."""
+    """A pose to refine: `T_sensor_object` (4, 4), metres, its grid index and log-probability."""
 
     T_sensor_object: NDArray[np.float64]
     index: int
@@ -27,13 +27,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """A refined pose (4, 4) in metres. `contact_iou`, 0 to 1 (unitless), tells how well it explains the touch's
-    outline: `Scene.contact_iou`, the mean over several touches.
+    """A refined pose (4, 4), metres. `contact_iou`, 0 to 1, is how well it explains the touch's outline
+    (`Scene.contact_iou`); for several touches, their mean.
 
-    `T_sensors_object` (N, 4, 4), metres, is where each sensor of several touches sees the object, if the refiner solves
-    for the errors of sensor poses; None: where they are said to be.
-    `covariance` (6, 6), if the refiner knows it, is that of the error of x, y, z of the object frame's origin (m) and
-    of a rotation vector (rad), both along the sensor's axes: the order and frame of ROS's PoseWithCovariance.
+    `T_sensors_object` (N, 4, 4), metres, is where each of several sensors sees the object, if the refiner solves for
+    errors of sensor poses; else None. `covariance` (6, 6), if the refiner knows it, is that of the error of x, y, z of
+    the object frame's origin (m) and of a rotation vector (rad), both along the sensor's axes, as in ROS's
+    PoseWithCovariance.
     """
 
     T_sensor_object: NDArray[np.float64]
@@ -45,26 +45,26 @@ class RefinedPose:
 
 
 class Refiner(Component):
-    """Moves a candidate below the grid's resolution."""
+    """Refines candidates below the grid's resolution."""
 
     slot = "refiner"
 
     @abstractmethod
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the refined pose; `converged` is False when nothing better than the candidate was found."""
+        """Return the refined pose; `converged` is False if nothing better than the candidate was found."""
 
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
-        """Refine several candidates of one touch, in their order; the same as `refine` one by one.
+        """Refine several candidates of one touch, in their order, with the same results as `refine`.
 
-        Override it where candidates together are faster than one after another.
+        Override it if that is faster for several candidates together.
         """
         return [self.refine(touch, candidate, scene) for candidate in candidates]
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
         """Refine candidates, poses in the first touch's sensor frame, against several touches.
 
-        Each touch refines all of them. What one touch gains by that others may lose: of these poses and the candidate
-        itself the one is taken that all touches together like best. Override it to regard all touches at once.
+        By default, each touch refines all candidates. Of these poses and the candidate itself, the one with the best
+        mean imprint IoU over all touches is taken. Override it to use all touches at once.
         """
         if len(views) == 1:
             return self.refine_many(views[0].touch, candidates, views[0].scene)

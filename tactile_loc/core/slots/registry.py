@@ -1,4 +1,4 @@
-"""Plugins: what they offer for which slot, found by entry point; a component's class is imported at first use."""
+"""The registry of plugins, found by entry point. A component's class is imported at its first use."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 class ComponentSpec:
     """One component offered for one slot.
 
-    `target` is "package.module:Class", imported at first use; `requires` names the pip distribution of the library it
-    needs beyond tactile-loc's own, if any. `interface` is the version of the plugin interface that it was written for:
-    a number, not INTERFACE_VERSION, which is that of the tactile-loc it runs with. Plugins for version 1 say nothing.
+    `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
+    it needs beyond tactile-loc's own. `interface` is the interface version that it was written for: a number, not
+    INTERFACE_VERSION, which is that of the installed tactile-loc. Plugins for version 1 leave it out.
     """
 
     slot: str
@@ -71,7 +71,7 @@ class Registered:
 
 @dataclass(frozen=True)
 class LoadFailure:
-    """A plugin that raised while being loaded."""
+    """A plugin that raised an error while it was loaded."""
 
     plugin: str
     distribution: str
@@ -79,7 +79,7 @@ class LoadFailure:
 
 
 class Registry:
-    """All components found. A plugin that fails to load is kept as a failure and hurts nobody else."""
+    """All components found. A plugin that fails to load is kept as a failure and does not affect the others."""
 
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
         self.components: list[Registered] = []
@@ -103,25 +103,25 @@ class Registry:
                     raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")
                 if not isinstance(spec.interface, int) or spec.interface < 1:
                     raise TypeError(f"offers {spec!r}; its interface must be a whole number from 1 on")
-        except Exception as error:  # noqa: BLE001 - a stranger's plugin may raise anything
+        except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
             reason = f"{type(error).__name__}: {error}"
             self.failures.append(LoadFailure(plugin.name, distribution, reason))
         else:
             self.components += [Registered(spec, distribution) for spec in offers]
 
     def names(self, slot: str) -> list[str]:
-        """Return the names that fill a slot, in the order they were found."""
+        """Return the names of a slot's components, in the order found."""
         return list(dict.fromkeys(c.spec.name for c in self.components if c.spec.slot == slot))
 
     def find(self, slot: str, name: str) -> Registered:
-        """Return the component of this slot and name. Raises UnknownPluginError or PluginConflictError."""
+        """Return the component with this slot and name. Raises UnknownPluginError or PluginConflictError."""
         found = [c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)]
         if not found:
             raise UnknownPluginError(self._describe_unknown(slot, name))
         if len(found) > 1:
             raise PluginConflictError(
-                f"two components are the {slot} {name!r}: one of {found[0].distribution}, one of "
-                f"{found[1].distribution}; uninstall one, or choose with TACTILE_LOC_PLUGINS"
+                f"two packages offer the {slot} {name!r}: {found[0].distribution} and {found[1].distribution}; "
+                "uninstall one, or choose with TACTILE_LOC_PLUGINS"
             )
         return found[0]
 
@@ -130,13 +130,13 @@ class Registry:
             return f"there is no slot {slot!r}; the slots are {', '.join(SLOTS)}"
         broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
         known = self.names(slot)
-        also = ", and no folder or file of that name" if slot == "sensor" else ""
+        also = ", and no folder or file with that name" if slot == "sensor" else ""
         return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
         """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does.
 
-        A component that was written for an earlier interface is adapted as far as it can be; see `interface.adapt`.
+        A component for an earlier interface is adapted as far as possible; see `interface.adapt`.
         """
         found = self.find(slot, name)
         if found.spec.interface > INTERFACE_VERSION:
@@ -171,13 +171,13 @@ class Registry:
             ) from error
 
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
-        """Return a component with validated options. Raises ConfigError for unknown or ill-typed ones."""
+        """Return a component with validated options. Raises ConfigError for unknown or invalid ones."""
         kind = self.load(slot, name)
         return kind(validate_options(kind.Options, options or {}, f"{slot} {name!r}"))
 
 
 def _is_part_of(missing: str | None, module: str) -> bool:
-    """Whether a missing module belongs to the package of `module`, so that there is nothing to install."""
+    """Whether a missing module belongs to the package of `module`, so that no library is missing."""
     package, _, part = (missing or "").partition(".")
     return bool(part) and package == module.partition(".")[0]
 
@@ -193,7 +193,7 @@ def _require_component(kind: Any, slot: str) -> None:
 
 
 def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
-    """Build the pydantic options `model` from `values`. Raises ConfigError that names what is allowed."""
+    """Build the pydantic options `model` from `values`. Raises ConfigError, naming the valid options."""
     try:
         return model(**values)
     except ValidationError as error:
@@ -201,9 +201,9 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
         key = ".".join(map(str, problem["loc"])) or "options"
         if problem["type"] == "extra_forbidden":
             fields = model.model_fields
-            for table in problem["loc"][:-1]:  # an option of a table: those of that table are meant
+            for table in problem["loc"][:-1]:  # for an option of a table, list that table's options
                 fields = getattr(fields[str(table)].annotation, "model_fields", fields)
-            allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none at all"
+            allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none"
             near = did_you_mean(str(problem["loc"][-1]), fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
@@ -217,7 +217,7 @@ def _name_type(annotation: Any) -> str:
 
 @lru_cache(maxsize=1)
 def registry() -> Registry:
-    """Return the process's registry: the built-in components and, unless TACTILE_LOC_PLUGINS restricts, all others.
+    """Return the process's registry: the built-in components, and all others that TACTILE_LOC_PLUGINS allows.
 
     TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names; empty means built-ins only.
     """

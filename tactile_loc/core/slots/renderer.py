@@ -1,4 +1,4 @@
-"""The renderer slot: depth images of an object as the camera behind the gel sees it."""
+"""The renderer slot: depth images of an object, as seen by the camera behind the gel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tactile_loc.core.slots.component import Component, Float32
 
 
 class Renderer(Component):
-    """Draws the object as the sensor's camera would see it."""
+    """Renders the object as the sensor's camera would see it."""
 
     slot = "renderer"
 
@@ -19,12 +19,12 @@ class Renderer(Component):
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Exact between standoff and standoff + max_depth; anything beyond may be inf. Poses are in contact already.
+        Exact between standoff and standoff + max_depth; depths beyond may be inf. Poses are in contact already.
         """
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return what `render` returns (N, H, W), metres, of poses that share no rotation: random ones, or a refiner's.
+        """Return depths (N, H, W), metres, as `render` does, of poses that share no rotation, such as random ones.
 
-        Override it where these can be drawn faster or more exactly than the poses of a grid.
+        Override it if such poses can be rendered faster or more exactly than those of a grid.
         """
         return self.render(mesh, T_sensor_object, geometry)

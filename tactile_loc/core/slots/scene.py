@@ -1,4 +1,4 @@
-"""An object before a sensor, as a renderer draws it, and one touch as seen from another."""
+"""A scene: an object before a sensor, with a renderer; and a view: one of several touches with its scene."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from tactile_loc.core.slots.renderer import Renderer
 
 IOU_PX = 100
 
-
-# Of an indentation, what its measurement may be off by: a pose is as good if it explains a touch that much deeper.
+# The error of a measured indentation: a share of it, and at least. A pose may move along z by it.
 PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 
 
@@ -36,9 +35,9 @@ PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 )
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The object, the sensor's geometry and the renderer that draws the one for the other, pressed or as in the paper.
+    """The object, the sensor's geometry and a renderer; `drawing` is "pressed" or as in the paper.
 
-    Poses are those of the pressed object either way: see `find_drawing`.
+    Poses are those of the pressed object in both cases: see `find_drawing`.
     """
 
     object: ObjectModel
@@ -47,7 +46,7 @@ class Scene:
     drawing: Drawing = "pressed"
 
     def use_pressed_drawing(self) -> Scene:
-        """Return the scene that draws what the sensor really sees, as touches show it."""
+        """Return the scene that renders the pressed object, as real sensors see it."""
         return dataclasses.replace(self, drawing="pressed")
 
     def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
@@ -68,7 +67,7 @@ class Scene:
         return dataclasses.replace(self, geometry=self.geometry.press(indentation_m, press_depth_m))
 
     def match_touch(self, touch: Touch) -> Scene:
-        """Return the scene as the touch's sensor sees it: pressed as deep, with as many pixels."""
+        """Return the scene of the touch's sensor: with its press and its pixels."""
         return dataclasses.replace(self, geometry=touch.geometry)
 
     def render_contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
@@ -78,16 +77,16 @@ class Scene:
         return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
 
     def render_grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W) in metres, at full press, of a grid's poses: many share a rotation."""
+        """Render contact depths (N, H, W), metres, at full press, of a grid's poses, many of which share a rotation."""
         T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
         return compute_contact_depth(self.renderer.render(self.object.mesh, T, camera.band), camera, camera.max_depth_m)
 
     def render_depths_to_compare(
         self, T_sensor_object: Poses, touch: Touch, freedom_m: float = 0.0
     ) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W) in metres of poses (N, 4, 4) as they are compared with a touch.
+        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) to compare with a touch.
 
-        A pose counts as it is, but for what the measured press may be off by, and `freedom_m` metres more.
+        Poses move along z towards contact, by at most the error of the measured press plus `freedom_m` metres.
         """
         freedom_m += LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
         return self.render_contact_depths(self.bring_near_contact(T_sensor_object, freedom_m), touch.press_depth_m)
@@ -95,7 +94,7 @@ class Scene:
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
 
-        It is pressed in as deep as the scene says, or by the press depth where the scene is that of no touch.
+        The indentation is the scene's, or the press depth if the scene has none.
         """
         pressed = self if self.geometry.indentation_m else self.press(press_depth_m)
         T, _ = pressed.bring_to_contact(T_sensor_object[None])
@@ -108,28 +107,28 @@ class Scene:
         return self.contact_ious(T_sensor_object[None], touch)[0]
 
     def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
-        """Return how well each of the poses (N, 4, 4), metres, explains a touch: 0 (not at all) to 1, unitless.
+        """Return how well each of the poses (N, 4, 4), metres, explains a touch: 0 to 1, unitless.
 
-        The intersection over union of the touch's contact and the one that the pose makes, where the sensor observes,
-        on about IOU_PX pixels a side. A pose counts as it is, but for what the measured press may be off by: one that
-        hovers over the sensor explains nothing.
+        This is the intersection over union of the touch's and the pose's contact, over the observed pixels, on about
+        IOU_PX pixels per side. Poses may move along z by the error of the measured press only, so a pose that hovers
+        over the sensor explains nothing.
         """
         return self.compare_imprints(T_sensor_object, touch).contact_ious.tolist()
 
     def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
 
-        A generalised intersection over union: the sum of the smaller over the sum of the larger of what pose and touch
-        press in, raised by OUTLINE_SHARE of the press depth wherever there is contact; otherwise as `contact_ious`.
+        This is a generalised intersection over union of imprints: the sum of the smaller over the sum of the larger,
+        each raised by OUTLINE_SHARE of the press depth where there is contact. Otherwise as for `contact_ious`.
         """
         return self.compare_imprints(T_sensor_object, touch).imprint_ious
 
     def compare_imprints(
         self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX, freedom_m: float = 0.0
     ) -> Explained:
-        """Return how well poses (N, 4, 4), metres, which are drawn once, explain a touch: IoUs, and evidence.
+        """Return the IoUs and evidence with which poses (N, 4, 4), metres, explain a touch; each is rendered once.
 
-        Poses may be `freedom_m` metres farther off along z than the measured press allows.
+        Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
         geometry, wanted = touch.thin(pixels)
         made = dataclasses.replace(self, geometry=geometry).render_depths_to_compare(T_sensor_object, touch, freedom_m)
@@ -141,10 +140,10 @@ class Scene:
 @keep_old_names(explained="compare_imprints")
 @dataclass(frozen=True, eq=False)
 class View:
-    """One of several touches: what it shows, the object before its sensor, and where that is seen from the first.
+    """One of several touches, with its scene and the transform from the first sensor's frame.
 
-    This sensor's pose is off by an error whose standard deviations are `sensor_std_m` metres along and `sensor_std_rad`
-    radians about each axis, each sensor's by its own: `T_sensor_first` (4, 4), metres, by this one's and the first's.
+    The sensor's pose has an error with standard deviations of `sensor_std_m` metres along and `sensor_std_rad` radians
+    about each axis. `T_sensor_first` (4, 4), metres, has this sensor's error and the first one's.
     """
 
     touch: Touch
@@ -154,9 +153,9 @@ class View:
     sensor_std_rad: float = 0.0
 
     def compare_imprints(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> Explained:
-        """Return how well poses (N, 4, 4) in the first sensor's frame, metres, explain this touch: see Scene's."""
+        """Return how well poses (N, 4, 4) in the first sensor's frame, metres, explain this touch, as Scene does."""
         return self.scene.compare_imprints(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)
 
     def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
-        """Return the imprint IoUs (N,) of poses (N, 4, 4) in the first sensor's frame, metres: `compare_imprints`."""
+        """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, in the first sensor's frame."""
         return self.compare_imprints(T_first_object, pixels, freedom_m).imprint_ious

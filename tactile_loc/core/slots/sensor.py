@@ -1,4 +1,4 @@
-"""The sensor slot: the geometry of a tactile sensor, and how its images become contact shapes."""
+"""The sensor slot: the geometry of a tactile sensor, and contact shapes from its images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_loc.core.slots.component import Component
 
 
 class SensorModel(Component):
-    """A tactile sensor: its geometry, and how an observation becomes a contact shape."""
+    """A tactile sensor: its geometry, and how it turns observations into contact shapes."""
 
     slot = "sensor"
 
@@ -34,9 +34,9 @@ class SensorModel(Component):
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
 
-        Raises ConfigError unless the sensor reads images, CalibrationError when none can be made for it.
+        Raises ConfigError unless the sensor reads images, CalibrationError when it cannot make any.
         """
         raise ConfigError(
             f"the sensor {type(self).__name__} reads no images; make one that does with tactile-loc calibrate "
-            "--simulated and give its folder as --sensor"
+            "--simulated, and give its folder as --sensor"
         )

@@ -1,1 +1,1 @@
-"""What locating found: distributions, located frames, verdicts, and their files."""
+"""Results of locating: localisations, located frames, verdicts, and their files."""

@@ -1,4 +1,4 @@
-"""What a localisation returns."""
+"""The result of a localisation."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ from tactile_loc.locate.results.verdict import Verdict, judge
 class Hypothesis:
     """One distinct explanation of the touches.
 
-    `probability` is that of its whole mode, which holds `grid_poses` poses of the grid; `T_sensor_object_grid` (4, 4)
-    the most probable of them, at `grid_index`; `refined` the pose below the grid's resolution, `T_sensor_object`, with
-    what the refiner says of it; `imprint_iou`, 0 to 1, how well that pose explains the touches in depth and outline
-    (`Scene.imprint_ious`); of several, `imprint_ious` are those of each, and this is their mean, without outliers'.
-    Metres.
+    `probability` is that of its whole mode, which holds `grid_poses` poses of the grid. `T_sensor_object_grid` (4, 4),
+    metres, is the most probable of them, at `grid_index`. `refined` is the refiner's result; its pose is the answer.
+    `imprint_iou`, 0 to 1, is how well that pose explains the touches in depth and outline (`Scene.imprint_ious`). For
+    several touches, `imprint_ious` has one value per touch, and `imprint_iou` is their mean without outliers.
     """
 
     probability: float
@@ -44,17 +43,17 @@ class Hypothesis:
 
     @property
     def is_refined(self) -> bool:
-        """Whether the refined pose differs from the grid's: the imprint IoU of a grid pose says little."""
+        """Whether the refined pose differs from the grid's; if not, its imprint IoU says little."""
         return not np.array_equal(self.T_sensor_object, self.T_sensor_object_grid)
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Whether N touches agree on a pose. Numbers count from 0, in the order in which touches were given.
+    """Whether N touches agree on a pose. Touches are numbered from 0, in the order given.
 
-    `best_ious` (N,), 0 to 1, is the best imprint IoU with each touch of any pose that was tried. If the best hypothesis
-    explains a touch far worse than that, the touches are `contradictory`; `outliers` are the numbers of those that
-    contradict all others, which agree, empty where nobody can say which touch is wrong, as of two.
+    `best_ious` (N,), 0 to 1, are the best imprint IoUs with each touch of any pose that was tried. If the best
+    hypothesis explains a touch far worse than that, the touches are `contradictory`. `outliers` are the touches that
+    contradict all others while those agree; empty if the wrong touch is unknown, as with two touches.
     """
 
     best_ious: tuple[float, ...] = ()
@@ -64,12 +63,12 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """The answer: the posterior, its distinct hypotheses, the best first, and seconds a stage.
+    """The answer: the posterior, its distinct hypotheses, the best first, and the seconds of each stage.
 
-    Of several touches, `touch` is the first, in whose sensor's frame the answer is; `others` are the rest. `pose_set`
-    are the poses that hold the truth as often as asked for, whose modes the hypotheses are. Outliers of the touches'
-    `agreement` are no part of the hypotheses, but of the posterior; touches that were `left_out`, because they
-    contradict these, are part of nothing.
+    `touch` is the first touch, in whose sensor's frame the answer is; `others` are the rest. `pose_set` are the poses
+    that hold the true one with the coverage asked for; the hypotheses are then its modes. Outliers (see `agreement`)
+    count in the posterior, but not in the hypotheses. Touches that were `left_out`, because they contradict the
+    others, count in neither.
     """
 
     touch: Touch
@@ -88,7 +87,7 @@ class Localization:
 
     @property
     def outliers(self) -> tuple[Touch, ...]:
-        """Those of the touches that contradict all others, which agree."""
+        """The touches that contradict all others, which agree."""
         return tuple(self.touches[number] for number in self.agreement.outliers)
 
     @property
@@ -100,7 +99,7 @@ class Localization:
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.
 
-        It is a poor fit too where touches contradict one another and nobody can say which is wrong.
+        It is a poor fit, too, if touches contradict each other and the wrong one is unknown.
         """
         if self.agreement.contradictory and not self.agreement.outliers:
             return Verdict.POOR_FIT
@@ -108,7 +107,7 @@ class Localization:
         return judge(self.best.probability, iou, self.posterior.elsewhere)
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
-        """Return each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""
+        """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that is unknown."""
         T_true = self.touch.T_sensor_object
         if T_true is None:
             return None
@@ -117,6 +116,6 @@ class Localization:
 
     @cached_property
     def normalised_entropy(self) -> float:
-        """Entropy / log N of the posterior over N poses (unitless): 0 one pose is certain, 1 nothing is known."""
+        """Entropy of the posterior over N poses divided by log N, unitless: 0 one pose is certain, 1 nothing known."""
         count = len(self.posterior.grid)
         return float(self.posterior.entropy / np.log(count)) if count > 1 else 0.0

@@ -1,6 +1,6 @@
-"""A located frame: what is known of the object's pose at one frame, and the fields that every record of it has.
+"""A located frame: the object's pose at one frame, and the fields shared by all records of it.
 
-The tracker, live frames, recordings and the ROS node say what they know in these words.
+The tracker, live frames, recordings and the ROS node use it.
 """
 
 from __future__ import annotations
@@ -28,13 +28,12 @@ Floats = NDArray[np.float64]
 @keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class LocatedFrame:
-    """What is known of the object's pose at one frame.
+    """The object's pose at one frame.
 
-    `verdict` says how far the first pose can be trusted; it is None for a frame that cannot be read, and `says` why.
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, and `probabilities` (K,)
-    theirs. `covariance` (6, 6) is the first pose's, as RefinedPose's, None if it is not known; `imprint_iou`, 0 to 1,
-    is how well that pose explains the touch, NaN without a touch. `seconds` is how long locating took, NaN if nobody
-    measured it.
+    `verdict` rates the first pose. It is None for a frame that cannot be read, and `says` gives the reason.
+    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with `probabilities` (K,).
+    `covariance` (6, 6), as in RefinedPose, is the first pose's; None if unknown. `imprint_iou`, 0 to 1, is how well
+    that pose explains the touch; NaN without a touch. `seconds` is the time that locating took; NaN if not measured.
     """
 
     verdict: Verdict | None
@@ -47,7 +46,7 @@ class LocatedFrame:
 
     @classmethod
     def of(cls, localization: Localization) -> LocatedFrame:
-        """Return what a localisation found, in the frame of its first touch's sensor."""
+        """Make the frame of a localisation, with poses in its first touch's sensor frame."""
         poses = np.stack([one.T_sensor_object for one in localization.hypotheses])
         shares = np.array([one.probability for one in localization.hypotheses])
         best, seconds = localization.best, sum(localization.seconds.values())
@@ -55,7 +54,7 @@ class LocatedFrame:
 
     @classmethod
     def of_error(cls, error: TactileLocError) -> LocatedFrame:
-        """Return a frame that could not be located: no contact, not found or, without a verdict, refused."""
+        """Make the frame that an error leaves: no contact, not found or, without a verdict, refused."""
         verdict = None
         if isinstance(error, NoContactError):
             verdict = Verdict.NO_CONTACT
@@ -75,7 +74,7 @@ class LocatedFrame:
 
     @property
     def std(self) -> Floats | None:
-        """Standard deviations (6,), metres and radians, of x, y, z and about them; None when they are not known."""
+        """Standard deviations (6,), metres and radians, of x, y, z and about them; None if unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
     @property
@@ -84,32 +83,32 @@ class LocatedFrame:
         return name_verdict(self.verdict)
 
     def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
-        """Return the same poses as another sensor sees them, to which T_other_sensor (4, 4), metres, leads."""
+        """Return the same poses in another sensor's frame; T_other_sensor is (4, 4), metres."""
         C = None if self.covariance is None else rotate_covariance(self.covariance, T_other_sensor[:3, :3])
         return replace(self, T_sensor_object_modes=T_other_sensor @ self.T_sensor_object_modes, covariance=C)
 
 
 class LocatedRecord(BaseModel):
-    """What every record of a located frame says, in live runs and recordings. SI units."""
+    """The fields shared by all records of a located frame, in live runs and recordings. SI units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    number: int = Field(description="of the frame among all of its source, from 0")
+    number: int = Field(description="number of the frame in its source, from 0")
     verdict: Verdict | None = Field(
         description="certain, ambiguous, poor fit, not found or no contact; null if the frame was refused"
     )
-    says: str = Field(default="", description="why there is no verdict or no pose found; empty if there is")
+    says: str = Field(default="", description="why there is no verdict or no pose; else empty")
     probability: float | None = Field(default=None, description="of the most probable pose, 0 to 1")
     imprint_iou: float | None = Field(default=None, description="how well that pose explains the frame, 0 to 1")
     covariance: Covariance | None = Field(
         default=None,
         description="of that pose, (6, 6): x, y, z of the object's origin (m) and rotations about the frame's axes "
-        "(rad); null when it is not known",
+        "(rad); null if unknown",
     )
 
     @property
     def std(self) -> Floats | None:
-        """Standard deviations (6,), metres and radians, of x, y, z and about them; None when they are not known."""
+        """Standard deviations (6,), metres and radians, of x, y, z and about them; None if unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(np.array(self.covariance)))
 
     @property
@@ -119,7 +118,7 @@ class LocatedRecord(BaseModel):
 
 
 def record_fields(located: LocatedFrame) -> dict[str, Any]:
-    """Return the fields of a LocatedRecord that a frame decides, as JSON values."""
+    """Return the fields of a LocatedRecord that come from a frame, as JSON values."""
     C, iou = located.covariance, located.imprint_iou
     return {
         "verdict": located.verdict, "says": located.says, "probability": located.probability,
@@ -128,9 +127,9 @@ def record_fields(located: LocatedFrame) -> dict[str, Any]:
 
 
 def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
-    """Return how many `frames` there are, and how many were `located`, `not_found`, had `no_contact` or were `refused`.
+    """Return the numbers of all `frames`, and of those `located`, `not_found`, with `no_contact` and `refused`.
 
-    A pose that fits poorly is counted as located.
+    A poor fit counts as located.
     """
     counts = Counter(verdicts)
     others = {

@@ -1,6 +1,6 @@
-"""The file `result.npz`: what `result.json` beside it lacks and a report draws. SI units.
+"""The file `result.npz`: the arrays that `result.json` lacks and a report draws. SI units.
 
-That is the posterior, the surface, the contact shapes: plain arrays and JSON texts, nothing pickled.
+It holds the posterior, the surface and the contact shapes as plain arrays and JSON texts. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -11,40 +11,38 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import PydanticSerializationError
 
 from tactile_loc.core.errors import ResultError, TactileLocError
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import TriangleMesh, check_surface
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import load_npz
 from tactile_loc.io.meshes import simplify_mesh
+from tactile_loc.locate.localizer import Observation, make_view
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.result_json import ResultRecord
 from tactile_loc.store.files import parse_json, write_atomically
-
-if TYPE_CHECKING:
-    from tactile_loc.core.poses.posterior import PosePosterior
-    from tactile_loc.locate.localizer import Observation
-    from tactile_loc.locate.results.localization import Localization
 
 NAME = "result.npz"
 SCHEMA_VERSION = 1
 MOST_POSES = 20_000
 MOST_FACES = 50_000
-AGAIN = "run tactile-loc again with this touch, not a folder of them, which writes both files"
+AGAIN = "run tactile-loc again with this touch alone, which writes both files"
 
 
 @dataclass(frozen=True, eq=False)
 class TouchArrays:
-    """One touch and what the hypotheses look like to its sensor.
+    """One touch, and the contact shapes that the hypotheses would make on its sensor.
 
-    `T_sensor_first` (4, 4), metres, leads from the first touch's sensor frame to this one's; `made_m` (K, H, W) are
-    the hypotheses' contact depths at the touch's press, metres; `image` (H, W, 3) is the photo, if there was one.
+    `T_sensor_first` (4, 4), metres, leads from the first touch's sensor frame to this one's. `made_m` (K, H, W) are
+    the hypotheses' contact depths at the touch's press, metres. `image` (H, W, 3) is the photo, if there was one.
     """
 
     shape: ContactShape
@@ -54,7 +52,7 @@ class TouchArrays:
     image: NDArray[np.uint8] | None = None
 
     def make_shape(self, number: int) -> ContactShape:
-        """Return the contact shape that hypothesis `number` (from 0) makes."""
+        """Return the contact shape of hypothesis `number` (from 0)."""
         return ContactShape(self.made_m[number], self.shape.press_depth_m)
 
 
@@ -62,8 +60,8 @@ class TouchArrays:
 class ResultArrays:
     """The posterior, the surface and the touches of one result.
 
-    `T_sensor_object` (N, 4, 4), metres, are grid poses and `log_p` (N,) their log-probabilities, the most probable
-    first; of more than MOST_POSES only those. `mesh` is the surface, decimated if it had more than MOST_FACES faces.
+    `T_sensor_object` (N, 4, 4), metres, are the most probable grid poses, at most MOST_POSES, and `log_p` (N,) their
+    log-probabilities, sorted. `mesh` is the surface, decimated if it had more than MOST_FACES faces.
     """
 
     mesh: TriangleMesh
@@ -73,66 +71,65 @@ class ResultArrays:
 
     @property
     def mass(self) -> float:
-        """The probability of all kept poses together, 0 to 1."""
+        """The total probability of the kept poses, 0 to 1."""
         return float(np.exp(self.log_p).sum())
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Probabilities (N,) of the kept poses, as if there were no others: they sum to one."""
+        """Probabilities (N,) of the kept poses, scaled to sum to one."""
         p = np.exp(self.log_p - self.log_p.max())
         return np.asarray(p / p.sum())
 
 
 def gather_arrays(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
-    """Gather the arrays of a localisation by `contacts`: each touch with its localizer, the first as in the result."""
+    """Gather the arrays of a localisation from `contacts`: its touches in order, each with its localizer."""
     poses = np.stack([h.T_sensor_object for h in localization.hypotheses])
-    first = contacts[0][1]
+    (first_localizer, first), posterior = contacts[0], localization.posterior
     touches = []
     for localizer, touch in contacts:
-        T = _find_sensor_first(first, touch)
-        scene = localizer.scene.match_touch(touch)
-        made_m = scene.render_depths_to_compare(T @ poses, touch)
-        touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
-    kept = find_most_probable(localization.posterior)
-    posterior = localization.posterior
-    mesh = reduce_mesh(contacts[0][0].object.mesh)
+        view = make_view(first, localizer, touch)
+        made_m = view.scene.render_depths_to_compare(view.T_sensor_first @ poses, touch)
+        touches.append(TouchArrays(touch.contact_shape, touch.geometry, view.T_sensor_first, made_m, touch.image))
+    kept = find_most_probable(posterior)
+    mesh = reduce_mesh(first_localizer.object.mesh)
     poses, log_p = _round(posterior.grid.T_sensor_object[kept]), _round(posterior.log_p[kept])
     return ResultArrays(TriangleMesh(_round(mesh.vertices_m), mesh.faces), poses, log_p, tuple(touches))
 
 
 def _round(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values with the precision of the file: a page of what is in memory is the page of what is read back."""
+    """Round values to the file's precision, so that a report is the same before and after they are stored."""
     return values.astype(np.float32).astype(np.float64)
 
 
 def reduce_mesh(mesh: TriangleMesh) -> TriangleMesh:
-    """Return a surface as pages draw it: decimated if it has more than MOST_FACES faces."""
+    """Return the surface that reports draw: decimated if it has more than MOST_FACES faces."""
     return mesh if len(mesh.faces) <= MOST_FACES else simplify_mesh(mesh, MOST_FACES)
 
 
 def find_most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:
-    """Return the indices (K,) of the most probable poses, at most `most`, without those of no probability at all."""
+    """Return the indices (K,) of the most probable poses, at most `most`, without those of probability 0."""
     top = posterior.top(most)
     return top[np.isfinite(posterior.log_p[top])]
 
 
 def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path:
-    """Write the arrays of a record's result as .npz, atomically, and return the path. Raises OutputError."""
+    """Write the arrays of a record's result as .npz, atomically; return the path. Raises OutputError."""
     head = {"schema_version": np.array(SCHEMA_VERSION), "result_sha256": np.array(hash_record(record))}
     stored: dict[str, Any] = {**head, **pack_arrays(arrays)}
     return write_atomically(path, lambda temporary: np.savez_compressed(temporary, allow_pickle=False, **stored))
 
 
 def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
-    """Read the arrays that belong to a record. Raises ResultError, in one sentence, when they cannot be used."""
+    """Read the arrays that belong to a record. Raises ResultError when they cannot be used."""
     if not path.is_file():
-        raise ResultError(f"there is no {path}, which a report of this result needs; {AGAIN}")
-    stored = _load(path)
+        raise ResultError(f"{path} is missing, and a report of this result needs it; {AGAIN}")
+    try:
+        stored = load_npz(path)
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path} is damaged: it cannot be read as .npz; {AGAIN}") from error
     version = stored.pop("schema_version", None)
     if version is None or str(version) != str(SCHEMA_VERSION):
-        raise ResultError(
-            f"{path} is of version {version}, and this tactile-loc reads version {SCHEMA_VERSION}; {AGAIN}"
-        )
+        raise ResultError(f"{path} has version {version}, but this tactile-loc reads version {SCHEMA_VERSION}; {AGAIN}")
     if str(stored.pop("result_sha256", "")) != hash_record(record):
         raise ResultError(f"{path} belongs to another result than the .json file beside it; {AGAIN}")
     try:
@@ -140,20 +137,20 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
     except (KeyError, ValueError, TypeError, TactileLocError) as error:
         raise ResultError(f"{path} is damaged or incomplete ({error}); {AGAIN}") from error
     if any(len(touch.made_m) != len(record.hypotheses) for touch in arrays.touches):
-        raise ResultError(f"{path} is incomplete: it does not hold a contact shape of every hypothesis; {AGAIN}")
+        raise ResultError(f"{path} is incomplete: it lacks the contact shapes of some hypotheses; {AGAIN}")
     return arrays
 
 
 def hash_record(record: ResultRecord) -> str:
-    """Return the SHA-256 (hex) of a record's content: what ties the two files together."""
+    """Return the SHA-256 (hex) of a record's content, which ties the two files together."""
     try:
         return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
-    except PydanticSerializationError as error:  # a lone surrogate in a text, say
-        raise ResultError(f"result.json holds text that is no Unicode; {AGAIN}") from error
+    except PydanticSerializationError as error:  # for instance a lone surrogate in a text
+        raise ResultError(f"result.json holds text that is not Unicode; {AGAIN}") from error
 
 
 def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
-    """Return the arrays as they are stored; docs/reports.md has the table."""
+    """Return the arrays as stored in the file; docs/reports.md has the table."""
     arrays: dict[str, Any] = {
         "vertices_m": result.mesh.vertices_m.astype(np.float32), "faces": result.mesh.faces.astype(np.int32),
         "T_sensor_object": result.T_sensor_object.astype(np.float32), "log_p": result.log_p.astype(np.float32),
@@ -164,21 +161,21 @@ def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
 
 
 def unpack_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
-    """Return the result that stored arrays hold. Raises KeyError, ValueError or TypeError when they hold none."""
+    """Return the result from stored arrays. Raises KeyError, ValueError or TypeError when they are no result."""
     mesh = TriangleMesh(_read_numbers(arrays, "vertices_m"), _read_numbers(arrays, "faces").astype(np.int64))
     if mesh.vertices_m.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
-        raise ValueError("its vertices or faces are not of three numbers")
+        raise ValueError("its vertices or faces do not have three columns")
     count = sum(name.startswith("touch_") and name.endswith("_geometry") for name in arrays)
     touches = []
     for number in range(count):
         head = f"touch_{number}_"
         touches.append(_unpack_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}))
     if not touches or not mesh.faces.size or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
-        raise ValueError("it holds no touch, or no surface")
+        raise ValueError("it has no touch or no surface")
     check_surface(mesh, "its surface")
     T, log_p = _read_numbers(arrays, "T_sensor_object"), _read_numbers(arrays, "log_p")
     if T.shape != (*log_p.shape, 4, 4) or log_p.size == 0:
-        raise ValueError("its poses and log-probabilities do not belong together")
+        raise ValueError("its poses and log-probabilities differ in number")
     return ResultArrays(mesh, T, log_p, tuple(touches))
 
 
@@ -201,30 +198,16 @@ def _unpack_touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
     shape = ContactShape(_read_numbers(arrays, "depth_m").astype(np.float32), float(arrays["press_depth_m"]))
     made_m, T_sensor_first = _read_numbers(arrays, "made_m").astype(np.float32), _read_numbers(arrays, "T_sensor_first")
     if shape.depth_m.shape != geometry.shape or made_m.shape[1:] != geometry.shape:
-        raise ValueError("its contact shapes do not have the sensor's size")
+        raise ValueError("a contact shape does not have the sensor's size")
     image = arrays.get("image")
     if T_sensor_first.shape != (4, 4) or not (image is None or (image.ndim == 3 and image.dtype == np.uint8)):
-        raise ValueError("a touch's pose is no matrix, or its image none")
+        raise ValueError("a touch's T_sensor_first or image has the wrong shape")
     return TouchArrays(shape, geometry, T_sensor_first, made_m, image)
 
 
 def _read_numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
-    """The array of that name as floats. Raises KeyError, or ValueError unless it is of finite numbers."""
+    """Return the array of that name as floats. Raises KeyError, or ValueError if its values are not finite numbers."""
     values = arrays[name]
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-        raise ValueError(f"{name} is not of finite numbers")
+        raise ValueError(f"{name} holds values that are not finite numbers")
     return values.astype(np.float64)
-
-
-def _find_sensor_first(first: Touch, touch: Touch) -> NDArray[np.float64]:
-    if touch is first:
-        return np.eye(4)
-    T: NDArray[np.float64] = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
-    return T
-
-
-def _load(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        return load_npz(path)
-    except (OSError, ValueError) as error:
-        raise ResultError(f"{path} is damaged: it cannot be read as .npz; {AGAIN}") from error

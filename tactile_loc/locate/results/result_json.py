@@ -1,4 +1,4 @@
-"""The file `result.json`: everything that a localisation found, and everything it was made from. SI units."""
+"""The file `result.json`: the result of a localisation, and all its inputs. SI units."""
 
 from __future__ import annotations
 
@@ -32,77 +32,75 @@ class ObjectRecord(Record):
 
     name: str = Field(description="the object's name")
     source: str = Field(description="the mesh file that was read")
-    size_m: list[float] = Field(description="size of the box around the surface along x, y, z of the object frame, m")
+    size_m: list[float] = Field(description="size of the surface's bounding box along x, y, z of the object frame, m")
     triangles: int = Field(description="triangles of the surface")
-    symmetry: str = Field(description="the rotations onto itself, declared or found")
-    notes: list[str] = Field(description="what was guessed or looked doubtful on reading")
+    symmetry: str = Field(description="the object's rotations onto itself, declared or found")
+    notes: list[str] = Field(description="guesses and doubts on reading the mesh")
 
 
 class TouchRecord(Record):
-    """The touch that was explained."""
+    """A touch that was located."""
 
     name: str = Field(description="the touch's name")
     path: str | None = Field(description="its file; null when it was simulated")
     noise: str | None = Field(description="the noise it was simulated with; null when it was read from a file")
     image_px: list[int] = Field(description="size of the contact shape (rows, columns), pixels")
-    press_depth_m: float = Field(description="how deep the press is that its contact shape shows, m")
+    press_depth_m: float = Field(description="press depth of the contact shape, m")
     indentation_m: float = Field(description="how deep the object was pressed into the gel, m")
-    T_base_sensor: Matrix | None = Field(description="where the sensor was, (4, 4), m; null when not known")
-    T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null when not known")
+    T_base_sensor: Matrix | None = Field(description="the sensor's pose, (4, 4), m; null if unknown")
+    T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null if unknown")
     best_imprint_iou: float | None = Field(
-        default=None, description="of several touches: how well any pose that was tried explains this one, 0 to 1"
+        default=None, description="with several touches: the best imprint IoU with this one of any pose tried, 0 to 1"
     )
     outlier: bool = Field(default=False, description="whether it contradicts the other touches, which agree")
 
 
 class HypothesisRecord(Record):
-    """One distinct explanation of the touch."""
+    """One distinct explanation of the touches."""
 
     rank: int = Field(description="1 is the most probable one")
-    probability: float = Field(description="of this hypothesis with all grid poses that it holds, 0 to 1")
+    probability: float = Field(description="of this hypothesis with all its grid poses, 0 to 1")
     grid_poses: int = Field(description="how many poses of the grid it holds")
     T_sensor_object_grid: Matrix = Field(description="its most probable pose on the grid, (4, 4), m")
     T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
     imprint_iou: float = Field(
         description="how well the refined pose explains the touch in depth and outline, 0 to 1: intersection over "
-        "union of imprints; with the prior, if there is one, it decides the probability; of several touches the mean, "
+        "union of imprints; it decides the probability, with the prior if there is one; for several touches the mean "
         "without outliers"
     )
     imprint_ious: list[float] = Field(
-        default_factory=list, description="the same of each touch: `touch`, then `other_touches`"
+        default_factory=list, description="the same for each touch: `touch`, then `other_touches`"
     )
     contact_iou: float = Field(
-        description="what the refiner reached: intersection over union of the observed contact and the pose's, 0 to 1"
+        description="from the refiner: intersection over union of the observed contact and the pose's contact, 0 to 1"
     )
     converged: bool = Field(description="whether the refinement converged")
     iterations: int = Field(description="iterations of the refinement")
     covariance: Covariance | None = Field(
         default=None,
         description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
-        "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null when the "
-        "pose was not refined, or the touches say nothing of it",
+        "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null if the pose "
+        "was not refined, or the touches do not determine it",
     )
-    error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
+    error_m: float | None = Field(description="surface distance to the true pose, m; null if that is unknown")
 
 
 class PoseSetRecord(Record):
-    """Grid poses that hold the one nearest to the truth as often as asked for, by split conformal prediction."""
+    """Grid poses that include the one nearest to the true pose with known probability (split conformal prediction)."""
 
-    coverage: float = Field(description="how probable it is that the set holds it, 0 to 1, as asked for")
-    level: float = Field(description="the credible level that this takes, 0 to 1")
-    examples: int = Field(description="simulated, held-out examples that vouch for it")
+    coverage: float = Field(description="the probability asked for, 0 to 1")
+    level: float = Field(description="the credible level that this coverage takes, 0 to 1")
+    examples: int = Field(description="simulated, held-out examples behind the coverage")
     grid_poses: int = Field(description="poses in the set: the most probable ones, so the first of `result.npz`")
-    elsewhere: bool = Field(
-        default=False, description="whether the pose may also be one that was not found, as not every search finds it"
-    )
+    elsewhere: bool = Field(default=False, description="whether the pose may also be one that the search did not find")
 
 
 class ErrorRecord(Record):
-    """How far off the answer is: root mean square distance of surface, the least over the object's symmetry."""
+    """Errors of the answer: surface distances to the true pose, the least over the object's symmetry."""
 
     best_m: float = Field(description="of the first hypothesis, m")
-    best_listed_m: float = Field(description="of the nearest of those listed, m")
-    closest_in_grid_m: float = Field(description="of the grid pose nearest to the truth, m")
+    best_listed_m: float = Field(description="of the best of the listed hypotheses, m")
+    closest_in_grid_m: float = Field(description="of the grid pose nearest to the true pose, m")
 
 
 class ResultRecord(Record):
@@ -111,10 +109,10 @@ class ResultRecord(Record):
     schema_version: int = Field(
         default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
     )
-    created: str = Field(description="when, UTC, ISO 8601")
+    created: str = Field(description="date and time, UTC, ISO 8601")
     versions: dict[str, str] = Field(description="of tactile-loc, python and the libraries installed")
     configuration: dict[str, Any] = Field(
-        description="every setting, defaults included; `tactile-loc run --config` takes the same entries as TOML"
+        description="all settings, defaults included; `tactile-loc run --config` takes the same entries as TOML"
     )
     distributions: dict[str, str] = Field(description="the installed package that each slot's component came from")
     object: ObjectRecord = Field(description="the object")
@@ -122,20 +120,20 @@ class ResultRecord(Record):
     other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
     contradictory: bool = Field(
         default=False,
-        description="whether no pose was found that explains all touches; those that contradict the others are each an "
-        "`outlier`, none if nobody can say which",
+        description="whether no pose was found that explains all touches; each touch that contradicts the others is an "
+        "`outlier`, and none is if the wrong touch is unknown",
     )
     left_out: list[TouchRecord] = Field(
-        default_factory=list, description="touches that contradict these, and are no part of the result"
+        default_factory=list, description="touches that contradict these and were left out of the result"
     )
     verdict: Verdict | None = Field(
         default=None,
         description="how far the first hypothesis can be trusted: `certain`, `ambiguous`, `poor fit` or `not found`; "
-        "null in files that were written before there were verdicts",
+        "null in files from before there were verdicts",
     )
-    grid_poses: int = Field(description="poses that were searched; of a whole object, those that were found likely")
+    grid_poses: int = Field(description="poses that were scored; in a search of the whole object, the likely ones")
     elsewhere: float = Field(
-        default=0.0, description="probability that the pose is near none of these; their probabilities sum to the rest"
+        default=0.0, description="probability that the pose is near none of these; theirs sum to the rest"
     )
     normalised_entropy: float = Field(
         description="entropy / log(grid_poses): 0 one pose is certain, 1 nothing is known"
@@ -145,36 +143,36 @@ class ResultRecord(Record):
     pose_set: PoseSetRecord | None = Field(
         description="the set whose modes the hypotheses are; null unless a coverage was asked for"
     )
-    errors: ErrorRecord | None = Field(description="where the true pose is known, else null")
+    errors: ErrorRecord | None = Field(description="null if the true pose is unknown")
     seconds: dict[str, float] = Field(description="duration of each stage, s")
 
     @property
     def sensor_name(self) -> str:
-        """The sensor's name, or that of its file."""
+        """The name of the sensor or of its file."""
         sensor = self.configuration.get("sensor", {})
         path = sensor.get("options", {}).get("path")
         return Path(path).stem if path else str(sensor.get("name", "a sensor"))
 
     @property
     def errors_m(self) -> list[float] | None:
-        """Each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""
+        """Each hypothesis's surface distance (K,), metres, to the true pose; None if that is unknown."""
         return [h.error_m for h in self.hypotheses if h.error_m is not None] or None
 
     @property
     def searched(self) -> str:
-        """How many poses the probabilities are of, in words, and how likely the object is at none of them."""
+        """The number of scored poses and the probability that the object is at none of them, in words."""
         if not self.elsewhere:
             return f"{self.grid_poses} poses searched"
         return f"{self.grid_poses} poses found likely, {self.elsewhere:.0%} that it is at none of them"
 
 
 def read_record(path: Path) -> ResultRecord:
-    """Read result.json. Raises ResultError, in one sentence, when it cannot be used."""
+    """Read result.json. Raises ResultError when it cannot be used."""
     document = read_document(path)
     version = document.get("schema_version")
     if version != SCHEMA_VERSION:
         reads = f"this tactile-loc reads version {SCHEMA_VERSION}"
-        raise ResultError(f"{path} is of version {version}, and {reads}; run it again")
+        raise ResultError(f"{path} has version {version}, but {reads}; run tactile-loc again")
     try:
         return ResultRecord.model_validate(document)
     except ValidationError as error:
@@ -186,7 +184,7 @@ def read_record(path: Path) -> ResultRecord:
 def make_record(
     localizer: Localizer, localization: Localization, seconds: Mapping[str, float] | None = None
 ) -> ResultRecord:
-    """Gather what a localisation found. `seconds` adds durations of other stages to those of the localisation."""
+    """Make the record of a localisation. `seconds` adds the durations of other stages."""
     config, posterior = localizer.config, localization.posterior
     touches = _record_touches(localization, config.touch)
     errors_m = localization.measure_errors_m(localizer.object)
@@ -228,7 +226,6 @@ def _record_touch(touch: Touch, source: TouchConfig) -> TouchRecord:
 
 
 def _record_touches(localization: Localization, source: TouchConfig) -> list[TouchRecord]:
-    """The touches that were localised, with how they agree."""
     agreement = localization.agreement
     records = [_record_touch(touch, source) for touch in localization.touches]
     return [

@@ -1,4 +1,4 @@
-"""The verdict on a located touch: one word, the same for a run, a track, live frames, recordings and ROS."""
+"""The verdict on a located touch: one word, the same for runs, tracks, live frames, recordings and ROS."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from enum import StrEnum
 
 from tactile_loc.io.options import CERTAIN
 
-LEAST_IOU = 0.5  # imprint IoU of one touch: of 83 simulated ones that were explained by less, 1 was right
-MOSTLY_ELSEWHERE = 0.5  # probability: above it the search more likely missed the pose than found it
+LEAST_IOU = 0.5  # imprint IoU of one touch: below it, 1 of 83 simulated touches had the right pose
+MOSTLY_ELSEWHERE = 0.5  # probability above which the search more likely missed the pose than found it
 
 
 class Verdict(StrEnum):
@@ -21,7 +21,7 @@ class Verdict(StrEnum):
     NO_CONTACT = "no contact"
 
 
-REFUSED = "refused"  # the word for a frame that cannot be read, which has no verdict
+REFUSED = "refused"  # for a frame that cannot be read, which has no verdict
 MEANINGS = {
     Verdict.CERTAIN: "the first pose explains the touch and is probable enough to act on",
     Verdict.AMBIGUOUS: "several poses explain the touch; the first is not certain",
@@ -32,12 +32,12 @@ MEANINGS = {
 
 
 def name_verdict(verdict: Verdict | None) -> str:
-    """Return the verdict's word, "refused" where there is none."""
+    """Return the verdict's word; "refused" if there is none."""
     return REFUSED if verdict is None else verdict.value
 
 
 def explain_verdict(verdict: Verdict | None) -> str:
-    """Return what a verdict means, or that there is none."""
+    """Return the meaning of a verdict, or of its absence."""
     return "the frame cannot be read" if verdict is None else MEANINGS[verdict]
 
 
@@ -52,16 +52,16 @@ def judge(
 ) -> Verdict:
     """Return the verdict on the first pose.
 
-    `probability`, 0 to 1, is the first pose's, None if there is no pose. `imprint_iou`, 0 to 1, is how well it explains
-    the touch, NaN if that is not known. `elsewhere`, 0 to 1, is the probability that the search missed the pose;
-    `touched` says whether there is a touch. A pose is `certain` from that probability on, and a poor fit below
+    `probability`, 0 to 1, is the first pose's; None if there is no pose. `imprint_iou`, 0 to 1, is how well it explains
+    the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search missed the pose. `touched` tells
+    whether there is a touch. A pose is certain if its probability is at least `certain`, and a poor fit below
     `least_iou`.
     """
     if not touched:
         return Verdict.NO_CONTACT
     if probability is None:
         return Verdict.NOT_FOUND
-    if imprint_iou < least_iou:  # not so for NaN
+    if imprint_iou < least_iou:  # False for NaN
         return Verdict.POOR_FIT
     if elsewhere > MOSTLY_ELSEWHERE:
         return Verdict.NOT_FOUND

@@ -1,4 +1,4 @@
-"""The paper's baseline: contact shapes compared pixel by pixel, after binarising and averaging to coarse cells."""
+"""The paper's baseline: contact shapes are binarised, averaged to coarse cells, and compared cell by cell."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32, SensorGeometry
 
-LEAST_SEEN = 0.5  # of a cell, for it to count
+LEAST_SEEN = 0.5  # least seen share of a cell that counts
 
 
 class PixelEncoder(Encoder):
@@ -19,7 +19,7 @@ class PixelEncoder(Encoder):
     capabilities = Capabilities(follows_press_depth=True)
 
     class Options(ComponentOptions):
-        """`signal` is what is compared: the binary contact mask, or the penetration depth as a share of the press."""
+        """`signal` chooses the compared signal: the binary contact mask, or the penetration as a share of the press."""
 
         cells: int = Field(default=20, ge=4, le=400, description="cells along the longer image side")
         signal: Literal["binary", "depth"] = Field(default="binary", description="contact mask, or penetration")
@@ -27,8 +27,8 @@ class PixelEncoder(Encoder):
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return embeddings (N, cells) of contact depths (N, H, W) in metres cut at `press_depth_m`.
 
-        Scaled so that the squared distance of two embeddings is the mean squared difference of their cells; pixels that
-        are not observed never differ.
+        The squared distance of two embeddings is the mean squared difference of their cells. Pixels that are not
+        observed never differ.
         """
         press = np.float32(press_depth_m)
         binary = self.options.signal == "binary"
@@ -38,7 +38,7 @@ class PixelEncoder(Encoder):
         down, across = _count_cells(geometry, self.options.cells)
         rows, columns = _make_averaging(height, down), _make_averaging(width, across)
         scale = np.float32(1 / np.sqrt(down * across))
-        # two products of large matrices: one for every shape is several times as slow
+        # two products of large matrices are several times as fast as one small product for each shape
         lines = (signal.reshape(-1, width) @ (scale * columns.T)).reshape(len(signal), height, across)
         cells = lines.swapaxes(1, 2).reshape(-1, height) @ rows.T
         return cells.reshape(len(signal), across, down).swapaxes(1, 2).reshape(len(signal), down * across)
@@ -46,9 +46,9 @@ class PixelEncoder(Encoder):
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
-        """Return embeddings (N, cells) of what is seen (N, H, W) of contact depths, and weights (N, cells).
+        """Return embeddings (N, cells) of the seen pixels (N, H, W) of contact depths, and weights (N, cells).
 
-        A cell is what is seen of it, and counts if that is more than a half.
+        A cell is the average of its seen pixels. It counts if more than half of it is seen.
         """
         unseen = np.float32(press_depth_m)
         embeddings = self.encode(np.where(seen, depth_m, unseen), press_depth_m, geometry)
@@ -59,9 +59,9 @@ class PixelEncoder(Encoder):
 
 
 def _count_cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
-    """How many cells lie down and across, `longest` along the longer side of the field of view.
+    """Return the number of cells down and across, with `longest` along the longer side of the field of view.
 
-    They depend on the sensor's field alone, so that a touch and a bank of another resolution have the same cells.
+    They depend on the sensor's field only, so a touch and a bank of different resolutions have the same cells.
     """
     across_scale, down_scale = geometry.scale_at_surface
     down_m, across_m = geometry.height_px / down_scale, geometry.width_px / across_scale
@@ -71,7 +71,7 @@ def _count_cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
 
 
 def _make_averaging(pixels: int, cells: int) -> NDArray[np.float32]:
-    """Matrix (cells, pixels) that averages pixels over equal cells, by the exact share of each pixel in each cell."""
+    """Return a matrix (cells, pixels) that averages pixels over equal cells, by each pixel's exact share of a cell."""
     edges = np.linspace(0, pixels, cells + 1)
     left, right = np.arange(pixels), np.arange(pixels) + 1.0
     overlap = np.minimum(edges[1:, None], right) - np.maximum(edges[:-1, None], left)

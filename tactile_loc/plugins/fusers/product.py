@@ -1,4 +1,4 @@
-"""The product of probabilities: what each touch says, times what was known before. Eq. 1 of the paper."""
+"""The product of the touches' probabilities and the prior: equation 1 of the paper."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from tactile_loc.plugin import CommonPosesFuser, PosePosterior
 class ProductFuser(CommonPosesFuser):
     """P(x | CS_1 ... CS_N) ~ prod_i P(x | CS_i) P_task(x) / prod_i P_train,i(x), over the first touch's grid.
 
-    The appendix's full form, in log space; P_task is the prior, P_train,i what touch i's probabilities were learned
-    from, both uniform unless given. A factor of touch i is that of the pose of its own grid nearest to x as its sensor
-    sees it; poses that do not touch a sensor are dropped. The cost is linear in the number of touches.
+    This is the full form of the paper's appendix, in log space. P_task is the prior. P_train,i is the distribution
+    from which touch i's probabilities were learned. Both are uniform unless given. The factor of touch i is taken at
+    the pose of its own grid that is nearest to x in its sensor's frame. Poses that do not touch a sensor are dropped.
     """
 
     if_contradictory = "allow fuser.doubt, or let the matcher score all poses"
 
     class Options(CommonPosesFuser.Options):
-        """`doubt` keeps one misleading touch from excluding the truth; poses without contact stay excluded."""
+        """`doubt` keeps one misleading touch from excluding the true pose. Poses without contact stay excluded."""
 
         doubt: float = Field(
-            default=0.0, ge=0, lt=1, description="probability that a touch tells nothing but contact (0 to 1)"
+            default=0.0, ge=0, lt=1, description="probability that a touch shows only that there is contact (0 to 1)"
         )
 
     def evidence(self, posterior: PosePosterior, index: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """Return log(P(x | CS) / P_train(x)) (K,) of grid poses `index`; a touch that tells nothing has P = P_train."""
+        """Return log(P(x | CS) / P_train(x)) (K,) of grid poses `index`, in nats; 0 for an uninformative touch."""
         log_train: NDArray[np.float64] | float = -np.log(len(posterior.grid))
         if posterior.log_train is not None:
             log_train = PosePosterior(posterior.grid, posterior.log_train).log_p[index]

@@ -1,4 +1,4 @@
-"""Poses of an object pressed with one face: x, y and yaw, and small tilts on request."""
+"""Poses of an object that is pressed with one face: x, y and yaw, with optional small tilts."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for s
 class FaceGrid(GridSampler):
     """One face of the object lies on the sensor: a lattice over x, y and yaw, times tilts up to `tilt_deg`.
 
-    Each yaw's lattice is shifted against the others': places where only a narrow range of x or y makes contact, a ledge
-    beside the face, would otherwise fall between the same rows at every yaw.
+    The lattice of each yaw has a different shift. A narrow range of contact, such as a ledge beside the face, would
+    otherwise fall between the same rows at every yaw.
     """
 
     version = 3
@@ -48,29 +48,26 @@ class FaceGrid(GridSampler):
             default=0.0,
             ge=0.0,
             le=45.0,
-            description="largest tilt about x and y, degrees; spacing_mm is then that of x, y and yaw alone",
+            description="largest tilt about x and y, degrees; spacing_mm then applies to x, y and yaw only",
         )
-        tilt_steps: int = Field(
-            default=3, ge=2, le=15, description="tilts an axis: the middles of so many parts of -tilt to +tilt"
-        )
-        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
+        tilt_steps: int = Field(default=3, ge=2, le=15, description="tilts for each axis, evenly from -tilt to +tilt")
+        max_poses: int = Field(default=2_000_000, ge=1, description="largest allowed number of poses")
 
     @property
     def spacing_is_mean(self) -> bool:
-        """Tilts are as many and as far apart as asked for, whatever the spacing."""
+        """False with tilts: their number and step do not depend on the spacing."""
         return self.options.tilt_deg == 0.0
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS.
 
-        Raises GridError when the spacing is below a micrometre, or when there would be more than `max_poses`, before so
-        many are made.
+        Raises GridError when the spacing is below a micrometre, or when the grid would exceed `max_poses`.
         """
         require_spacing(spacing_m)
         R_face = self._find_face_rotation(obj)
         lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
         fold = count_turns_alike(obj.symmetry, -R_face[2])
-        # Of each turn that looks the same a whole number of steps: then equivalent poses coincide and can be removed.
+        # A whole number of steps fits into each symmetric rotation, so equivalent poses coincide and can be removed.
         period = 1 if fold == math.inf else max(1, round(2 * np.pi * lever_m / (spacing_m * fold)))
         turns = period if fold == math.inf else period * int(fold)
         poses: list[Poses] = []
@@ -97,12 +94,12 @@ class FaceGrid(GridSampler):
     def _refuse_too_many(self, count: int, obj: ObjectModel, spacing_m: float) -> None:
         if count > self.options.max_poses:
             raise GridError(
-                f"the face grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs more poses than the limit "
-                f"of {self.options.max_poses:,}; take a greater spacing, or raise max_poses"
+                f"the face grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm exceeds the limit of "
+                f"{self.options.max_poses:,} poses; choose a larger spacing, or raise max_poses"
             )
 
     def _list_rotations(self, R_face: NDArray[np.float64], yaw_rad: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        steps = self.options.tilt_steps  # each tilt stands for an equal part of those that `random` draws
+        steps = self.options.tilt_steps  # each tilt represents an equal share of the range that `random` draws from
         tilts = np.radians((2 * np.arange(steps) + 1 - steps) / steps * self.options.tilt_deg)
         if self.options.tilt_deg == 0.0:
             tilts = np.zeros(1)
@@ -117,35 +114,35 @@ class FaceGrid(GridSampler):
         elif face in SIDES:
             normal = SIDES[face]
         else:
-            raise GridError(f"there is no face {face!r}; give one of {', '.join(SIDES)} or auto")
+            raise GridError(f"there is no face {face!r}; choose one of {', '.join(SIDES)} or auto")
         return align_to_z(-normal)
 
 
 @lru_cache(maxsize=8)
 def _find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """The side (3,) of a mesh, looked for once: random poses may be drawn a few at a time."""
+    """Find the resting side (3,) of a mesh once: random poses may be drawn a few at a time."""
     return find_resting_normal(mesh.vertices_m, mesh.centroid_m)
 
 
 def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the outward normal (3,), unitless, of the side on which the object's centroid lies lowest.
 
-    That side's plane is the convex hull's nearest to the centroid; its foot point is inside the facet, so the object
-    is stable on it. Of equally near sides the one with the greatest normal (x, then y, then z) is taken.
+    This is the facet plane of the convex hull nearest to the centroid. The object is stable on it. Among equally near
+    sides, the one with the greatest normal (x, then y, then z) is chosen.
     """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         planes = ConvexHull(vertices_m - centroid_m).equations
     except QhullError as error:
-        raise GridError("the object is flat, so it has no resting face; choose one with -o grid.face=+z") from error
+        raise GridError("the object is flat and has no resting face; choose a face, such as -o grid.face=+z") from error
     heights = np.round(-planes[:, 3], 7)
     near = planes[heights <= heights.min() + 1e-6, :3]
     return np.asarray(near[np.lexsort(np.round(near.T[::-1], 6))[-1]])
 
 
 def count_turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
-    """Return how many turns about this unit normal (3,) of the object frame map it onto itself: whole, or inf."""
+    """Return how many rotations about a unit normal (3,), in the object frame, map the object onto itself, or inf."""
     axis = symmetry.continuous_axis
     if axis is None:
         return int(np.isclose(symmetry.rotations @ normal, normal, atol=1e-3).all(axis=1).sum())
@@ -159,6 +156,6 @@ def _tilt(
     R_face: NDArray[np.float64], yaw_rad: NDArray[np.float64], about_x_rad: NDArray[np.float64],
     about_y_rad: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Rotations (N, 3, 3): the face turned by yaw (N,), then tilted about the sensor's x and y axes (N,), radians."""
+    """Return rotations (N, 3, 3): the face rotated by yaw, then tilted about the sensor's x and y, (N,) radians."""
     tilt = rotation_about([1, 0, 0], about_x_rad) @ rotation_about([0, 1, 0], about_y_rad)
     return tilt @ rotation_about([0, 0, 1], yaw_rad) @ R_face

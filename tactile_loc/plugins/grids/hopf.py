@@ -1,17 +1,14 @@
 """The pose grid for a touch anywhere on the object: all of SO(3) times the plane, evenly in metres of surface.
 
 After A. Yershova, S. Jain, S. M. LaValle and J. C. Mitchell, "Generating Uniform Incremental Grids on SO(3) Using the
-Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation is the direction that z turns to, a
-point of the sphere S^2, and a spin about z, a point of the circle S^1. HEALPix cuts the sphere into 12 nside^2 cells of
-equal area, so with `n_psi` spins there are 12 nside^2 n_psi cells of equal volume: 72 * 8^level for nside = 2^level and
-n_psi = 6 nside. nside may be any positive integer.
+Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation is a direction to which z is
+rotated, a point of the sphere S^2, and a spin about z, a point of the circle S^1. HEALPix cuts the sphere into 12
+nside^2 cells of equal area, where nside is any positive integer. With `n_psi` spins there are 12 nside^2 n_psi cells of
+equal volume: 72 * 8^level for nside = 2^level and n_psi = 6 nside. Cells are numbered by (base pixel, x, y, spin).
 
-Cells are numbered by (base pixel, x, y, spin). Doubling nside and n_psi cuts each into eight: `children`.
-
-On an object, distances are millimetres of surface: a turn by a small angle about an axis through the centroid moves the
-surface by that angle times a lever, the root mean square distance from the axis. The spin is put on the object's most
-distinct principal axis, so that spins and directions can each step by the angle that moves the surface by one spacing:
-a pin turns in many small steps across its length and in few about it.
+A rotation by a small angle about an axis through the centroid moves the surface by that angle times a lever. The lever
+is the root mean square distance from the axis. The spin axis is the object's most distinct principal axis. So spins and
+directions can each step by the angle that moves the surface by one spacing.
 """
 
 from __future__ import annotations
@@ -27,13 +24,12 @@ from tactile_loc.plugin import AllRotationsGrid, ObjectModel, SensorGeometry, al
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-LARGEST_SPACING_M = 1.0  # that is suggested: as large as an object may be
-_SAMPLE = 4096
-_CHUNK = 100_000
+LARGEST_SPACING_M = 1.0  # largest suggested spacing: the largest size of an object
+_SAMPLE = 4096  # rotations whose poses are counted in a large grid
+_CHUNK = 100_000  # rotations made at once
 
 BASE_PIXELS = 12
-SPHERE_STEP_RAD = float(np.sqrt(4 * np.pi / BASE_PIXELS))
-"""Side of a base pixel, were it a square on the unit sphere: cells are this over nside wide."""
+SPHERE_STEP_RAD = float(np.sqrt(4 * np.pi / BASE_PIXELS))  # width of a cell for nside = 1
 
 
 class HopfGrid(AllRotationsGrid):
@@ -42,15 +38,15 @@ class HopfGrid(AllRotationsGrid):
     name = "hopf"
 
     class Options(AllRotationsGrid.Options):
-        """With a `level`, `spacing_mm` is that of the plane alone."""
+        """With a `level`, `spacing_mm` applies to the plane only."""
 
         level: int | None = Field(
-            default=None, ge=0, le=8, description="take 72 * 8^level rotations instead of those that meet the spacing"
+            default=None, ge=0, le=8, description="use 72 * 8^level rotations instead of a number from the spacing"
         )
 
     @property
     def spacing_is_mean(self) -> bool:
-        """With a level, the rotations are what they are, and the spacing is that of the plane."""
+        """False with a level: then the spacing applies to the plane only."""
         return self.options.level is None
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
@@ -58,7 +54,7 @@ class HopfGrid(AllRotationsGrid):
         return make_rotation_grid(obj, spacing_m, self.options.level).all_representatives()
 
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Count the poses at a spacing in metres; of a big grid, only those at some of its rotations, in proportion."""
+        """Count the poses at a spacing in metres; extrapolate from a sample of the rotations when the grid is large."""
         rotations = make_rotation_grid(obj, spacing_m, self.options.level)
         total = len(rotations)
         some = np.arange(total) if total <= _SAMPLE else np.random.default_rng(0).integers(total, size=_SAMPLE)
@@ -66,28 +62,21 @@ class HopfGrid(AllRotationsGrid):
         return round(float(counts.sum()) * total / len(some))
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Name a spacing, in millimetres of two digits, that keeps the limit: any of a dozen poses can be kept."""
+        """Suggest a spacing, in millimetres with two digits, that keeps the limit."""
         if self.options.level is not None:
-            return "take a lower level or a greater spacing"
+            return "choose a lower level or a larger spacing"
         while spacing_m < LARGEST_SPACING_M and (
             self.least_poses(obj, geometry, spacing_m) > 0.95 * self.options.max_poses
         ):
             spacing_m = float(f"{1.1 * spacing_m:.1e}")
-        return f"take a spacing of {spacing_m * 1e3:g} mm or more"
+        return f"choose a spacing of {spacing_m * 1e3:g} mm or more"
 
 
-def count_rotations(nside: int, n_psi: int) -> int:
-    """Return how many rotations the grid has."""
-    return BASE_PIXELS * nside**2 * n_psi
-
-
-def make_hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> Float:
-    """Return the rotations (N, 3, 3) at the cells' centres, unitless: all, or those of `indices` (N,)."""
-    if indices is None:
-        indices = np.arange(count_rotations(nside, n_psi))
+def make_hopf_rotations(nside: int, n_psi: int, indices: Int) -> Float:
+    """Return the rotations (N, 3, 3), unitless, at the centres of the cells `indices` (N,)."""
     pixel, spin = np.divmod(indices, n_psi)
     z, azimuth_rad = compute_pixel_angles(nside, pixel)
-    # The smallest turn that takes z to the direction, after a spin about z: both half angles enter a quaternion.
+    # A spin about z, then the smallest rotation that takes z to the direction, as one quaternion.
     cosine, sine = np.sqrt((1 + z) / 2), np.sqrt((1 - z) / 2)
     half_spin = (spin + 0.5) * (np.pi / n_psi)
     swing = azimuth_rad - half_spin
@@ -96,27 +85,19 @@ def make_hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> F
 
 
 def compute_pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
-    """Return z (N,), unitless, and azimuth (N,) in radians, not reduced to one turn, of HEALPix pixels' centres (N,).
+    """Return z (N,), unitless, and azimuth (N,), radians, of the centres of HEALPix pixels (N,).
 
     Pixels are numbered base pixel by base pixel, x (towards north-east) slowest, then y (towards north-west).
     """
     base, x, y = np.unravel_index(pixel, (BASE_PIXELS, nside, nside))
     row, column = np.divmod(base, 4)  # three rows of four base pixels: north, equator, south
     ring = (row + 2) * nside - x - y - 1  # from 1 at the north pole to 4 nside - 1
-    quarter = np.minimum(np.minimum(ring, 4 * nside - ring), nside)  # pixels of this ring in a quarter of a turn
+    quarter = np.minimum(np.minimum(ring, 4 * nside - ring), nside)  # pixels in a quarter of this ring
     z = (2 * nside - ring) * (2 / (3 * nside))
     cap = 1 - quarter**2 / (3 * nside**2)
     z = np.where(ring < nside, cap, np.where(ring > 3 * nside, -cap, z))
     eighths = 2 * column + (row != 1)
     return np.asarray(z, float), np.asarray(np.pi / 4 * (eighths + (x - y) / quarter), float)
-
-
-def list_children(indices: Int, nside: int, n_psi: int) -> Int:
-    """Return the eight cells (N, 8) of the grid (2 nside, 2 n_psi) that cells `indices` (N,) are cut into."""
-    base, x, y, spin = np.unravel_index(indices, (BASE_PIXELS, nside, nside, n_psi))
-    dx, dy, dspin = np.unravel_index(np.arange(8), (2, 2, 2))
-    finer = (np.repeat(base[:, None], 8, axis=1), 2 * x[:, None] + dx, 2 * y[:, None] + dy, 2 * spin[:, None] + dspin)
-    return np.ravel_multi_index(finer, (BASE_PIXELS, 2 * nside, 2 * nside, 2 * n_psi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +110,10 @@ class RotationGrid:
     n_psi: int
 
     def __len__(self) -> int:
-        return count_rotations(self.nside, self.n_psi)
+        return BASE_PIXELS * self.nside**2 * self.n_psi
 
-    def representatives(self, indices: NDArray[np.int64]) -> Float:
-        """Return R_sensor_object (K, 3, 3) of those of the cells `indices` (N,) that stand for their equivalents."""
+    def representatives(self, indices: Int) -> Float:
+        """Return R_sensor_object (K, 3, 3) of the cells `indices` (N,), one for each class that looks the same."""
         R = make_hopf_rotations(self.nside, self.n_psi, indices) @ align_to_z(self.axis)
         return R[self.obj.symmetry.is_representative(R, step_rad=2 * np.pi / self.n_psi)]
 
@@ -145,7 +126,7 @@ class RotationGrid:
 def find_spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
     """Return the object's spin axis (3,), unitless, and the levers about it and across it in metres.
 
-    It is the axis of a continuous symmetry, or else the principal axis about which the object is most nearly round.
+    This is the axis of a continuous symmetry, or else the principal axis about which the object is most nearly round.
     """
     moments, axes = np.linalg.eigh(obj.mesh.covariance_m2)
     lever_m = np.sqrt(np.clip(moments.sum() - moments, 1e-18, None))
@@ -161,8 +142,9 @@ def find_spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
 def make_rotation_grid(obj: ObjectModel, spacing_m: float, level: int | None = None) -> RotationGrid:
     """Return the rotations whose neighbours are about `spacing_m` metres apart, or Yershova's 72 * 8^level.
 
-    A cell is a spacing wide about the spin axis, and of a spacing's square across it. Spins are a multiple of the
-    symmetry's turns about the axis, so that a turn takes cells to cells; with a continuous symmetry one spin does.
+    A cell is one spacing wide about the spin axis and covers one squared spacing across it. The number of spins is a
+    multiple of the symmetry's rotations about the axis, so these map cells to cells. A continuous symmetry needs one
+    spin.
     """
     axis, spin_m, across_m = find_spin_axis(obj)
     if level is not None:

@@ -1,8 +1,8 @@
-"""The whole object: every direction from which it can be touched, and the places that touch first from there.
+"""The whole object: the places that can touch first, for every direction.
 
-For each of many directions the object's height map is drawn; its local minima, and what is as low as they are along
-edges and on faces, are what can touch first. How dense the directions are decides how far a pose can be off before it
-is refined; translations and yaws are read off a touch, not searched.
+For each of many directions the object's height map is drawn. Its local minima can touch first, and so can equally low
+pixels along edges and on faces. Translations and yaws are read from the touch, not searched. So the density of the
+directions decides the pose error before refinement.
 """
 
 from __future__ import annotations
@@ -38,37 +38,37 @@ Float = NDArray[np.float64]
 
 AT_ONCE = 50  # directions drawn together
 MARGIN_M = 0.01  # between the object and the camera
-LONGEST_M = 0.5  # of an object's diameter: its height maps have as many pixels as fit the memory
-MOST_PLACES = 4096  # of one direction
-ALIKE, MOST_FLAT = 5e-3, 400  # normals that differ by less are one; faces that are looked at straight on
-GENERIC = np.array([0.5377, 0.6512, 0.5355])  # no direction of symmetry: which of several that look alike is kept
+LONGEST_M = 0.5  # largest diameter of an object: height maps of larger ones do not fit into memory
+MOST_PLACES = 4096  # for one direction
+ALIKE, MOST_FLAT = 5e-3, 400  # difference below which normals count as equal; flat faces with their own direction
+GENERIC = np.array([0.5377, 0.6512, 0.5355])  # an asymmetric direction: chooses among symmetric directions
 
 
 class WholeGrid(GridSampler):
-    """All directions: what touches first is indexed, and a touch says where it is and how it is turned."""
+    """All directions: the places that can touch first are indexed; position and yaw are read from the touch."""
 
     capabilities = Capabilities(places=True)
 
     class Options(GridSampler.Options):
-        """How dense directions, turns and places are. `spacing_mm` is how far apart two hypotheses are."""
+        """The density of directions, yaws and places. `spacing_mm` is the distance between two hypotheses."""
 
         spacing_mm: float = Field(default=3.0, gt=0, description="mean distance between neighbouring hypotheses, mm")
-        directions: int = Field(default=4000, ge=100, le=100_000, description="over the whole sphere")
-        turns: int = Field(default=120, ge=8, le=720, description="yaws by which a touch is turned")
+        directions: int = Field(default=4000, ge=100, le=100_000, description="directions over the whole sphere")
+        turns: int = Field(default=120, ge=8, le=720, description="yaws by which a touch is rotated")
         apart_mm: float = Field(default=2.0, gt=0, description="distance between places along edges and faces, mm")
-        near_mm: float = Field(default=3.0, gt=0, description="a place is the lowest so far around, mm")
-        level_mm: float = Field(default=0.05, ge=0, description="what is higher by less is as low, mm")
-        flat_mm2: float = Field(default=4.0, gt=0, description="flat faces so large are looked at straight on, mm^2")
-        max_places: int = Field(default=200_000, ge=1, description="refuse more places than this: 2 kB each")
+        near_mm: float = Field(default=3.0, gt=0, description="radius in which a place is the lowest point, mm")
+        level_mm: float = Field(default=0.05, ge=0, description="height difference that counts as equally low, mm")
+        flat_mm2: float = Field(default=4.0, gt=0, description="smallest flat face with its own direction, mm^2")
+        max_places: int = Field(default=200_000, ge=1, description="largest allowed number of places, 2 kB each")
 
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
-        """Return what can touch first, direction by direction. Raises GridError for an object of half a metre."""
+        """Return the places that can touch first. Raises GridError for an object larger than LONGEST_M."""
         options, mesh = self.options, obj.mesh
         radius_m = float(np.linalg.norm(mesh.corners_m - mesh.centroid_m, axis=1).max())
         if 2 * radius_m > LONGEST_M:
             raise GridError(
-                f"{obj.name} is {2e3 * radius_m:.0f} mm across, and the whole grid searches objects of at most "
-                f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose the face that touches with --grid face"
+                f"{obj.name} is {2e3 * radius_m:.0f} mm across, but the whole grid supports at most "
+                f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose --grid face"
             )
         camera = _make_camera(radius_m)
         step_rad = np.sqrt(4 * np.pi / options.directions)
@@ -77,7 +77,7 @@ class WholeGrid(GridSampler):
         self._refuse_too_many(obj, directions, camera)
         poses: list[Float] = []
         patches: list[NDArray[np.uint8]] = []
-        with progress.task("looking for what touches first", len(directions)) as advance:
+        with progress.task("finding places that can touch first", len(directions)) as advance:
             for start in range(0, len(directions), AT_ONCE):
                 some = directions[start : start + AT_ONCE]
                 for T_camera, heights in zip(*_draw_height_maps(obj, some, camera), strict=True):
@@ -88,7 +88,7 @@ class WholeGrid(GridSampler):
         return Places(np.concatenate(poses), np.concatenate(patches))
 
     def _refuse_too_many(self, obj: ObjectModel, directions: Float, camera: SensorGeometry) -> None:
-        """Count the places of some directions, before the rest is looked at. Raises GridError if all are too many."""
+        """Raise GridError when a sample of the directions predicts more than `max_places`."""
         some = directions[:: max(1, len(directions) // AT_ONCE)]
         count = sum(len(self._find_lowest(heights)) for heights in _draw_height_maps(obj, some, camera)[1])
         expected, limit = count / len(some) * len(directions), self.options.max_places
@@ -96,20 +96,20 @@ class WholeGrid(GridSampler):
             fewer = max(100, int(self.options.directions * limit / expected))
             raise GridError(
                 f"the whole grid of {obj.name} would have about {expected:,.0f} places, over the limit of {limit:,}; "
-                f"take grid.directions={fewer}, a greater grid.apart_mm, or raise grid.max_places, at 2 kB each"
+                f"set grid.directions={fewer}, increase grid.apart_mm, or raise grid.max_places (2 kB each)"
             )
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Raise ConfigError: the poses of a whole object are not listed."""
+        """Raise ConfigError: this grid has places, not poses."""
         raise ConfigError(
-            "the whole grid lists no poses: it is searched by places, which the command or encoder that was asked for "
-            "does not know; choose --grid face or --grid hopf"
+            "the whole grid has places instead of poses, and this command or encoder needs poses; choose --grid face "
+            "or --grid hopf"
         )
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres: all rotations alike, the lowest point anywhere over the sensing rectangle.
+        """Draw poses (count, 4, 4), metres: uniform rotations, the lowest point uniform over the sensing rectangle.
 
-        z is free. So a sensor is pressed by an object that is not held up by what is beside the gel.
+        z is free. The part of the object beside the sensor never touches before the part above it.
         """
         R = draw_rotations(count, rng)
         x0, x1, y0, y1 = geometry.rectangle
@@ -119,7 +119,7 @@ class WholeGrid(GridSampler):
         return make_transform(R, over - np.einsum("nij,nj->ni", R, lowest))
 
     def _find_lowest(self, heights: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The pixels (K, 2), row and column, of a height map (H, W), metres, that touch first."""
+        """Return the pixels (K, 2), row and column, of a height map (H, W), metres, that can touch first."""
         options = self.options
         found = np.empty((MOST_PLACES, 2), np.int64)
         near_px, apart_px = (round(mm * 1e-3 / PITCH_M) for mm in (options.near_mm, options.apart_mm))
@@ -130,7 +130,7 @@ class WholeGrid(GridSampler):
 
 
 def make_sphere(count: int) -> Float:
-    """Return `count` unit directions (count, 3), spread evenly: a Fibonacci lattice (Gonzalez, 2010)."""
+    """Return evenly spread unit directions (count, 3): a Fibonacci lattice (Gonzalez, 2010)."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     azimuth_rad = np.pi * (1 + np.sqrt(5)) * k
@@ -141,8 +141,7 @@ def make_sphere(count: int) -> Float:
 def find_flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
     """Return the unit directions (N, 3) along which faces of at least an area, m^2, are pressed flat on a sensor.
 
-    At most MOST_FLAT, the largest faces'. A face that is touched flat shows none of its tilt: a direction that is a
-    degree off it would have its edge touch first.
+    Only the MOST_FLAT largest faces count. Such faces need exact directions: one degree away, an edge touches first.
     """
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     across = np.cross(b - a, c - a)
@@ -158,9 +157,9 @@ def find_flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
 
 
 def find_distinct_directions(directions: Float, obj: ObjectModel, step_rad: float) -> Float:
-    """Return those of unit directions (N, 3) that stand for all that look alike by the object's symmetry.
+    """Return a subset of unit directions (N, 3) with one representative for each symmetry class of the object.
 
-    Of those that look alike the one most along GENERIC is kept, and what is within a step of it.
+    Among equivalent directions, the one nearest to GENERIC is kept, with all directions within a step of it.
     """
     S = obj.symmetry.list_elements(max_step_rad=0.5 * step_rad)[:, :3, :3]
     if len(S) == 1:
@@ -171,7 +170,7 @@ def find_distinct_directions(directions: Float, obj: ObjectModel, step_rad: floa
 
 
 def _make_camera(radius_m: float) -> SensorGeometry:
-    """Parallel rays at the pitch of patches, over a sphere of a radius in metres, and a patch's half around it."""
+    """Return a camera with parallel rays at the pitch of patches that sees a sphere and half a patch around it."""
     side = 2 * (int(np.ceil(radius_m / PITCH_M)) + PATCH_PX // 2 + 1)
     return SensorGeometry(
         "orthographic", side, side, 1 / PITCH_M, 1 / PITCH_M, side / 2, side / 2, MARGIN_M, 2 * radius_m + MARGIN_M
@@ -179,7 +178,7 @@ def _make_camera(radius_m: float) -> SensorGeometry:
 
 
 def _draw_height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometry) -> tuple[Float, NDArray[np.float32]]:
-    """What a camera sees along each of N directions, its poses (N, 4, 4) and heights (N, H, W), metres."""
+    """Return the camera's poses (N, 4, 4) and height maps (N, H, W), metres, along N directions."""
     R = np.stack([align_to_z(direction) for direction in directions])
     middle = np.array([0.0, 0.0, camera.standoff_m + (camera.max_depth_m - MARGIN_M) / 2])
     T = make_transform(R, middle - R @ obj.mesh.centroid_m)
@@ -189,7 +188,7 @@ def _draw_height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometr
 def _cut_patches(
     heights: NDArray[np.float32], pixels: NDArray[np.int64], camera: SensorGeometry
 ) -> tuple[NDArray[np.float32], Float]:
-    """What surrounds pixels (K, 2) of a height map (H, W): patches (K, S, S), metres, and the places (K, 3), metres."""
+    """Return patches (K, S, S) around pixels (K, 2) of a height map (H, W), and their places (K, 3), all in metres."""
     offsets = np.arange(PATCH_PX) - PATCH_PX // 2
     rows, columns = pixels.T
     around = heights[(rows[:, None] + offsets)[:, :, None], (columns[:, None] + offsets)[:, None, :]]
@@ -199,7 +198,7 @@ def _cut_patches(
 
 @njit
 def _is_low(heights, near, level):
-    """Whether no pixel within `near` pixels of one (H, W) is lower by more than `level`; outside nothing is."""
+    """Mark pixels (H, W) for which no pixel within `near` pixels is lower by more than `level`."""
     rows, columns = heights.shape
     low = np.zeros(heights.shape, np.bool_)
     for r in range(rows):
@@ -221,7 +220,7 @@ def _is_low(heights, near, level):
 
 @njit
 def _thin(order, columns, apart, found):
-    """Take pixels, flat indices, in order, none nearer than `apart` pixels to one before; return how many (K, 2)."""
+    """Put pixels, given as flat indices in order, into `found` unless one is already within `apart`; count them."""
     count = 0
     for flat in order:
         r, c = flat // columns, flat % columns

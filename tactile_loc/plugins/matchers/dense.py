@@ -1,4 +1,4 @@
-"""Exact matching with every row of the bank: one matrix product, or two where queries have weights."""
+"""Exact matching with every row of the bank: one matrix product, or two if queries have weights."""
 
 from __future__ import annotations
 

@@ -11,13 +11,13 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Matcher
 
-ROWS_A_LIST = 39  # faiss wants as many to place a list's centre
+ROWS_A_LIST = 39  # rows that faiss asks for to place a list's centre
 
 
 class FaissMatcher(Matcher):
-    """Scores the `top_k` most alike poses of each query; all others get -inf.
+    """Scores the `top_k` most similar poses of each query; all others get -inf.
 
-    Queries with weights w have an index of their own. With rows b and queries q counted from the bank's mean,
+    Queries with weights w use a second index. With rows b and queries q relative to the bank's mean,
     -1/2 sum w (q - b)^2 is the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
     """
 
@@ -25,15 +25,15 @@ class FaissMatcher(Matcher):
     capabilities = Capabilities(top_k_only=True)
 
     class Options(ComponentOptions):
-        """Which faiss index, and how many poses it returns."""
+        """The kind of faiss index, and the number of poses it returns."""
 
         kind: Literal["flat", "hnsw", "ivf"] = Field(default="flat", description="exact, graph, or inverted lists")
-        top_k: int = Field(default=1000, ge=1, description="poses scored a query; the others count as impossible")
-        links: int = Field(default=32, ge=4, le=128, description="hnsw: neighbours a node")
+        top_k: int = Field(default=1000, ge=1, description="poses scored for each query; others count as impossible")
+        links: int = Field(default=32, ge=4, le=128, description="hnsw: neighbours of each node")
         effort: int = Field(default=128, ge=1, description="hnsw: nodes visited; ivf: lists visited")
 
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless. What faiss makes of it is made when it is first searched."""
+        """Take the bank (N, D), unitless. The faiss index is built at the first search."""
         self._bank = np.ascontiguousarray(bank, np.float32)
         for made in ("_plain", "_weighing", "_mean"):
             self.__dict__.pop(made, None)
@@ -41,7 +41,7 @@ class FaissMatcher(Matcher):
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
         """Return scores (M, N), -1/2 sum w (q - b)^2, unitless; -inf beyond the `top_k` that faiss found.
 
-        The queries and their weights are (M, D); None stands for weights of one.
+        The queries and their weights are (M, D). None means weights of one.
         """
         q = np.ascontiguousarray(queries, np.float32)
         k = min(self.options.top_k, len(self._bank))
@@ -53,7 +53,7 @@ class FaissMatcher(Matcher):
         return self._spread(products - 0.5 * np.einsum("md,md,md->m", w, q, q)[:, None], found)
 
     def _spread(self, scores: Float32, found: Any) -> Float32:
-        """Scores (M, N) of scores (M, K) of the rows that were found (M, K), -1 where there is none."""
+        """Return scores (M, N) from the scores (M, K) of found rows (M, K), which are -1 where there is none."""
         spread = np.full((len(scores), len(self._bank)), -np.inf, np.float32)
         queries, places = np.nonzero(found >= 0)
         spread[queries, found[queries, places]] = scores[queries, places]
@@ -74,7 +74,6 @@ class FaissMatcher(Matcher):
         return self._make_index(np.hstack([centred, centred**2]), faiss.METRIC_INNER_PRODUCT)
 
     def _make_index(self, rows: Float32, metric: int) -> Any:
-        """The index of rows (N, D) by a metric of faiss."""
         (count, dimension), options = rows.shape, self.options
         index: Any
         if options.kind == "flat":

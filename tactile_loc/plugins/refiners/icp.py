@@ -8,41 +8,41 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Poses, Registration
 
-BURST = 8  # iterations between looks at whether the pose still moves
-SETTLED_WIDE, SETTLED = 0.03, 1e-4  # a pose that moves less in a burst has settled: radians and mm, each pass
+BURST = 8  # iterations between tests for convergence
+SETTLED_WIDE, SETTLED = 0.03, 1e-4  # largest move in a burst at convergence, for each pass: radians and mm
 DECIMALS = 7  # of radians and mm
 
 
 class IcpRefiner(CloudRefiner):
-    """Registers in two passes, a wide one that finds the way and a narrow one that settles.
+    """Registers in two passes: a wide one for coarse alignment, then a narrow one.
 
-    On a busy machine a registration ended elsewhere, once in some thousands; what in open3d that hangs on is not known.
+    On a busy machine about one registration in some thousands gave a different result. The cause within open3d is
+    unknown.
     """
 
     capabilities = Capabilities(deterministic=False)
 
     class Options(CloudRefiner.Options):
-        """Distances in mm between points that may correspond, and how long to iterate."""
+        """Largest distances of corresponding points, and the number of iterations."""
 
-        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of corresponding points at first, mm")
-        narrow_mm: float = Field(default=0.5, gt=0, description="the same in the second pass, mm")
-        max_iterations: int = Field(default=20, ge=1, description="iterations a pass")
+        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of paired points in pass 1, mm")
+        narrow_mm: float = Field(default=0.5, gt=0, description="largest distance of paired points in pass 2, mm")
+        max_iterations: int = Field(default=20, ge=1, description="most iterations in each pass")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, of the last pass that found pairs in its reach (None: no pass did)."""
+        """Return the transform, mm, of the last pass that found correspondences, or None without any."""
         options = self.options
         moving, fixed = _wrap_cloud(source), _wrap_cloud(target, with_normals=True)
         T, found, converged, iterations = np.eye(4), False, False, 0
         for reach_mm, settled in ((options.wide_mm, SETTLED_WIDE), (options.narrow_mm, SETTLED)):
             T_new, steps, share, still = _register(moving, fixed, reach_mm, T, options.max_iterations, settled)
             iterations += steps
-            if share > 0 and np.isfinite(T_new).all():  # a pass that finds no pairs in its reach has nothing to say
+            if share > 0 and np.isfinite(T_new).all():
                 T, found, converged = T_new, True, still
         return Registration(T if found else None, converged, iterations)
 
 
 def _wrap_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.PointCloud:
-    """Wrap a cloud for open3d."""
     wrapped = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points_mm))
     if with_normals:
         wrapped.normals = o3d.utility.Vector3dVector(cloud.normals)
@@ -57,7 +57,7 @@ def _register(
     max_iterations: int,
     settled: float,
 ) -> tuple[Poses, int, float, bool]:
-    """Run ICP in bursts until a burst changes nothing: open3d does not say by itself whether it converged."""
+    """Run ICP in bursts until a burst changes nothing: open3d does not report convergence."""
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()
     done, converged, matched = 0, False, 0.0
@@ -67,6 +67,6 @@ def _register(
             criteria = registration.ICPConvergenceCriteria(1e-3 * settled, 1e-3 * settled, burst)
             result = registration.registration_icp(moving, fixed, reach_mm, T, method, criteria)
             converged = np.allclose(result.transformation, T, atol=settled) and result.fitness > 0
-            # open3d's threads add up in any order: rounding keeps that from growing from burst to burst
+            # open3d's threads sum in any order: rounding keeps the differences from growing between bursts
             T, matched, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
     return T, done, matched, converged

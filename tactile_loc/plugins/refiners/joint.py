@@ -1,4 +1,4 @@
-"""The joint refiner: one pose against all touches at once, by the joint registration engine."""
+"""The joint refiner: registers one pose to all touches at once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class JointRefiner(Refiner):
     capabilities = Capabilities(covariances=True)
 
     class Options(RegistrationOptions):
-        """Those of the joint registration."""
+        """The options of the joint registration."""
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Return the pose (4, 4), metres, that explains the touch best near the candidate's."""
@@ -36,6 +36,6 @@ class JointRefiner(Refiner):
         return self.refine_together([View(touch, scene)], candidates)
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates against several touches; one that explains them worse afterwards is left as it was."""
+        """Refine candidates against several touches. A candidate that explains them better than its result is kept."""
         poses = np.array([candidate.T_sensor_object for candidate in candidates]).reshape(-1, 4, 4)
         return JointRegistration(self.options).refine(views, poses)

@@ -1,11 +1,10 @@
 """Point-to-point ICP with a robust kernel, by the kiss-icp library (Vizzo et al., RA-L 2023).
 
-The library is made for cars. It weights a pair that lies r apart by (k / (k + r^2))^2: its kernel k is compared with a
-squared distance, so that it means another thing in every unit. Here a kernel is a length, as wide as the reach of its
-pass, and squared before it is handed over; clouds are in mm, and the library's other lengths are set to suit.
+The library weights a pair at distance r by (k / (k + r^2))^2, so its kernel k is a squared length. Here the kernel is
+the square of the pass's correspondence distance. Clouds are in mm.
 
-Both clouds come from pixels, and nearest neighbours of two such lattices hold on to one another wherever the lattices
-meet. The moving points are therefore spread along their surface, each by another part of a pixel.
+Both clouds are sampled at pixels. Nearest neighbours of two such lattices lock wherever the lattices coincide.
+Therefore each moving point is shifted along its surface by a different fraction of a pixel.
 """
 
 from __future__ import annotations
@@ -20,31 +19,31 @@ from tactile_loc.plugin import Cloud, CloudRefiner, Registration, make_orthonorm
 
 Floats = NDArray[np.float64]
 
-BURST = 10  # iterations between looks at whether the pose still moves: the library does not say whether it converged
-SETTLED_WIDE, SETTLED = 0.03, 1e-3  # a pose that moves less in a burst has settled: radians and mm, each pass
-STEP = 1e-4  # a step smaller than this is the library's last in a burst: radians and mm
-SPREAD = 1.4  # spacings between neighbouring points over which each is spread
+BURST = 10  # iterations between tests for convergence, which the library does not report
+SETTLED_WIDE, SETTLED = 0.03, 1e-3  # largest move in a burst at convergence, for each pass: radians and mm
+STEP = 1e-4  # step below which the library ends a burst: radians and mm
+SPREAD = 1.4  # width of the shifts along the surface, in spacings of neighbouring points
 STRIDES = np.array([0.8191725134, 0.6710436067, 0.5497004779])  # of Roberts' sequence, which fills a cube evenly
-LEAST_WIDE, LEAST_NARROW = 4.0, 2.0  # reach of each pass, in spacings, however small the options are
+LEAST_WIDE, LEAST_NARROW = 4.0, 2.0  # least correspondence distance of each pass, in spacings
 DECIMALS = 7  # of radians and mm
-FAR_MM = 1e6  # the library forgets points of its map that lie farther off: none
+FAR_MM = 1e6  # distance at which the library drops map points: larger than any cloud
 
 
 class KissIcpRefiner(CloudRefiner):
-    """Registers in two passes, a wide one that finds the way and a narrow one that settles."""
+    """Registers in two passes: a wide one for coarse alignment, then a narrow one."""
 
     class Options(CloudRefiner.Options):
-        """Distances in mm between points that may correspond, how many are kept, and how long to iterate."""
+        """Largest distances of corresponding points, the thinning of the touch's cloud, and the iterations."""
 
-        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of corresponding points at first, mm")
-        narrow_mm: float = Field(default=0.7, gt=0, description="the same in the second pass, mm")
-        max_iterations: int = Field(default=200, ge=1, description="iterations a pass")
+        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of paired points in pass 1, mm")
+        narrow_mm: float = Field(default=0.7, gt=0, description="largest distance of paired points in pass 2, mm")
+        max_iterations: int = Field(default=200, ge=1, description="most iterations in each pass")
         voxel_points: int = Field(
-            default=20, ge=1, description="most points of the touch's cloud in a voxel, as wide as the pass reaches"
+            default=20, ge=1, description="most points of the touch's cloud in a voxel of the correspondence distance"
         )
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, of the last pass that found pairs in its reach (None: no pass did)."""
+        """Return the transform, mm, of the last pass that found correspondences, or None without any."""
         moving_mm, spacing_mm = spread(source), target.spacing_mm
         wide_mm = max(self.options.wide_mm, LEAST_WIDE * spacing_mm)
         narrow_mm = max(self.options.narrow_mm, LEAST_NARROW * spacing_mm)
@@ -58,30 +57,28 @@ class KissIcpRefiner(CloudRefiner):
     def _pass(
         self, moving_mm: Floats, target: Cloud, reach_mm: float, settled: float, T: Floats
     ) -> tuple[Floats, int, bool]:
-        """Register in bursts until one changes nothing; return T (4, 4), iterations at most, whether it settled."""
+        """Run bursts until one changes nothing. Return T (4, 4), the iterations (at most), and if it converged."""
         seen = VoxelHashMap(reach_mm, FAR_MM, self.options.voxel_points)
         seen.add_points(target.points_mm)
         done, still = 0, False
         while done < self.options.max_iterations and not still:
             burst = min(BURST, self.options.max_iterations - done)
-            registration = KissRegistration(burst, STEP, max_num_threads=1)  # several would add up in any order
+            registration = KissRegistration(burst, STEP, max_num_threads=1)  # several threads would sum in any order
             T_new = registration.align_points_to_map(moving_mm, seen, T, reach_mm, reach_mm**2)
-            T_new = make_orthonormal(
-                np.round(T_new, DECIMALS)
-            )  # the library ends the process if it is given anything else
+            T_new = make_orthonormal(np.round(T_new, DECIMALS))  # the library aborts the process otherwise
             T, still, done = T_new, bool(np.allclose(T_new, T, atol=settled)), done + burst
         return T, done, still
 
 
 def spread(cloud: Cloud) -> Floats:
-    """Return the cloud's points (P, 3), mm, each moved along its surface: evenly in all directions, the same always."""
+    """Return the cloud's points (P, 3), mm, each shifted along its surface by a deterministic, evenly spread offset."""
     places = np.arange(len(cloud))[:, None] * STRIDES % 1.0 - 0.5
     along = places - cloud.normals * (places * cloud.normals).sum(axis=1, keepdims=True)
     return cloud.points_mm + SPREAD * cloud.spacing_mm * along
 
 
 def has_pairs(moving_mm: Floats, target: Cloud, T: Floats, reach_mm: float) -> bool:
-    """Tell whether any point (P, 3), moved by T (4, 4), is within reach of the target: the library does not say."""
+    """Return whether any point (P, 3), mm, moved by T (4, 4), is within reach of the target."""
     from scipy.spatial import cKDTree
 
     nearest = cKDTree(target.points_mm).query(transform_points(T, moving_mm), distance_upper_bound=reach_mm)[0]

@@ -1,4 +1,4 @@
-"""No refinement: the grid pose as it is."""
+"""No refinement: the grid pose is returned unchanged."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from tactile_loc.plugin import Candidate, Capabilities, RefinedPose, Refiner, Sc
 
 
 class NoRefiner(Refiner):
-    """Leaves every candidate where it is; the null object among refiners."""
+    """Returns every candidate's own pose."""
 
     capabilities = Capabilities(refines=False)
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the candidate's pose (4, 4) unchanged, metres, and how well it explains the touch."""
+        """Return the candidate's pose (4, 4) unchanged, metres, with its contact IoU."""
         T = candidate.T_sensor_object.copy()
         return RefinedPose(T, contact_iou=scene.contact_iou(T, touch), converged=True, iterations=0)

@@ -1,12 +1,12 @@
-"""Contact shapes from height maps: one map of the object's underside a rotation, all translations cut from it.
+"""Contact shapes from height maps: one map of the object's underside for each rotation, shared by all translations.
 
-All poses with the same rotation see the same underside, so its lower envelope is rasterised once and then sampled:
-directly by an orthographic camera, and along rays marched through the contact band by a pinhole camera. Blocks of
-pixels whose part of the map lies above the band are skipped by a coarse map of extrema, which also brackets the march.
+The lower envelope of each rotation is rasterised once and then sampled. An orthographic camera samples it directly; a
+pinhole camera marches rays through the contact band. A coarse map of minima skips blocks of pixels above the band, and
+brackets the march.
 
-Limits: a height map has one surface a cell, so what an overhang hides from below is not seen (a pinhole camera sees a
-little of it), and steep walls are placed to within half a cell. Poses that share no rotation gain nothing by a map:
-they are drawn triangle by triangle, which is exact.
+Limits: a height map has one surface in each cell, so surfaces above an overhang are missing (a pinhole camera would see
+a little of them). Steep walls are placed to within half a cell. Poses that share no rotation are drawn exactly,
+triangle by triangle.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -33,9 +33,9 @@ from tactile_loc.plugin import (
     run_in_threads,
 )
 
-FINE, COARSE = 4, 16  # cells a side of a tile whose lowest height is known, at two levels
-BLOCKS = (32, 8, 4)  # pixels a side of the blocks that are skipped at once, at three levels
-WALL = 3.0  # a rise of more than this many cells from one cell to the next is a wall, not a slope
+FINE, COARSE = 4, 16  # side of a tile with known minimum, cells, at two levels
+BLOCKS = (32, 8, 4)  # side of the blocks that are skipped at once, pixels, at three levels
+WALL = 3.0  # cells: a larger rise between neighbouring cells is a wall, not a slope
 Floats = NDArray[np.float64]
 
 MAX_MAP_BYTES = 256 * 2**20
@@ -48,7 +48,7 @@ class HeightmapRenderer(Renderer):
     capabilities = Capabilities(exact_undercuts=False)
 
     class Options(ComponentOptions):
-        """`cell_mm` is the map's resolution: walls are placed to half of it."""
+        """`cell_mm` is the map's resolution. Walls are placed to within half a cell."""
 
         cell_mm: float = Field(default=0.1, gt=0.005, le=2.0, description="size of a height map cell, mm")
 
@@ -62,11 +62,11 @@ class HeightmapRenderer(Renderer):
         rotations, starts, members = group_rotations(T[:, :3, :3])
         slot = np.repeat(np.arange(len(rotations)), np.diff(starts))
         low, cells = _measure_footprints(mesh, rotations, T[members, :3, 3], starts, geometry, cell)
-        # a little above the band is drawn too, for the slopes that leave it
+        # the map reaches a little beyond the band, for slopes that leave it
         end = geometry.standoff_m + geometry.max_depth_m + WALL * cell
         ceilings = np.maximum.reduceat(end - T[members, 2, 3], starts[:-1])
         triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(T[:, :3, 3])
-        view = (_describe_camera(geometry), *geometry.pixel_slopes)
+        camera = geometry.is_pinhole, geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
         step = max(1, int(MAX_MAP_BYTES // (4 * cells[0] * cells[1])))
         for first in range(0, len(rotations), step):
             some = slice(first, first + step)
@@ -74,26 +74,24 @@ class HeightmapRenderer(Renderer):
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
             run_in_threads(rasterise, len(maps), triangles, rotations[some], low[some], ceilings[some], cell, maps)
-            tiles = _find_minima(maps, FINE), _find_minima(maps, COARSE)
+            fine = _find_minima(maps, FINE)
+            tiles = fine, _find_minima(fine, COARSE // FINE)
             which = slot[poses] - first, members[poses]
-            run_in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view, depth)
+            view = camera, *geometry.pixel_slopes, depth
+            run_in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view)
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return the same of poses that share no rotation, exactly: from two to three times as fast as by maps."""
+        """Do the same for poses that share no rotation: exact, and two to three times as fast as maps."""
         return draw_nearest_depths(mesh, T_sensor_object, geometry)
 
 
 def _find_minima(maps: Float32, tile: int) -> Float32:
-    """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
-    lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
-    run_in_threads(fill_tile_minima, len(maps), maps, tile, lowest)
+    """Return the least height (K, rows / tile, columns / tile) of every tile of the maps (K, rows, columns)."""
+    count, rows, columns = maps.shape
+    strips: Float32 = maps.reshape(count, rows // tile, tile, columns).min(axis=2)
+    lowest: Float32 = strips.reshape(count, rows // tile, columns // tile, tile).min(axis=3)
     return lowest
-
-
-def _describe_camera(geometry: SensorGeometry) -> tuple[bool, float, float]:
-    """Whether the camera is a pinhole, and where (m) the contact band begins and ends."""
-    return geometry.is_pinhole, geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
 
 
 def _measure_footprints(
@@ -101,41 +99,40 @@ def _measure_footprints(
 ) -> tuple[Floats, tuple[int, int]]:
     """Return each rotation's map corner (K, 2) in metres and the common map size (rows, columns).
 
-    A map covers what is both under the turned object and in view, within the contact band, from any of the rotation's
+    A map covers the area below the rotated object that is in view within the contact band, at any of the rotation's
     translations (t_m, grouped by `starts`), with a margin of two cells.
     """
     view_low, view_high = _measure_view(geometry)
     turned = rotations[:, :2] @ mesh.vertices_m.T
     corner = np.maximum(np.minimum.reduceat(view_low - t_m[:, :2], starts[:-1]), turned.min(axis=2)) - 2 * cell
     end = np.minimum(np.maximum.reduceat(view_high - t_m[:, :2], starts[:-1]), turned.max(axis=2)) + 2 * cell
-    corner = np.floor(corner / cell) * cell  # cells are the same whatever poses are drawn together
+    corner = np.floor(corner / cell) * cell  # so that the cells do not depend on the other poses
     columns, rows = np.maximum(np.ceil((end - corner).max(axis=0) / cell).astype(int) + 1, 1)
-    tile = COARSE
-    return corner, (int(-(-rows // tile) * tile), int(-(-columns // tile) * tile))
+    return corner, (int(-(-rows // COARSE) * COARSE), int(-(-columns // COARSE) * COARSE))
 
 
 def _measure_view(geometry: SensorGeometry) -> tuple[Floats, Floats]:
-    """Low (2,) and high (2,) corner of what the camera sees of the contact band, metres."""
+    """Return the low (2,) and high (2,) corner of the camera's view of the contact band, metres."""
     reaches = (geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m) if geometry.is_pinhole else (1.0,)
     ends = np.array([[slopes[0], slopes[-1]] for slopes in geometry.pixel_slopes])
     spans = np.stack([ends * reach for reach in reaches])
     return spans.min(axis=(0, 2)), spans.max(axis=(0, 2))
 
 
-# The compiled loops. Lengths in metres; a map's cell (row, column) samples the lower envelope at its centre, corner +
-# (column + 1/2, row + 1/2) * cell, in the object's turned frame.
+# The compiled loops. Lengths are in metres. A map's cell (row, column) samples the lower envelope at its centre, corner
+# + (column + 1/2, row + 1/2) * cell, in the object's rotated frame.
 
 
 @njit(fast=True)
 def rasterise(first, last, triangles, rotations, corners, ceilings, cell, maps):
-    """Draw lower envelopes (K, rows, columns) of triangles (F, 3, 3) turned by the rotations from first to last."""
+    """Draw lower envelopes (K, rows, columns) of triangles (F, 3, 3) at the rotations from first to last."""
     for k in range(first, last):
         _rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
 
 
 @njit(fast=True)
 def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
-    """Draw the lower envelope (rows, columns) of triangles (F, 3, 3) turned by R; inf where there is none."""
+    """Draw the lower envelope (rows, columns) of triangles (F, 3, 3) rotated by R; inf without a triangle."""
     envelope.fill(np.inf)
     p = np.empty((3, 3))
     for f in range(len(triangles)):
@@ -151,7 +148,7 @@ def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
 
 @njit(fast=True)
 def _draw(p, envelope):
-    """Lower the map to one triangle whose corners (3, 3) are column, row, height."""
+    """Lower the map to one triangle with corners (3, 3) of column, row, height."""
     rows, columns = envelope.shape
     ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
     area = ax * by - ay * bx
@@ -171,7 +168,7 @@ def _draw(p, envelope):
 
 @njit(fast=True)
 def _find_span(p, r):
-    """Columns between which the scan line `r` lies in the triangle."""
+    """Return the columns between which the scan line `r` lies in the triangle."""
     left, right = np.inf, -np.inf
     for i in range(3):
         j = (i + 1) % 3
@@ -186,25 +183,6 @@ def _find_span(p, r):
 
 
 @njit(fast=True)
-def fill_tile_minima(first, last, maps, tile, lowest):
-    """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps from first to last."""
-    for k in range(first, last):
-        _fill_minima(maps[k], tile, lowest[k])
-
-
-@njit(fast=True)
-def _fill_minima(envelope, tile, lowest):
-    """Fill the least height (rows / tile, columns / tile) of every tile of a map."""
-    for i in range(len(lowest)):
-        for j in range(lowest.shape[1]):
-            low = envelope[i * tile, j * tile]
-            for r in range(i * tile, (i + 1) * tile):
-                for c in range(j * tile, (j + 1) * tile):
-                    low = min(low, envelope[r, c])
-            lowest[i, j] = low
-
-
-@njit(fast=True)
 def sample(first, last, maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
     """Fill depth (N, H, W) at the `members` from first to last, each from map `slot`, seen by `camera`."""
     for m in range(first, last):
@@ -216,7 +194,7 @@ def sample(first, last, maps, fine, coarse, corners, cell, slot, members, t, cam
 def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
     """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
 
-    Blocks of pixels are cut smaller until their part of the map lies above the band or they are traced.
+    Blocks of pixels are divided until their part of the map lies above the band, or until they are traced.
     """
     picture.fill(np.inf)
     height, width = picture.shape
@@ -240,7 +218,7 @@ def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slope
 
 @njit(fast=True)
 def _find_lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
-    """Least depth of all tiles that the rays of a block of pixels cross in the band, a cell of margin around."""
+    """Return the least depth of all tiles that a block's rays cross in the band, with a margin of one cell."""
     pinhole, begin, end = camera
     near, far = (begin / cell, end / cell) if pinhole else (1.0 / cell, 1.0 / cell)
     x0, x1 = slopes_x[u], slopes_x[min(u + size, len(slopes_x)) - 1]
@@ -259,7 +237,7 @@ def _find_lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offs
 
 @njit(fast=True)
 def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
-    """Trace every ray of a small block of pixels, from the least depth at which anything lies before them."""
+    """Trace every ray of a small block of pixels, starting at the block's least depth."""
     pinhole, begin, end = camera
     wall = WALL * cell
     x0, y0, z0 = offset
@@ -276,7 +254,7 @@ def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, pictur
 
 @njit(fast=True)
 def _interpolate_height(envelope, c, r, wall):
-    """Height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
+    """Return the height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
     rows, columns = envelope.shape
     j, i = math.floor(c), math.floor(r)
     if i < 0 or j < 0 or i >= rows - 1 or j >= columns - 1:
@@ -290,9 +268,9 @@ def _interpolate_height(envelope, c, r, wall):
 
 @njit(fast=True)
 def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
-    """Depth at which a pinhole ray first meets the map between two depths; inf when it meets none.
+    """Return the depth at which a pinhole ray first meets the map between two depths, or inf.
 
-    The ray is at cell (sx z - x0, sy z - y0) at depth z and advances by at most two cells a step.
+    At depth z the ray is at cell (sx z - x0, sy z - y0). It advances by at most two cells in a step.
     """
     rows, columns = envelope.shape
     steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (end - low))
@@ -309,9 +287,9 @@ def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
 
 @njit(fast=True)
 def _find_crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
-    """Depth near `before` ... `z` at which the ray crosses the map: extrapolated on a slope, halved thrice at a wall.
+    """Return the depth near `before` ... `z` at which the ray crosses the map.
 
-    Moving the ray to the height below it, twice, and Aitken's extrapolation of the two moves solve for a slope exactly.
+    On a slope, two fixed-point steps with Aitken's extrapolation are exact. At a wall, the interval is halved thrice.
     """
     first = _interpolate_height(envelope, sx * z - x0, sy * z - y0, wall) + z0
     second = _interpolate_height(envelope, sx * first - x0, sy * first - y0, wall) + z0

@@ -1,7 +1,7 @@
 """Exact rendering by ray casting, with open3d's RaycastingScene.
 
-The scene is built once a mesh, in the object frame; a pose turns the rays, not the object. Only a few per cent of a
-picture are usually within the contact band, so rays are cast only in the box of pixels that can see this part.
+The scene is built once for each mesh, in the object frame; a pose rotates the rays, not the object. Usually only a few
+per cent of a picture are within the contact band, so rays are cast only in the box of pixels that can see it.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ PixelBox = tuple[slice, slice]
 
 
 class RaycastRenderer(Renderer):
-    """Casts one ray a pixel centre: exact also below overhangs and for any rotation, to a fraction of a micrometre."""
+    """Casts one ray through each pixel centre: exact to a fraction of a micrometre, also below overhangs."""
 
     capabilities = Capabilities(exact_undercuts=True)
 
     class Options(ComponentOptions):
-        """None of these changes the result."""
+        """These options do not change the result."""
 
         rays_per_batch: int = Field(1_000_000, ge=1, le=4_000_000, description="rays cast at once (60 bytes each)")
-        cached_meshes: int = Field(4, ge=1, description="meshes whose search structure is kept (count)")
+        cached_meshes: int = Field(4, ge=1, description="meshes whose search structure is kept")
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
         self._meshes: OrderedDict[str, tuple[Any, _Surface]] = OrderedDict()
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+        """Return camera depths z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Surfaces deeper than standoff + max_depth may be inf, as pixels without any surface are. Raises RenderError
-        when open3d cannot be loaded.
+        Pixels without a surface are inf; surfaces deeper than standoff + max_depth may be. Raises RenderError when
+        open3d cannot be loaded.
         """
         scene, surface = self._prepare_scene(mesh)
         depth = np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
@@ -64,7 +64,7 @@ class RaycastRenderer(Renderer):
         return depth
 
     def _prepare_scene(self, mesh: TriangleMesh) -> tuple[Any, _Surface]:
-        """Return the mesh's ray casting scene and edges, built at first use; the meshes used last are kept."""
+        """Return the mesh's ray casting scene and edges, built at first use. The last used meshes are kept."""
         if mesh.digest not in self._meshes:
             self._meshes[mesh.digest] = _build_scene(mesh), _Surface(mesh)
         self._meshes.move_to_end(mesh.digest)
@@ -78,7 +78,7 @@ def _build_scene(mesh: TriangleMesh) -> Any:
         import open3d
     except (ImportError, OSError) as error:
         raise RenderError(
-            f"the raycast renderer cannot load open3d ({error}); on Debian install libusb-1.0-0 and libgomp1, or "
+            f"the raycast renderer cannot load open3d ({error}); on Debian, install libusb-1.0-0 and libgomp1, or "
             "choose --renderer heightmap"
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
@@ -88,16 +88,16 @@ def _build_scene(mesh: TriangleMesh) -> Any:
 
 
 def _cast(scene: Any, rays: Float32) -> Float32:
-    """Return how far (M,) along their direction the rays (M, 6) meet the surface; inf where they miss."""
+    """Return the distances (M,) along the rays (M, 6) to the surface; inf where they miss it."""
     import open3d
 
     return np.asarray(scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy())
 
 
 def _make_rays(T_sensor_object: NDArray[np.float64], box: PixelBox, geometry: SensorGeometry) -> Float32:
-    """Return the rays (h, w, 6) of a box of pixels in the object frame: origin in metres, direction of unit depth.
+    """Return the rays (h, w, 6) of a box of pixels in the object frame: origin in metres, and direction.
 
-    The direction's z component is one in the sensor frame, so that the distance along it is the camera depth.
+    The direction's z component is one in the sensor frame, so the distance along it is the camera depth.
     """
     R, t = T_sensor_object[:3, :3], T_sensor_object[:3, 3]
     x, y = geometry.pixel_slopes
@@ -123,10 +123,7 @@ class _Surface:
         self._vertices = mesh.vertices_m
 
     def find_points_below(self, limit_m: float, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return points (P, 3) in the sensor frame, metres, whose convex hull holds the part with z <= limit.
-
-        They are its vertices, and where edges cross the limit.
-        """
+        """Return points (P, 3) in the sensor frame, metres, whose convex hull holds the part with z <= limit."""
         R, t = T_sensor_object[:3, :3], T_sensor_object[:3, 3]
         beyond = self._vertices @ R[2] + (t[2] - limit_m)
         near = beyond <= 0.0
@@ -142,14 +139,14 @@ def _find_pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> 
     if len(points_m) == 0:
         return slice(0, 0), slice(0, 0)
     x, y, z = points_m.T
-    if g.is_pinhole and z.min() <= 0.0:  # beside the sensor and behind its camera: projection bounds nothing
+    if g.is_pinhole and z.min() <= 0.0:  # points behind the camera have no projection
         return slice(0, g.height_px), slice(0, g.width_px)
     x, y = (x / z, y / z) if g.is_pinhole else (x, y)
     return _find_span(y, g.fy, g.cy, g.height_px), _find_span(x, g.fx, g.cx, g.width_px)
 
 
 def _find_span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> slice:
-    """Return the pixels whose centre lies between the least and the greatest slope, and one more at either end."""
+    """Return the pixels with centres between the least and the greatest slope, with one more at each end."""
     first, last = np.clip([slopes.min() * f + c - 1.5, slopes.max() * f + c + 1.5], 0, size)
     return slice(int(first), int(np.ceil(last)))
 

@@ -1,4 +1,4 @@
-"""Exact rendering by a z-buffer, triangle by triangle, without any other library."""
+"""Exact rendering by a z-buffer, triangle by triangle, without another library."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, SensorGeo
 
 
 class ZBufferRenderer(Renderer):
-    """Draws every triangle into every picture: exact as ray casting, and faster where meshes are small."""
+    """Draws every triangle into every picture: as exact as ray casting, and faster for small meshes."""
 
     capabilities = Capabilities(exact_undercuts=True)
 

@@ -1,4 +1,4 @@
-"""A sensor that was calibrated for images: the folder that `tactile-loc calibrate` wrote."""
+"""A calibrated sensor: reads tactile images with the folder that `tactile-loc calibrate` wrote."""
 
 from __future__ import annotations
 
@@ -15,37 +15,34 @@ from tactile_loc.plugin import ComponentOptions, ContactShape, DepthSensor, Sens
 
 
 class CalibratedSensor(DepthSensor):
-    """Reads images of the gel; contact shapes as well. Raises CalibrationError when the folder is not whole."""
+    """Reads images of the gel, and contact shapes. Raises CalibrationError when the folder is incomplete."""
 
     class Options(ComponentOptions):
-        """`path` of the calibration's folder."""
+        """`path` of the calibration folder, and an optional newer image of the untouched gel."""
 
-        path: str = Field(description="the folder that `tactile-loc calibrate` wrote")
-        zero: str | None = Field(default=None, description="a newer image of the untouched gel, to compare with")
+        path: str = Field(description="calibration folder written by `tactile-loc calibrate`")
+        zero: str | None = Field(default=None, description="newer image of the untouched gel to compare images with")
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the sensor, as JSON values: what the folder holds, not where it lies."""
+        """Return what identifies the sensor, as JSON values: the folder's content, not its path."""
         return {**super().describe(), "options": self.calibration.describe()}
 
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
-        """Turn an image (H, W, 3) uint8, or depths (H, W) in metres, into a contact shape.
+        """Return the contact shape of an image (H, W, 3) uint8, or of depths (H, W) in metres.
 
-        Raises TouchError for an image that is not this sensor's, or one without contact.
+        Raises TouchError for an image of another sensor, or without contact.
         """
         image = np.asarray(image)
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
-        seen, known = self.read_indentation(image), self.calibration
+        known = self.calibration
+        seen = known.read_indentation(image)
         return find_contact_shape(seen, self.geometry, known.noise_m, known.estimator.sees_skirt, known.false_press_m)
 
-    def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image that is not of this."""
-        return self.calibration.read_indentation(image)
-
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Return the image (H, W, 3) of a contact shape, by the lamps of the simulated images it was calibrated on.
+        """Return the simulated image (H, W, 3) of a contact shape, with the optics of the calibration's images.
 
-        Raises CalibrationError for a sensor that was calibrated on others.
+        Raises CalibrationError when the sensor was not calibrated on simulated images.
         """
         from tactile_loc.imaging.simulate import render_touches
 

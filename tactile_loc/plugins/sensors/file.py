@@ -1,4 +1,4 @@
-"""Any sensor, described by a TOML file. docs/conventions.md lists the keys, examples/my_sensor.toml shows one."""
+"""A sensor described by a TOML file. docs/files.md lists the keys; examples/my_sensor.toml is an example."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
 
 class FileSensor(DepthSensor):
-    """The sensor that a TOML file describes. Raises SensorError that names the file, the key and what is allowed."""
+    """The sensor that a TOML file describes. Raises SensorError with the file, the key and the allowed values."""
 
     class Options(ComponentOptions):
         """`path` of the sensor file."""
@@ -20,7 +20,7 @@ class FileSensor(DepthSensor):
         path: str = Field(description="the sensor file (TOML)")
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the sensor, as JSON values: what the file says, not where it lies."""
+        """Return what identifies the sensor, as JSON values: the file's content, not its path."""
         return {**super().describe(), "options": self.geometry.describe()}
 
     def _make_geometry(self) -> SensorGeometry:

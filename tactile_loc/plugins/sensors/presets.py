@@ -1,4 +1,4 @@
-"""Nominal sensors. Each specimen differs a little: for real work, measure yours and describe it in a sensor file."""
+"""Nominal sensors. Each real sensor differs a little: for real work, measure yours and describe it in a sensor file."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pydantic import Field
 
 from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
-# Parallel rays look the same from any distance: the standoff only says where the surface lies in the sensor frame.
+# Parallel rays look the same from any distance: the standoff only sets the surface's position in the sensor frame.
 ORTHOGRAPHIC_STANDOFF_M = 10e-3
 
 
 def make_orthographic(width_px: int, height_px: int, pixel_pitch_m: float, max_depth_m: float) -> SensorGeometry:
-    """Return a centred orthographic camera with square pixels; raises SensorError for impossible numbers."""
+    """Return a centred orthographic camera with square pixels. Raises SensorError for impossible numbers."""
     scale = 1.0 / pixel_pitch_m
     return SensorGeometry(
         "orthographic", width_px, height_px, scale, scale, width_px / 2, height_px / 2,
@@ -24,16 +24,16 @@ def make_orthographic(width_px: int, height_px: int, pixel_pitch_m: float, max_d
 
 
 class Preset(DepthSensor):
-    """A sensor of a known make: `native` geometry, seen at `default_size_px` (width, height) unless asked otherwise."""
+    """A sensor of a known make: its `native` geometry, resized to `default_size_px` (width, height) by default."""
 
     native: ClassVar[SensorGeometry]
     default_size_px: ClassVar[tuple[int, int] | None] = None
 
     class Options(ComponentOptions):
-        """`image_size_px` (width, height) and `max_depth_mm`; None keeps the preset's."""
+        """`image_size_px` (width, height) and `max_depth_mm`; None keeps the preset's value."""
 
         image_size_px: tuple[int, int] | None = Field(None, description="image size (width, height), pixels")
-        max_depth_mm: float | None = Field(None, description="the deepest press that the sensor resolves, mm")
+        max_depth_mm: float | None = Field(None, description="deepest press that the sensor resolves, mm")
 
     def _make_geometry(self) -> SensorGeometry:
         geometry = self.native
@@ -44,10 +44,9 @@ class Preset(DepthSensor):
 
 
 class GelSlim(Preset):
-    """GelSlim as in Bauza et al. (CoRL 2020): all numbers are the paper's.
+    """GelSlim with the numbers of Bauza et al. (CoRL 2020): a pinhole camera that sees 40.3 x 40.7 mm of the surface.
 
-    Pinhole, 470 x 470 px, fx = 291.5, fy = 289, centre (235, 235), standoff 25 mm, deepest press 2 mm; images are
-    resized to 200 x 200. The field on the surface is 40.3 x 40.7 mm.
+    The native image of 470 x 470 px is resized to 200 x 200 px. The deepest press is 2 mm.
     """
 
     native = SensorGeometry(
@@ -59,41 +58,37 @@ class GelSlim(Preset):
 class GelSightMini(Preset):
     """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), deepest press 1 mm.
 
-    The scale is the one measured for a public calibration set of 320 x 240 images (the gs_sdk repository's, balls of
-    9.47 mm); 1 mm is nominal, not measured.
+    The scale was measured for a public calibration set of 320 x 240 images (the gs_sdk repository's, balls of 9.47 mm).
+    The deepest press is nominal.
     """
 
     native = make_orthographic(320, 240, 0.0634e-3, 1e-3)
 
 
 class Digit(Preset):
-    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), deepest press 1 mm; none is measured.
+    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), deepest press 1 mm, nothing measured.
 
     Public numbers disagree: a DIGIT fork of the Taxim simulator uses 0.0266 mm at 640 x 480 (12.8 x 17.0 mm), the
-    digit-depth configuration measured a gel of 18.35 x 24.6 mm. Expect the scale to be off by up to a fifth, and the
-    real gel, which is curved, to differ: see digit-curved, or measure yours and use a sensor file.
+    digit-depth configuration measured a gel of 18.35 x 24.6 mm. The scale may be wrong by a fifth. The real gel is
+    curved: see digit-curved, or measure your sensor and write a sensor file.
     """
 
     native = make_orthographic(240, 320, 0.063e-3, 1e-3)
 
 
 class CurvedDigit(Digit):
-    """DIGIT with the gel that it has: a cap of a sphere, its top in the middle of the image; otherwise as `Digit`.
+    """DIGIT with a curved gel: a spherical cap with its top in the middle of the image. The rest is as in `Digit`.
 
-    A radius of 35 mm is nominal: the TACTO simulator lets the corners of a gel of 20 x 30 mm lie 5 mm lower.
+    The radius of 35 mm is nominal: in the TACTO simulator the corners of a gel of 20 x 30 mm lie 5 mm lower.
     """
 
     class Options(Preset.Options):
-        """`radius_mm` of the sphere; the standoff is that of its top."""
+        """`radius_mm` of the sphere; the standoff is measured to its top."""
 
         radius_mm: float = Field(default=35.0, ge=15.0, description="radius of the gel's surface, mm")
 
     def _make_geometry(self) -> SensorGeometry:
-        return make_domed(super()._make_geometry(), 1e-3 * self.options.radius_mm)
-
-
-def make_domed(geometry: SensorGeometry, radius_m: float) -> SensorGeometry:
-    """Return an orthographic sensor whose gel is a cap of a sphere about the optical axis, its top at the standoff."""
-    x, y = geometry.pixel_slopes
-    relief_m = np.sqrt(radius_m**2 - x[None] ** 2 - y[:, None] ** 2) - radius_m
-    return dataclasses.replace(geometry, relief_m=relief_m.astype(np.float32))
+        geometry, radius_m = super()._make_geometry(), 1e-3 * self.options.radius_mm
+        x, y = geometry.pixel_slopes
+        relief_m = np.sqrt(radius_m**2 - x[None] ** 2 - y[:, None] ** 2) - radius_m
+        return dataclasses.replace(geometry, relief_m=relief_m.astype(np.float32))

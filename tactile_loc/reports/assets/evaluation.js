@@ -3,7 +3,7 @@
 (() => {
   const { data, plain, axis, draw, render } = page;
   const { FLOOR, logAxis, decadeAxis, onChange, value, colour, symbol } = errors;
-  const AT_FIRST = ["best-1", "reg-1", "chosen", "reg-10", "closest"]; // the others are a click away
+  const AT_FIRST = ["best-1", "reg-1", "chosen", "reg-10", "closest"]; // a click on its name shows another
 
   const chosen = (name) => document.getElementById(name).selectedOptions[0].textContent;
   const title = () => `${chosen("metric")} (${chosen("scale")})`;
@@ -13,7 +13,7 @@
     return run.errors_mm[line][metric].map((e) => Math.max(e, least) / by);
   }
 
-  // A trace for each line: over all objects, or one object's.
+  // A trace for each line, over all objects or for one.
   function groups(metric) {
     const one = value("object"), runs = one === "" ? data.runs : [data.runs[Number(one)]];
     return data.lines.map((line, k) => ({

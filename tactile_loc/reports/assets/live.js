@@ -1,5 +1,5 @@
 "use strict";
-// The page of a live run: what the server says of the newest frame, as it comes.
+// The page of a live run: it shows the newest frame from the server.
 (() => {
   const { data, draw, render } = page;
   const { surface, moved, solid, pad, space } = solids;
@@ -14,7 +14,7 @@
     return { data: traces, layout: space("scene", data.bounds, now.camera) };
   });
 
-  // What the pose makes is drawn beside the outline of what is seen.
+  // The outline predicted by the pose is drawn beside the observed one.
   function madeIn(figure) {
     const seen = figure.querySelector(".outline"), made = seen.cloneNode();
     made.classList.add("made");
@@ -25,7 +25,7 @@
   const places = ["photo", "shape"].map((id) => madeIn(document.getElementById(id)));
 
   function show(state) {
-    now = { ...state, camera: now.T ? now.camera : state.camera || now.camera }; // it stays while there is a pose
+    now = { ...state, camera: now.T ? now.camera : state.camera || now.camera }; // the camera stays while there is a pose
     for (const [name, text] of Object.entries(state.texts)) document.getElementById(name).textContent = text;
     document.documentElement.dataset.number = state.number;
     places.forEach((place, k) => {

@@ -1,19 +1,19 @@
 "use strict";
-// What all pages share: the data, the theme, and drawing plots in its colours.
+// Shared by all pages: the data, the theme, and plots in its colours.
 const page = (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const plots = new Map(); // place -> what makes {data, layout} of the theme's colours
+  const plots = new Map(); // name -> function of the theme's colours that returns {data, layout}
   const NAMES = [
     "paper", "panel", "line", "ink", "soft", "accent", "truth", "steel", "gel", "housing", "grid", "bare", "second",
   ];
   const SERIES = ["#2b6cb0", "#dd6b20", "#2f9e62", "#8a63d2", "#c2417e", "#64748b", "#0f9aa8", "#a97d13"];
 
-  // Text in a plot: plotly reads some HTML in it, and names come from users.
+  // Escape text for plotly, which reads some HTML in it; names come from users.
   const plain = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
   function numbers(base64, Type) {
     const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
-    return new Type(bytes.buffer); // little-endian, as all browsers' machines are
+    return new Type(bytes.buffer); // little-endian, as on all common machines
   }
 
   function colours() {
@@ -47,7 +47,7 @@ const page = (() => {
     return merged(base, more);
   }
 
-  // The buttons are named, so that none comes in that would send the data anywhere.
+  // The buttons are listed, so that none is shown that would send the data anywhere.
   const BUTTONS = {
     flat: [["toImage"], ["zoom2d", "pan2d", "resetScale2d"]],
     space: [["toImage"], ["zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]],
@@ -62,7 +62,7 @@ const page = (() => {
     return Plotly.react(name, made.data, layout(c, made.layout), config);
   }
 
-  // Draw a plot, now and again whenever the colours change.
+  // Draw a plot, now and whenever the colours change.
   function draw(name, make) {
     if (!document.getElementById(name)) return;
     plots.set(name, make);

@@ -1,5 +1,5 @@
 "use strict";
-// The page of a run: the candidates, in a list, as cards, on the sensor; the distribution; the times.
+// The page of a run: the candidates (list, cards, on the sensor), the distribution, and the times.
 (() => {
   const { data, plain, numbers, axis, draw, render, pickable } = page;
   const { surface, moved, solid, lines, words, pad, space, PAINTED, LAMP } = solids;
@@ -27,7 +27,7 @@
     return { data: traces, layout: space("scene", data.bounds, data.camera) };
   });
 
-  // ---- where on the object, by probability
+  // ---- probability over the object's surface
   draw("surface", (c) => {
     const found = data.surface, shape = surface(found.mesh), [low, high] = found.range;
     const ticks = Array.from({ length: Math.floor(high) - Math.ceil(low) + 1 }, (_, n) => Math.ceil(low) + n);
@@ -47,7 +47,7 @@
     return { data: traces, layout: space("surface", found.bounds, found.camera) };
   });
 
-  // ---- over rotations
+  // ---- probability over rotations
   draw("yaw", (c) => {
     const { deg, percent: shares, width } = data.yaw, rings = { gridcolor: c.grid, linecolor: c.line };
     const bars = {
@@ -78,7 +78,7 @@
     return { data: [map], layout: { xaxis, yaxis } };
   });
 
-  // ---- the candidates' mass, and how well they explain the touch
+  // ---- probability and imprint IoU of the candidates
   draw("modes", (c) => {
     const opacity = candidates.map((_, k) => (k === chosen ? 1 : 0.55));
     const bars = (name, key, color, shown) => ({
@@ -113,7 +113,7 @@
   function mark() {
     const { rank, probability, imprint_iou, error_mm: error } = candidates[chosen];
     for (const one of picks) one.setAttribute("aria-selected", String(Number(one.dataset.number) === chosen));
-    const off = error === null ? "" : `, ${mm(error)} mm off`;
+    const off = error === null ? "" : `, error ${mm(error)} mm`;
     const text = `Candidate ${rank}: ${percent(probability)}, imprint IoU ${Math.round(100 * imprint_iou)} %${off}`;
     document.getElementById("chosen").textContent = text;
   }

@@ -4,7 +4,7 @@
   const { data, plain, axis, draw, render, pickable } = page;
   const { TICKS, DENSE, logAxis, onChange, value, colour } = errors;
   const kinds = data.components; // the factors whose effect is drawn
-  const LEAST_MM = 1e-6; // a smaller error has no logarithm of its own
+  const LEAST_MM = 1e-6; // smaller errors are clipped before taking logarithms
   const texts = data.rows.map((row) => data.factors.map((factor) => row[factor]).join(" ").toLowerCase());
   let shown = data.rows;
 
@@ -30,9 +30,9 @@
     return { data: traces, layout: { showlegend: true, xaxis, yaxis } };
   });
 
-  // ---- what each component does
-  // Rows that are alike in all else, as logarithms of errors by the values of this factor. What is an option of the
-  // factor's component belongs to it: another component has no such option.
+  // ---- the effect of each component
+  // Groups of rows that are equal in all other factors: logarithms of errors by the values of this factor. Options of
+  // the factor's component count as part of it.
   function alike(factor) {
     const others = data.factors.filter((f) => f !== factor && !f.startsWith(`${factor}.`)), groups = new Map();
     for (const row of shown) {
@@ -94,7 +94,7 @@
     return cell.dataset.value === undefined ? cell.textContent : Number(cell.dataset.value);
   }
 
-  function compare(a, b) { // numbers first, and by their value
+  function compare(a, b) { // numbers come first
     if (typeof a === "number" && typeof b === "number") return a - b;
     if (typeof a === "string" && typeof b === "string") return a.localeCompare(b, undefined, { numeric: true });
     return typeof a === "number" ? -1 : 1;

@@ -1,4 +1,4 @@
-"""Frames over time: chains, both directions, interpolation, and what is said where a transform lacks."""
+"""Frames over time: chains, both directions, interpolation, and errors for missing transforms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ B = make_transform(rotation_about([0, 1, 0], -1.2), [0.0, 0.5, -0.2])
 
 @pytest.fixture
 def tree() -> FrameTree:
-    """base -> arm (fixed) -> tool, which turns about z at 1 rad/s and goes along x at 1 m/s; base -> camera."""
+    """base -> arm (fixed) -> tool, which rotates about z at 1 rad/s and moves along x at 1 m/s; base -> camera."""
     tree = FrameTree()
     tree.add("base", "arm", 0, A, fixed=True)
     for k in (0, 2, 1, 3):  # not in order

@@ -1,4 +1,4 @@
-"""F_i X S_i = Y: exact without errors, as sure as the residuals say with them, and what flanges' turns tell."""
+"""F_i X S_i = Y: exact without errors; with errors, its covariance fits the residuals; rotations of flanges."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def problem(rng):
-    """X, Y, flanges and what sensors see, of ten touches."""
+    """Return X, Y, flange poses and sensed poses of ten touches."""
     (X,), (Y,), S = poses(1, 0.05, rng), poses(1, 0.3, rng), poses(10, 0.03, rng)
     return X, Y, Y @ invert(S) @ invert(X), S
 

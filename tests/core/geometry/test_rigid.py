@@ -92,7 +92,7 @@ def test_cross_matrices_multiply_like_the_cross_product():
 
 
 def one_error(shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """The covariance of an error that has one size and either sign."""
+    """Return the covariance of an error of fixed size and either sign."""
     error = np.concatenate([shift, turn], axis=-1)
     return error[..., :, None] * error[..., None, :]
 

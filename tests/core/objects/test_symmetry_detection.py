@@ -16,14 +16,19 @@ from tactile_loc.core.errors import ObjectError, SymmetryError
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.objects.symmetry_detection import (
     RESOLUTION_M,
+    _find_worst,
     detect_symmetry,
     require_symmetry,
-    verify_symmetry,
 )
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 BOLT = Path(__file__).parents[4] / "shared/data/meshes/factory/factory_bolt_m16_loose.obj"
+
+
+def measure_deviation(group: SymmetryGroup, mesh: Mesh, tolerance_m: float = RESOLUTION_M) -> float:
+    """Return how far, in metres, the surface lies from itself under the worst of the group's elements."""
+    return _find_worst(SurfaceProbe(*mesh), group, tolerance_m)[0]
 
 
 def stack(outlines_mm: NDArray[np.float64], z_mm: ArrayLike) -> Mesh:
@@ -168,7 +173,7 @@ def test_a_small_pocket_bump_or_hole_breaks_the_symmetry_of_a_plate(
     mesh = plate((x, y), width_mm=width_mm, depth_mm=depth_mm, side_mm=side_mm)
     assert detect_symmetry(*mesh).is_trivial
     symmetry = SymmetryGroup.parse("x2*y2", (0, 0, 3e-3))
-    assert verify_symmetry(symmetry, *mesh) == pytest.approx(min(1e-3 * abs(depth_mm), 3e-3), rel=0.05, abs=1e-4)
+    assert measure_deviation(symmetry, mesh) == pytest.approx(min(1e-3 * abs(depth_mm), 3e-3), rel=0.05, abs=1e-4)
     if abs(depth_mm) > 0.2:
         with pytest.raises(SymmetryError, match=naming("x2*y2", "180 deg")):
             require_symmetry(symmetry, *mesh)
@@ -197,7 +202,7 @@ def test_rings_of_facets_turned_against_each_other_are_round(count: int) -> None
 
 
 def test_a_rough_scan_has_the_symmetry_that_is_declared() -> None:
-    """A box scanned with 0.03 mm of noise: a sensor would see it, and who declares the symmetry is believed."""
+    """A box scanned with 0.03 mm of noise: a sensor would see it, but a declared symmetry is accepted."""
     vertices_m, faces = subdivided(BODIES["box"][0], 4)
     merged_m, index = np.unique(np.round(vertices_m, 9), axis=0, return_inverse=True)
     scan = merged_m + np.random.default_rng(0).normal(0.0, 3e-5, merged_m.shape), index.reshape(-1)[faces]
@@ -267,10 +272,10 @@ def test_a_sphere_is_treated_as_a_cylinder_with_a_warning(caplog: pytest.LogCapt
 
 def test_verification_measures_the_gap() -> None:
     mesh = prism(rectangle(20, 24), 40)
-    assert verify_symmetry(SymmetryGroup.parse("x2*y2", (0, 0, 0.02)), *mesh, tolerance_m=0.0) < 1e-9
-    assert verify_symmetry(SymmetryGroup.parse("z4", (0, 0, 0.02)), *mesh) == pytest.approx(2e-3, rel=1e-6)
-    assert verify_symmetry(SymmetryGroup.parse("z2", (1e-3, 0, 0.02)), *mesh) == pytest.approx(2e-3, rel=1e-6)
-    assert verify_symmetry(SymmetryGroup.parse("none", (0, 0, 0)), *mesh) == 0.0
+    assert measure_deviation(SymmetryGroup.parse("x2*y2", (0, 0, 0.02)), mesh, tolerance_m=0.0) < 1e-9
+    assert measure_deviation(SymmetryGroup.parse("z4", (0, 0, 0.02)), mesh) == pytest.approx(2e-3, rel=1e-6)
+    assert measure_deviation(SymmetryGroup.parse("z2", (1e-3, 0, 0.02)), mesh) == pytest.approx(2e-3, rel=1e-6)
+    assert measure_deviation(SymmetryGroup.parse("none", (0, 0, 0)), mesh) == 0.0
 
 
 def test_refusal_names_the_turn_the_gap_and_the_place() -> None:
@@ -281,7 +286,7 @@ def test_refusal_names_the_turn_the_gap_and_the_place() -> None:
     assert "about z" in message
     assert re.search(r"\d mm", message)
     assert any(not missing(message, f"{angle} deg") for angle in (60, 120, 240, 300))
-    assert message.count(".") == message.count(".", 0, -1) + 1, "one sentence"
+    assert not re.search(r"\.(\s|$)", message), "one sentence"
 
 
 @pytest.mark.parametrize(("text", "name"), [("zinf", "notched cylinder"), ("zinf*x2", "frustum"), ("z3", "cube")])

@@ -1,4 +1,4 @@
-"""Modes that are one merge with the likeliest, symmetric poses among them."""
+"""Equivalent modes, including symmetric poses, merge with the likeliest."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_metric_scales_with_the_unit(pin):
 
 
 def test_metric_does_not_depend_on_the_objects_frame_nor_the_sensors(pin):
-    """Drawing the object elsewhere, or looking from elsewhere, changes no distance between the same two poses."""
+    """Moving the object's frame or the sensor's changes no distance between the same two poses."""
     X = random_poses(1, 9)[0]
     moved = TriangleMesh(transform_points(X, pin.mesh.vertices_m), pin.mesh.faces)
     other = PoseMetric(ObjectModel("moved", moved, SymmetryGroup.parse("none", np.zeros(3))))
@@ -172,7 +172,7 @@ def finely_sampled(metric, T1, T2, step_m=2e-4):
 
 
 def test_orbits_are_as_far_apart_as_their_nearest_poses(cylinder):
-    """Exactly, however a turned part is turned: finely sampled turns come as near as their step lets them."""
+    """Exact for any rotation of a rotationally symmetric part: sampled rotations agree to within their step."""
     metric, T1, T2 = PoseMetric(cylinder), random_poses(50, 26), random_poses(50, 27)
     gaps = metric.embed_orbits(T1) - metric.embed_orbits(T2)[0]
     exact = np.linalg.norm(gaps, axis=-1).min(axis=0)

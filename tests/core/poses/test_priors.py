@@ -1,4 +1,4 @@
-"""Priors equal their formulas, in every frame, and regard symmetry."""
+"""Priors equal their formulas, in every frame and up to symmetry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses that may be turned: the closed form finds what trying all yaws does."""
+"""Poses that may be rotated by any yaw: the closed form agrees with trying all yaws."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def metric(request) -> PoseMetric:
 
 
 def turned(T: np.ndarray) -> np.ndarray:
-    """A pose (4, 4) turned by each of YAWS_RAD (V, 4, 4)."""
+    """Return a pose (4, 4) rotated by each of YAWS_RAD (V, 4, 4)."""
     return make_transform(rotation_about([0, 0, 1], YAWS_RAD), np.zeros(3)) @ T
 
 

@@ -1,4 +1,4 @@
-"""What all refiners by registration share, tried on one whose registration is given."""
+"""The base of refiners by registration, tested with a given registration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_loc.testing.problems import OFFSETS, press_block, replace_depth
 
 
 class Given(CloudRefiner):
-    """Returns a registration that was decided before, and remembers the clouds."""
+    """Returns a given registration, and remembers the clouds."""
 
     answer = Registration()
 
@@ -93,7 +93,7 @@ def test_a_touch_of_hardly_a_point_is_not_registered(pixels):
 
 
 def test_each_candidate_gets_its_own_registration():
-    """One of several has no contact, and is left out of what is registered."""
+    """A candidate without contact is not registered."""
 
     class Numbering(Given):
         def register_many(self, sources, target):

@@ -235,7 +235,7 @@ def test_the_sensors_own_rectangle_bounds_contact():
 
 
 def test_nothing_is_said_on_the_first_use():
-    """numba, for instance, has opinions on threading libraries that a user has not asked for."""
+    """numba, for instance, may warn about threading libraries that the user has not chosen."""
     script = """
 import numpy as np
 from tactile_loc.core.sensing.contact import find_lowest_points

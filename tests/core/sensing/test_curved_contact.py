@@ -146,7 +146,7 @@ def egg() -> TriangleMesh:
 
 @pytest.mark.parametrize(("mesh", "count"), [(splinter(), 24), (egg(), 8)], ids=["splinter", "egg"])
 def test_over_a_tilted_gel_the_sheared_object_is_lowest(mesh, count):
-    """Heights over a plane are heights of what is sheared by it, whose lowest point over a flat gel is exact."""
+    """Heights above a plane are heights of a sheared surface, whose lowest point over a flat gel is exact."""
     rng = np.random.default_rng(0)
     T = make_transform(draw_rotations(count, rng), rng.uniform(-0.01, 0.01, (count, 3)))
     geometry = tilted(0.3, -0.2, rectangle_m=(-0.004, 0.005, -0.005, 0.003))
@@ -161,7 +161,7 @@ def test_over_a_tilted_gel_the_sheared_object_is_lowest(mesh, count):
 @pytest.mark.parametrize("turns", range(3))
 @pytest.mark.parametrize("sensor", [tilted(0.0, 0.0), dataclasses.replace(tilted(0.0, 0.0), relief_m=None)])
 def test_it_does_not_matter_which_corner_of_a_triangle_is_lowest_or_reaches_in(sensor, turns):
-    """A ceiling above all of the gel, and a splinter that comes in over each of its sides, one corner lower than it."""
+    """A ceiling above all of the gel, and a splinter that enters over each of its sides, with one lower corner."""
     x0, x1, y0, y1 = sensor.rectangle
     x, y, far = (x0 + x1) / 2, (y0 + y1) / 2, 0.02
     ceiling = [[x - far, y - far, 0.0], [x + far, y - far, 0], [x, y + 3 * far, 0]]

@@ -1,4 +1,4 @@
-"""How well poses explain a touch, by contacts of known size and depth."""
+"""How well poses explain a touch, for contacts of known size and depth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OBSERVED = np.ones((20, 20), bool)
 
 
 def imprint(columns: slice, indentation_m: float) -> np.ndarray:
-    """Contact depths: ten rows are pressed in by so much."""
+    """Return contact depths with ten rows pressed in by a given depth."""
     depth_m = np.full((20, 20), PRESS_M, np.float32)
     depth_m[5:15, columns] = PRESS_M - indentation_m
     return depth_m
@@ -38,7 +38,7 @@ def test_shares_and_depths_count_as_they_are_said_to():
 
 
 def test_what_noise_hides_speaks_less_against_a_pose_than_what_it_cannot_make():
-    """Of two poses with the same IoU, the one that explains all that is seen has the better evidence."""
+    """Two poses have the same IoU; the one that explains a larger area has the better evidence."""
     more, less = imprint(slice(4, 24), 0.4e-3), imprint(slice(4, 12), 0.4e-3)
     found = compare_imprints(np.stack([more, less]), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.imprint_ious == pytest.approx([10 / 16, 8 / 10])

@@ -1,4 +1,4 @@
-"""Each imperfection alone against numbers that are known, in metres on the surface."""
+"""Each imperfection alone against known numbers, in metres on the surface."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_smoothing_leaves_alone_what_is_flat_or_far_away():
 
 
 def test_there_is_no_elastomer_off_the_sensing_rectangle():
-    """What lies there neither reaches in nor is made noisy; a mask only hides what is there."""
+    """Pixels there are neither made noisy nor affect others; a mask only hides them."""
     rectangle = (-0.01, 0.012, -0.015, 0.01)
     part, whole = sensor(rectangle_m=rectangle), sensor()
     inside = part.observed_mask
@@ -327,14 +327,14 @@ def test_a_contact_shape_is_cut_where_the_press_is_taken_to_be(measured_m, conta
 
 
 def test_the_documented_levels_are_the_programs():
-    page = (Path(__file__).parents[3] / "docs" / "conventions.md").read_text()
-    table = page.split("## Touch noise\n")[1].split("\n## ")[0]
+    page = (Path(__file__).parents[3] / "docs" / "noise.md").read_text()
+    table = page.split("## Settings\n")[1].split("\n## ")[0]
     for line in documented_rows():
         assert line in table
 
 
 def documented_rows() -> list[str]:
-    """The lines of the table in docs/conventions.md, from what the program has."""
+    """Return the lines of the table in docs/noise.md, made from the program."""
     mm, percent = (lambda v: f"{1e3 * v:g} mm" if v else "0"), (lambda v: f"{100 * v:g} %" if v else "0")
     write = {
         "press_share": lambda v: f"{100 * v[0]:g} to {100 * v[1]:g} %" if v[0] < v[1] else f"{100 * v[0]:g} %",

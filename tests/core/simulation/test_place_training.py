@@ -1,4 +1,4 @@
-"""What is learned of places: touches are labelled by the nearest one, turned as it is, and decoys are not."""
+"""Training on places: touches get the label and yaw of the nearest place, and decoys get other yaws."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def test_a_press_beyond_the_sensors_range_is_refused(make_scene, pinhole, box, s
 
 
 def test_imprints_of_a_face_that_covers_the_sensor_are_no_touches(make_scene, flat_camera, make_box, sampler):
-    """They fit any flat face; what comes has an edge in view."""
+    """They fit any flat face; the touches made show an edge."""
     scene = make_scene(make_box(0.08, 0.06, 0.01), flat_camera)
     for touch in simulate_touches(sampler, scene, 10, np.random.default_rng(4)):
         contact = touch.contact_shape.contact
@@ -65,7 +65,7 @@ def test_imprints_of_a_face_that_covers_the_sensor_are_no_touches(make_scene, fl
 
 
 def test_presses_that_are_no_touches_are_counted(make_scene, flat_camera, make_box, sampler):
-    """Of a face that covers the sensor at most places; a small one is a touch wherever it is."""
+    """The face covers the sensor at most places; a small face is a touch at any place."""
     large, small = (make_scene(make_box(side, side, 0.01), flat_camera) for side in (0.06, 0.01))
     touches, refused = draw_touches(sampler, large, 10, np.random.default_rng(4))
     assert refused > 0
@@ -124,7 +124,7 @@ def test_noisy_touches_are_whole_touches_of_the_same_poses(make_scene, pinhole, 
 
 
 def test_a_given_press_is_the_actual_one_and_measured_with_an_error(make_scene, pinhole, box, sampler):
-    """A press that is taken for deeper shows no more; one that is taken for lighter is cut there."""
+    """A press measured as deeper shows no more; one measured as lighter is cut there."""
     scene, noise = make_scene(box, pinhole), TouchNoise(press_error=0.2)
     touches = simulate_touches(sampler, scene, 20, np.random.default_rng(9), 0.001, noise)
     measured = np.array([touch.press_depth_m for touch in touches])

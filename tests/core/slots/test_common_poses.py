@@ -1,4 +1,4 @@
-"""Which poses touch all sensors: on a grid that is large enough for contacts to be asked in another order."""
+"""The poses that touch all sensors, on a grid large enough for contacts to be looked up in another order."""
 
 from __future__ import annotations
 

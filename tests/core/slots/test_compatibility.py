@@ -1,4 +1,4 @@
-"""What components declare decides whether they can be combined."""
+"""Declared capabilities decide which components can be combined."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactile_loc.core.slots.registry import SLOTS
 
 
 def declaring(*declared: Declared) -> dict:
-    """Components by slot that declare this, and have all other capabilities as they are by default."""
+    """Return components by slot that declare these capabilities, and defaults otherwise."""
     made = {}
     for one in declared:
         capabilities = dataclasses.replace(Capabilities(), **{one.capability: one.value})

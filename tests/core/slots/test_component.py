@@ -1,4 +1,4 @@
-"""Capabilities: every one is asked for by code, outside the class that declares it."""
+"""Every capability is read by code outside the class that declares it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plugins that were written for another version of the interface: used as far as they can be, or refused."""
+"""Plugins written for another version of the interface are adapted if possible, or refused."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_contact_shape_brings_the_pose_to_contact_first(ball_scene):
 
 
 def test_x_is_right_and_y_is_down(make_box, make_scene, flat_camera):
-    """A box at +x and +y shows in the last columns and rows; turned by yaw, its long side follows."""
+    """A box at +x and +y shows in the last columns and rows; rotated by a yaw, its long side follows."""
     scene = make_scene(make_box(0.008, 0.003, 0.004), flat_camera)
     contact = scene.contact_shape(make_translation([0.007, 0.005, 0.0]), 0.002).contact
     rows, columns = np.nonzero(contact)
@@ -160,7 +160,7 @@ def test_the_paper_s_drawing_is_of_the_object_where_it_just_touches():
 
 
 def test_poses_are_pressed_poses_however_they_are_drawn():
-    """What a touch's own drawing explains best is the true pose: nothing moves along z."""
+    """The true pose explains best a touch that was rendered the same way: nothing moves along z."""
     pressed, T, paper = drawings("pinhole")
     touch = Touch(ContactShape(paper.render_contact_depths(T)[0], 0.002), CAMERAS["pinhole"])
     assert paper.imprint_ious(T, touch)[0] == pytest.approx(1.0)
@@ -168,7 +168,7 @@ def test_poses_are_pressed_poses_however_they_are_drawn():
 
 
 def test_a_tiny_contact_is_explained_by_its_true_pose(make_object):
-    """Of a ball's tip, a quarter of a percent of the sensor: some thirty pixels are compared, drawn in another way."""
+    """A ball's tip on a quarter of a percent of the sensor: some thirty pixels, rendered in another way."""
     camera = CAMERAS["orthographic"].resize(240, 180)
     ball = make_object(trimesh.creation.icosphere(5, RADIUS_M), name="ball")
     scene, other = (Scene(ball, camera, renderer) for renderer in (HeightmapRenderer(), ReferenceRenderer()))

@@ -14,8 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from message_helpers import missing, naming
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from recording_helpers import S, write_bag
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -37,7 +36,6 @@ from tactile_loc.io.streams.ros_messages import (
     read_stamp_ns,
 )
 
-S = 1_000_000_000
 T = make_transform(rotation_about([1, 2, 3], 0.7), [0.1, -0.2, 0.3])
 IMAGES = np.random.default_rng(0).integers(0, 256, (6, 30, 40, 3), np.uint8)
 
@@ -128,19 +126,7 @@ def test_a_copy_is_the_same_with_its_attachments(recorded, tmp_path):
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
 def test_bags_are_read(tmp_path, kind):
-    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
-    path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer1(path) if kind == "ros1" else Writer2(path, version=9, storage_plugin=plugin) as writer:
-        connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
-        for k, image in enumerate(IMAGES):
-            message = make_image(image, "rgb8", k * S + 7, "gel")
-            if kind == "ros1":
-                stamp = store.types["builtin_interfaces/msg/Time"](k, 7)
-                message.header = store.types["std_msgs/msg/Header"](k, stamp, "gel")
-                writer.write(connection, k * S + 9, store.serialize_ros1(message, IMAGE))
-            else:
-                writer.write(connection, k * S + 9, store.serialize_cdr(message, IMAGE))
+    path = write_bag(tmp_path / ("drive.bag" if kind == "ros1" else "drive"), IMAGES, kind)
     recording = Recording(path)
     ((topic, count),) = recording.read_contents().counts.items()
     assert (topic.name, topic.type, count) == ("/gel/image", IMAGE, 6)

@@ -1,4 +1,4 @@
-"""A result's files: what is written is what is read, and what cannot be read is one sentence."""
+"""A result's files: they are read as written, and a damaged file gives an error of one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict: which rule comes first, at which numbers it changes, and what a result and its file say."""
+"""The verdict: the order of its rules, its thresholds, and its value in a result and its file."""
 
 from __future__ import annotations
 

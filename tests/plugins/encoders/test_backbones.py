@@ -73,7 +73,7 @@ def torchvision_shapes(name: str) -> dict[str, tuple[int, ...]]:
 
 @cache
 def torchvision_weights(name: str, seed: int = 5) -> dict[str, torch.Tensor]:
-    """What a file of torchvision's holds, classifier and all, with random values."""
+    """The tensors of a torchvision file, including the classifier, with random values."""
     generator = torch.Generator().manual_seed(seed)
     shapes = torchvision_shapes(name) | {"fc.weight": (1000, 512 if name == "resnet18" else 2048), "fc.bias": (1000,)}
     return {

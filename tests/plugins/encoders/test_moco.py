@@ -1,4 +1,4 @@
-"""The learned encoder: it learns, the same seed learns the same, and an interruption changes nothing."""
+"""The learned encoder learns, is reproducible for a seed, and is not changed by an interruption."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 from tactile_loc.testing.problems import make_place_training_problem  # noqa: E402
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
-FEW = 64  # touches to validate with
+PLACES = {"epochs": 2, "queries": 32}  # all turns of a place are touches of it
+FEW = 32  # touches to validate with
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -100,8 +101,8 @@ def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
 
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
-    encoder = make(epochs=4, queries=256, noise="none", patience=4)
-    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly
+    encoder = make(epochs=2, queries=256, noise="none")
+    encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
     bank = encoder.encode(clean, geometry.max_depth_m, geometry)
@@ -261,8 +262,8 @@ def test_a_localizer_trains_once_and_reads_it_back(store):
 
 @pytest.fixture(scope="module")
 def places(one_thread):
-    """One that has learned the places of a small block, and what it learned from."""
-    problem, encoder = make_place_training_problem(), make(epochs=2)
+    """Return an encoder that has learned the places of a small block, and its training problem."""
+    problem, encoder = make_place_training_problem(), make(**PLACES)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "VALIDATION_TOUCHES", FEW)
         encoder.fit(problem)
@@ -289,7 +290,7 @@ def test_places_are_embedded_by_what_is_seen_of_them(places):
 def test_what_was_learned_of_places_survives_a_file(places, tmp_path):
     encoder, problem = places
     encoder.save_weights(tmp_path / "w.safetensors")
-    other = make(epochs=2)
+    other = make(**PLACES)
     other.load_weights(tmp_path / "w.safetensors")
     keys, seen = some_seen(problem, np.random.default_rng(1))
     ours, theirs = (e.encode_seen(keys, seen, 1e-3, problem.geometry)[0] for e in (encoder, other))
@@ -300,8 +301,8 @@ def test_what_was_learned_of_places_survives_a_file(places, tmp_path):
 def test_an_interrupted_training_on_places_ends_as_an_uninterrupted_one(places, tmp_path, stop_at):
     encoder, problem = places
     with pytest.raises(KeyboardInterrupt):
-        make(epochs=2).fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at)))
-    resumed = make(epochs=2)
+        make(**PLACES).fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at)))
+    resumed = make(**PLACES)
     resumed.fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path)))
     assert same(encoder, resumed)
 
@@ -331,7 +332,7 @@ def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
 
 def test_decoys_change_what_is_learned_and_its_key(places):
     encoder, problem = places
-    other = make(epochs=2, decoys=2)
+    other = make(**PLACES, decoys=2)
     other.fit(problem)
     assert not same(encoder, other)
     assert encoder.describe() != other.describe()
@@ -339,17 +340,17 @@ def test_decoys_change_what_is_learned_and_its_key(places):
 
 
 @pytest.mark.slow
-def test_it_learns_to_tell_places_apart():
-    problem = make_place_training_problem()
-    encoder = make(epochs=6, queries=256, noise="none", patience=6)
-    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=4)
+def test_it_learns_to_tell_places_apart(places):
+    _, problem = places
+    encoder = make(epochs=2, queries=128, noise="none")
+    encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
     encoder.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     batch = problem.draw(60, make_noise("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)
     keys = encoder.encode(np.concatenate(list(problem.clean_keys(press_m))), press_m, problem.geometry)
     vectors, _ = encoder.encode_seen(batch.depth_m[:, 0], batch.seen[:, 0], press_m, problem.geometry)
     ranks = (vectors @ keys.T > np.sum(vectors * keys[batch.labels], axis=1)[:, None]).sum(axis=1)
-    assert np.median(ranks) < 0.1 * len(problem), "far better than by chance"
+    assert np.median(ranks) < 0.025 * len(problem), "a network that has learned nothing comes to 0.04 and more"
 
 
 TWO = """

@@ -1,4 +1,4 @@
-"""What the learned encoder learns does not depend on what ran before it in its process."""
+"""The trained encoder does not depend on earlier work in its process."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ print(before, torch.get_num_threads(), hash_arrays(**learned), hash_arrays(score
 
 
 def train(store: Path, first: str) -> list[str]:
-    """Learn in a process of one thread for torch and two for numba; return what it printed."""
+    """Learn in a process with one thread for torch and two for numba, and return its output."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
     words = [sys.executable, "-c", TRAIN, str(store), first]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=600)

@@ -141,7 +141,7 @@ def test_random_poses_fill_the_same_set(pinhole, box):
 
 
 def test_random_yaws_are_as_frequent_as_their_places(flat_camera, make_box):
-    """A rod has more places over the sensor when it lies across: so many poses of the grid, and so many drawn."""
+    """A rod has more places over the sensor when it lies across; grid and random poses agree on this."""
     rod, side = make_box(0.06, 0.004, 0.006), np.subtract(flat_camera.rectangle[1::2], flat_camera.rectangle[::2])
     T = face("+z").random(rod, flat_camera, 20_000, np.random.default_rng(1))
     yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])

@@ -26,9 +26,7 @@ from tactile_loc.core.slots.all_rotations import find_centroid_range
 from tactile_loc.plugins.grids.hopf import (
     HopfGrid,
     compute_pixel_angles,
-    count_rotations,
     find_spin_axis,
-    list_children,
     make_hopf_rotations,
     make_rotation_grid,
 )
@@ -48,6 +46,10 @@ def box(x: float, y: float, z: float, symmetry: str = "none", shift_m=(0, 0, 0))
 
 
 BRICK, ROD, PLATE = box(0.06, 0.04, 0.03), box(0.08, 0.012, 0.01), box(0.05, 0.04, 0.004)
+
+
+def all_rotations(nside: int, n_psi: int) -> np.ndarray:
+    return make_hopf_rotations(nside, n_psi, np.arange(12 * nside**2 * n_psi))
 
 
 def centroids(obj: ObjectModel, T: np.ndarray) -> np.ndarray:
@@ -288,8 +290,8 @@ def test_pixels_have_equal_area():
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_counts_and_proper_distinct_rotations(level):
     n = 2**level
-    R = make_hopf_rotations(n, 6 * n)
-    assert len(R) == count_rotations(n, 6 * n) == 72 * 8**level
+    R = all_rotations(n, 6 * n)
+    assert len(R) == 72 * 8**level
     np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(R), 1)
     np.testing.assert_allclose(R[:: 6 * n, :, 2], centres(n), atol=1e-12)  # z turns to the pixel's centre
@@ -297,7 +299,7 @@ def test_counts_and_proper_distinct_rotations(level):
 
 @pytest.mark.parametrize(("nside", "spacing_deg"), [(1, 60.0), (2, 30.0), (3, 20.0), (4, 15.0)])
 def test_neighbours_are_at_the_published_spacing(nside, spacing_deg):
-    R = make_hopf_rotations(nside, 6 * nside)
+    R = all_rotations(nside, 6 * nside)
     nearest_deg = np.degrees(to_nearest(R, R, k=2)[0])
     assert 0.93 * spacing_deg < nearest_deg.mean() <= spacing_deg * (1 + 1e-9)
     assert nearest_deg.max() <= spacing_deg * (1 + 1e-9)  # the next spin is never farther
@@ -306,18 +308,18 @@ def test_neighbours_are_at_the_published_spacing(nside, spacing_deg):
 
 @pytest.mark.parametrize("nside", [1, 2, 3, 4])
 def test_no_rotation_is_farther_than_a_cell_reaches(nside):
-    """Swing to the centre of the pixel, then spin to the nearest spin: the axes are at right angles, so the half
+    """Bound the distance by rotating to the pixel's centre, then to the nearest spin.
 
-    angles' cosines multiply. Together they bound the distance from any rotation to the grid.
+    The axes are at right angles, so the cosines of the half angles multiply.
     """
     bound = 2 * np.arccos(np.cos(largest_pixel_radius(nside) / 2) * np.cos(np.pi / (6 * nside) / 2))
-    angle, _ = to_nearest(draw_rotations(20_000, np.random.default_rng(0)), make_hopf_rotations(nside, 6 * nside))
+    angle, _ = to_nearest(draw_rotations(20_000, np.random.default_rng(0)), all_rotations(nside, 6 * nside))
     assert 0.75 * bound < angle.max() <= bound
 
 
 @pytest.mark.parametrize("nside", [1, 2])
 def test_each_rotation_is_nearest_to_its_share(nside):
-    grid = make_hopf_rotations(nside, 6 * nside)
+    grid = all_rotations(nside, 6 * nside)
     _, index = to_nearest(draw_rotations(20_000, np.random.default_rng(1)), grid)
     share = np.bincount(index, minlength=len(grid)) * (len(grid) / 20_000)
     chance = np.sqrt(len(grid) / 20_000)
@@ -327,18 +329,4 @@ def test_each_rotation_is_nearest_to_its_share(nside):
 
 def test_indices_pick_from_the_whole():
     some = np.array([5, 700, 0, 5])
-    np.testing.assert_array_equal(make_hopf_rotations(4, 11, some), make_hopf_rotations(4, 11)[some])
-
-
-def test_children_cut_every_cell_into_eight_around_its_centre():
-    nside, n_psi = 3, 18
-    coarse, fine = make_hopf_rotations(nside, n_psi), make_hopf_rotations(2 * nside, 2 * n_psi)
-    family = list_children(np.arange(len(coarse)), nside, n_psi)
-    assert np.array_equal(np.sort(family.ravel()), np.arange(len(fine)))  # a partition of the finer grid
-    step = rotation_angle(np.swapaxes(coarse, 1, 2)[:, None] @ fine[family])
-    # Spins are counted from a frame that turns with the azimuth near the south pole, where cells are sheared.
-    north = coarse[:, 2, 2] > 0
-    reach = 2 * np.arccos(np.cos(largest_pixel_radius(nside) / 2) * np.cos(np.pi / n_psi / 2))
-    assert step[north].max() < reach
-    assert step.min() > np.pi / n_psi / 2 * (1 - 1e-9)
-    assert (fine[family][..., 2] * coarse[:, None, :, 2]).sum(-1).min() > np.cos(largest_pixel_radius(nside))
+    np.testing.assert_array_equal(make_hopf_rotations(4, 11, some), all_rotations(4, 11)[some])

@@ -36,7 +36,7 @@ def weighted_brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndar
 
 @pytest.fixture(scope="module")
 def place_bank(store) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A touch of the whole pin turned by every third degree, what is known of it, and the bank of the pin's places."""
+    """A touch of the whole pin rotated by every third degree, its known pixels, and the bank of the pin's places."""
     localizer = Localizer.create("pin", store=store, grid="whole", sensor="gelsight-mini")
     assert localizer.search is not None
     (touch,) = localizer.simulate(1, seed=3, noise="strong")
@@ -120,7 +120,7 @@ def test_faiss_flat_is_dense_on_its_top(real_bank):
 
 
 def test_weighted_faiss_flat_is_dense_on_its_top(place_bank):
-    """To 1e-5 of what the best rows of all yaws score: float32 sums cannot tell nearer, in neither."""
+    """The scores agree to 1e-5 of the best rows' scores, the precision of float32 sums."""
     queries, weights, bank = place_bank
     exact, found = dense_of(bank).scores(queries, weights), matcher_of(bank, top_k=50).scores(queries, weights)
     assert (np.isfinite(found).sum(axis=1) == 50).all()

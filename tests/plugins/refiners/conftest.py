@@ -1,4 +1,4 @@
-"""A scene, touches of it, and candidates beside the truth."""
+"""A scene, touches of it, and candidates near the truth."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def off_by(pin_scene) -> OffBy:
 
 @pytest.fixture(scope="session")
 def error_mm(pin_scene) -> ErrorMm:
-    """Tell how far a pose (4, 4) is from a touch's truth, mm."""
+    """Return the distance of a pose (4, 4) from a touch's truth, mm."""
     return lambda touch, T: 1e3 * float(PoseMetric(pin_scene.object).distance(T, touch.T_sensor_object))
 
 

@@ -13,8 +13,7 @@ from tactile_loc.core.registration.cloud_refiner import Cloud
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.plugins.refiners.filterreg import kernels
-from tactile_loc.plugins.refiners.filterreg.refiner import REACH, FilterRegRefiner, Mixtures
-from tactile_loc.plugins.refiners.filterreg.twists import exponential, solve
+from tactile_loc.plugins.refiners.filterreg.refiner import REACH, FilterRegRefiner, Mixtures, exponential, solve
 
 Options = FilterRegRefiner.Options
 

@@ -51,7 +51,7 @@ def error_mm(touch: Touch, T: np.ndarray, scene: Scene) -> float:
 
 
 def test_a_candidate_off_the_sensor_is_brought_to_contact(scene, touches):
-    """Its contact is what is registered, so that where it was along z must not matter."""
+    """The contact is registered, so the candidate's z must not matter."""
     touch = touches[0]
     candidate = off_by(touch, scene, 0.5, 2.0, 1.0)
     lifted = Candidate(make_translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)

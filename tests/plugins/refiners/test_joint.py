@@ -1,4 +1,4 @@
-"""One pose against several pressed touches, where the truth is known in closed form or by construction."""
+"""One pose against several pressed touches, with a truth known in closed form or by construction."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def test_a_sensor_that_is_off_is_solved_for(make_box):
 
 
 def test_the_first_sensors_error_is_its_own(block):
-    """Where the first sensor sees the object follows from all touches; its covariance is that of what it sees."""
+    """All touches determine the object's pose in the first sensor, and its covariance."""
     touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
     off = make_translation([0.0006, 0.0, 0.0])  # the others' sensors are where they are said to be
     nominal = views_of(block, touches, sensor_std_m=1e-6)

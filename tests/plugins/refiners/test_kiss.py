@@ -106,7 +106,7 @@ for along in (np.diag([1.0, 0, 0]), np.ones((3, 3)), np.diag([1.0, 1, 0]), np.ze
 
 
 def test_clouds_that_fix_hardly_a_direction_stay_finite():
-    """In a process of its own: the library ends the process when it is given what is no rotation."""
+    """Run in a separate process, because the library aborts it for an invalid rotation."""
     subprocess.run([sys.executable, "-c", DEGENERATE], check=True)
 
 

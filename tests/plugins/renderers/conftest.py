@@ -1,4 +1,4 @@
-"""Cameras with nothing symmetric about them, surfaces whose depth is known, and the exact renderers."""
+"""Asymmetric cameras, surfaces of known depth, and the exact renderers."""
 
 from __future__ import annotations
 

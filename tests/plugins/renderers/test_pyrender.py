@@ -1,4 +1,4 @@
-"""What is OpenGL's own: contexts that come, go and live side by side, windings, clipping, and machines without EGL."""
+"""OpenGL: several contexts in one process, windings, clipping, and machines without EGL."""
 
 from __future__ import annotations
 

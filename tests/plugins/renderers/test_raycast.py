@@ -1,4 +1,4 @@
-"""What is the ray caster's own: culling and batches that change nothing, and its cache."""
+"""The ray caster: culling and batches do not change the result; its cache."""
 
 from __future__ import annotations
 

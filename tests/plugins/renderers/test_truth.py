@@ -1,4 +1,4 @@
-"""What both exact renderers must draw, beside the depth that geometry says."""
+"""Both exact renderers draw the depths that follow from geometry."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def poses(mesh: TriangleMesh, g: SensorGeometry, count: int = 5) -> np.ndarray:
 
 
 def assert_same_pictures(a, b, tolerance_m=NANOMETRES_100, g=None):
-    """Equal within the contact band, but for one pixel in a thousand, whose centre may lie on an edge."""
+    """Equal within the contact band, except one pixel in a thousand, whose centre may lie on an edge."""
     limit = g.standoff_m + g.max_depth_m
     same = (np.abs(np.minimum(a, limit) - np.minimum(b, limit))) <= tolerance_m
     assert same.mean() >= 0.999

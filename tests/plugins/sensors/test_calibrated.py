@@ -1,4 +1,4 @@
-"""A calibrated sensor: images become contact shapes, and contact shapes stay what they are."""
+"""A calibrated sensor: images become contact shapes, and contact shapes are kept."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def test_a_changed_light_is_refused_until_the_untouched_gel_is_shown(sensor, fol
 
 def test_lamps_of_other_colours_are_refused_though_the_untouched_gel_is_shown(folder, photo, tmp_path):
     def other(image: np.ndarray) -> np.ndarray:
-        """The same untouched gel, but what a touch adds to one colour is another's."""
+        """The same untouched gel, but a touch's changes of the colours are swapped."""
         difference = image.astype(int) - BALLS.background
         return np.clip(BALLS.background + difference[..., [1, 2, 0]], 0, 255).astype(np.uint8)
 

@@ -46,7 +46,7 @@ def test_the_example_is_what_it_says() -> None:
 
 
 def test_the_example_and_the_reference_name_every_key() -> None:
-    reference = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    reference = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
     example = EXAMPLE.read_text(encoding="utf-8")
     for key in {**_Pinhole.model_fields, **_Orthographic.model_fields}:
         assert f"`{key}`" in reference, key

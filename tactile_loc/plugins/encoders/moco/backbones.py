@@ -1,6 +1,6 @@
-"""Convolutional backbones of the learned encoder in plain torch, and the weights they can start from.
+"""Convolutional backbones of the learned encoder in plain torch, and pretrained weights.
 
-Residual networks have torchvision's parameter names. All are cropped before average pooling: the map is the feature.
+Residual networks have torchvision's parameter names. All networks end before average pooling: the map is the feature.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _GROUPS = 32
 
 
 class Backbone(nn.Module):
-    """A fully convolutional network: images (N, in_channels, H, W) to a coarse map, whose values are the vector.
+    """A fully convolutional network from images (N, in_channels, H, W) to a coarse map, which is the vector.
 
-    `name` is the architecture, `stride_px` the input pixels from one cell of the map to the next, `in_channels` and
-    `channels` the channels of the input and of the map. Every convolution pads by half its kernel, so a cell covers
-    the same place of the image whatever the image's size.
+    `name` is the architecture. `stride_px` is the distance of the map's cells in input pixels. `in_channels` and
+    `channels` are the channels of the input and of the map. Every convolution pads by half its kernel, so a cell covers
+    the same place for every image size.
     """
 
     def __init__(self, name: str, stride_px: int, in_channels: int, width: int, channels: int | None) -> None:
@@ -42,12 +42,12 @@ class Backbone(nn.Module):
         raise NotImplementedError
 
     def feature_map(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the map (N, channels, h, w) of images (N, in_channels, H, W), of the sizes `map_shape` tells."""
+        """Return the map (N, channels, h, w) of images (N, in_channels, H, W)."""
         projected: torch.Tensor = self.project(self.features(images))
         return projected
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the vectors (N, channels*h*w) of images (N, in_channels, H, W): the map flattened, not normalised."""
+        """Return the vectors (N, channels*h*w) of images (N, in_channels, H, W): the flattened map, not normalised."""
         return self.feature_map(images).flatten(1)
 
 
@@ -60,16 +60,16 @@ def make_norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
         return nn.BatchNorm2d(width)
     if norm == "group":
         return nn.GroupNorm(groups, width)
-    raise ConfigError(f"The normalisation {norm!r} is unknown: choose 'batch' or 'group'.")
+    raise ConfigError(f"there is no normalisation {norm!r}; choose 'batch' or 'group'")
 
 
 class ResNet(Backbone):
     """ResNet-18 or ResNet-50 without average pooling and classifier; the stride is 32 px.
 
     With `norm="batch"` and three input channels, every parameter and buffer has torchvision's name and shape (v1.5: the
-    3x3 convolution of a bottleneck carries the stride). With `norm="group"` the names stay, and only the running
-    statistics are absent: no image then influences another one's features, in training or after. `project`, a 1x1
-    convolution to `channels`, is this library's own; with `channels=None` there is none and the map keeps 512 or 2048.
+    3x3 convolution of a bottleneck has the stride). With `norm="group"` the names stay, and there are no running
+    statistics, so images do not influence each other's features. `project`, a 1x1 convolution to `channels`, is added;
+    with `channels=None` it is left out, and the map has 512 or 2048 channels.
     """
 
     def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
@@ -97,7 +97,7 @@ class ResNet(Backbone):
 
 
 class _Block(nn.Module):
-    """A branch of normalised convolutions added to its input, which is projected where the shapes differ.
+    """A branch of normalised convolutions added to its input, which is projected if the shapes differ.
 
     `convolutions` lists the branch's (channels, kernel, stride).
     """
@@ -127,7 +127,7 @@ class _Block(nn.Module):
 
 
 def _list_convolutions(name: str, width: int, stride: int) -> list[tuple[int, int, int]]:
-    """The (channels, kernel, stride) of a block's branch: two 3x3, or a bottleneck of four times `width` outside."""
+    """Return the (channels, kernel, stride) of a block's branch: two 3x3 convolutions, or a bottleneck."""
     if name == "resnet18":
         return [(width, 3, stride), (width, 3, 1)]
     return [(width, 1, 1), (width, 3, stride), (4 * width, 1, 1)]
@@ -141,9 +141,9 @@ _STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
 
 
 class SmallBackbone(Backbone):
-    """Four 3x3 convolutions of stride 2 (24, 48, 96, 128 channels), normalised: minutes of training on two CPU cores.
+    """Four normalised 3x3 convolutions of stride 2 (24, 48, 96, 128 channels), for training on two CPU cores.
 
-    15 MFLOP a 64x64 image, whose map is 4x4; the stride is 16 px.
+    A 64x64 image takes 15 MFLOP and gives a 4x4 map; the stride is 16 px.
     """
 
     def __init__(self, in_channels: int, channels: int | None, norm: Norm) -> None:
@@ -157,7 +157,7 @@ class SmallBackbone(Backbone):
 
     def features(self, images: torch.Tensor) -> torch.Tensor:
         """Return the unprojected map (N, 128, h, w) of images (N, in_channels, H, W)."""
-        # the layout is kept by the stages, which run a fifth faster in it on a CPU; the weights stay contiguous
+        # the stages keep this layout, in which they are a fifth faster on a CPU; the weights stay contiguous
         features: torch.Tensor = self.stages(images.to(memory_format=torch.channels_last))
         return features
 
@@ -170,18 +170,18 @@ def make_backbone(
     channels: int | None = 16,
     norm: Norm = "group",
 ) -> Backbone:
-    """Return the backbone `name` ("small", "resnet18", "resnet50") on the CPU, its weights drawn by `generator`.
+    """Return the backbone `name` ("small", "resnet18", "resnet50") on the CPU, with weights drawn by `generator`.
 
-    `in_channels` counts the planes of the input, the contact mask first; `channels` those of the map (None: as many as
-    the network has, without projection). Torch's global random state is neither read nor changed. Raises ConfigError
-    when the name or the norm is unknown or a number is not positive.
+    `in_channels` is the number of input planes, with the contact mask first. `channels` is the number of the map's
+    channels (None: the network's own, without projection). Torch's global random state is neither read nor changed.
+    Raises ConfigError for an unknown name or norm, or a number below 1.
     """
     if name not in BACKBONES:
         hint = did_you_mean(name, BACKBONES)
-        raise ConfigError(f"The backbone {name!r} is unknown: choose one of {', '.join(BACKBONES)}.{hint}")
+        raise ConfigError(f"there is no backbone {name!r}; choose one of {', '.join(BACKBONES)}.{hint}")
     for label, count in (("in_channels", in_channels), ("channels", channels)):
         if count is not None and count < 1:
-            raise ConfigError(f"The backbone's {label} must be at least 1, not {count}.")
+            raise ConfigError(f"the backbone's {label} is {count}; it must be at least 1")
     with torch.device("meta"):  # torch's own initialisation would draw from the global random state
         small = name == "small"
         model = SmallBackbone(in_channels, channels, norm) if small else ResNet(name, in_channels, channels, norm)
@@ -191,7 +191,7 @@ def make_backbone(
 
 
 def _initialise(model: Backbone, generator: torch.Generator) -> None:
-    """Draw the weights as torchvision does for residual networks: He's normal distribution; the norms do nothing."""
+    """Draw the weights as torchvision does for residual networks: He's normal distribution, and identity norms."""
     for module in model.modules():
         if isinstance(module, nn.Conv2d):
             linear = module is model.project
@@ -204,16 +204,15 @@ def _initialise(model: Backbone, generator: torch.Generator) -> None:
 
 
 def load_pretrained(model: Backbone, source: str | Path) -> None:
-    """Fill `model` with weights from `source`, a .safetensors file: a pickle, as torch saves, is never read.
+    """Fill `model` with weights from `source`, a .safetensors file; pickles, as torch saves them, are never read.
 
-    The names are torchvision's, or those of a saved `model.state_dict()`. `fc.*` is ignored; `project.*` may be absent
-    and then stays as it is. Where the file's first convolution sees three colours and the model another number of
-    planes, the mask's plane gets the sum over the colours, which answers as if the mask were repeated to three, and
-    further planes begin at zero; ImageNet's colour normalisation is left to fine-tuning. A model with group norms takes
-    the batch norms' scales and shifts and drops their running statistics, so it needs fine-tuning before it is of use.
+    The names are torchvision's, or those of a saved `model.state_dict()`. `fc.*` is ignored. Without `project.*` the
+    model keeps its own projection. If the file's first convolution sees three colours and the model another number of
+    planes, the mask's plane gets the sum over the colours, and further planes start at zero. A model with group norms
+    takes the batch norms' scales and shifts without their running statistics, so it needs fine-tuning.
 
-    Raises WeightsError when the weights are out of reach, damaged, or of another architecture; the model then is as it
-    was before.
+    Raises WeightsError, and leaves the model unchanged, when the weights are missing, damaged, or of another
+    architecture.
     """
     fitted = _fit_weights(model, _read_weights(Path(source)), str(source))
     model.load_state_dict(fitted, strict=False)
@@ -223,61 +222,58 @@ def load_pretrained(model: Backbone, source: str | Path) -> None:
 def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
     if path.suffix != ".safetensors":
         raise WeightsError(
-            f"The weights {path} are not read, as only .safetensors files are, which can hold no code: save their "
-            "tensors as one (docs/training.md has the command)."
+            f"the weights {path} are no .safetensors file, the only format without code; convert them with the command "
+            "in docs/training.md"
         )
     if not os.path.isfile(path):
-        raise WeightsError(f"There is no weights file {path}: check the path.")
+        raise WeightsError(f"there is no weights file {path}; check the path")
     try:
         from safetensors import SafetensorError
         from safetensors.torch import load_file
     except ImportError as error:
-        raise MissingLibraryError(f"Reading {path} needs safetensors: install it with pip.") from error
+        raise MissingLibraryError(f"reading {path} needs safetensors; run pip install safetensors") from error
     try:
         return load_file(path)
     except OSError as error:
-        raise WeightsError(f"The weights file {path} cannot be read: {error.strerror or error}.") from error
+        raise WeightsError(f"cannot read the weights file {path} ({error.strerror or error})") from error
     except SafetensorError as error:
-        raise WeightsError(f"The weights file {path} is damaged: fetch or save it again.") from error
+        raise WeightsError(f"the weights file {path} is damaged; download or save it again") from error
 
 
 def _fit_weights(model: Backbone, weights: Mapping[str, torch.Tensor], origin: str) -> dict[str, torch.Tensor]:
-    """The tensors of `weights` that the model has a place for, after checking that they are all it needs."""
+    """Return the tensors of `weights` that belong to the model. Raises WeightsError unless they are complete."""
     own = model.state_dict()
-    advice = f"give weights of {model.name} under {_identify_naming(model)} names"
+    naming = "torchvision's" if model.name in RESNET_DEPTHS else "this library's"
+    advice = f"give weights of {model.name} with {naming} names"
     given = {key: value for key, value in weights.items() if not _is_ignored(key, own)}
     fitted = {}
     for key, place in own.items():
         if key not in given and not _is_optional(key, given):
-            raise WeightsError(f"{origin} does not fit {model.name}: {key!r} is missing in it; {advice}.")
+            raise WeightsError(f"{origin} does not fit {model.name}: it has no {key!r}; {advice}")
         if key in given:
             tensor = _adapt_kernel(given[key], place) if key == "conv1.weight" else given[key]
             if difference := _find_difference(tensor, place):
-                raise WeightsError(f"{origin} does not fit {model.name}: {key!r} {difference}; {advice}.")
+                raise WeightsError(f"{origin} does not fit {model.name}: {key!r} {difference}; {advice}")
             fitted[key] = tensor
     if foreign := next((key for key in given if key not in own), None):
-        raise WeightsError(f"{origin} does not fit {model.name}, which has no place for its {foreign!r}; {advice}.")
+        raise WeightsError(f"{origin} does not fit {model.name}, which has no {foreign!r}; {advice}")
     return fitted
 
 
-def _identify_naming(model: Backbone) -> str:
-    return "torchvision's" if model.name in RESNET_DEPTHS else "this library's"
-
-
 def _is_ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:
-    """The classifier, and running statistics of a norm that the model has without them."""
+    """Return true for the classifier, and for running statistics that the model's norm does not have."""
     layer, _, parameter = key.rpartition(".")
     return key.startswith("fc.") or (parameter in _STATISTICS and key not in own and f"{layer}.weight" in own)
 
 
 def _is_optional(key: str, given: Mapping[str, torch.Tensor]) -> bool:
-    """Old files count no batches, and torchvision's have no projection; half a projection is none."""
+    """Return true for the number of batches, missing in old files, and for a projection that is missing as a whole."""
     projection = key.startswith("project.") and not any(other.startswith("project.") for other in given)
     return projection or key.endswith(".num_batches_tracked")
 
 
 def _adapt_kernel(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-    """A first convolution on three colours as one on the planes of `place`; any other kernel as it is."""
+    """Return a first convolution on three colours as one on the planes of `place`, and another kernel unchanged."""
     if kernel.ndim != 4 or kernel.shape[1] != 3 or place.shape[1] == 3:
         return kernel
     planes = kernel.new_zeros((len(kernel), place.shape[1], *kernel.shape[2:]))
@@ -286,9 +282,9 @@ def _adapt_kernel(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
 
 
 def _find_difference(tensor: torch.Tensor, place: torch.Tensor) -> str:
-    """What keeps `tensor` from standing in `place`, as the end of a sentence; empty when nothing does."""
+    """Return why `tensor` does not fit into `place`, as the end of a sentence, or an empty string."""
     if tensor.shape != place.shape:
-        return f"has shape {tuple(tensor.shape)} there and {tuple(place.shape)} here"
+        return f"has shape {tuple(tensor.shape)} instead of {tuple(place.shape)}"
     if tensor.is_floating_point() != place.is_floating_point():
-        return f"is of type {tensor.dtype} there"
+        return f"has type {tensor.dtype} instead of {place.dtype}"
     return "" if torch.isfinite(tensor).all() else "holds numbers that are not finite"

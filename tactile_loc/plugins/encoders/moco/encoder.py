@@ -1,14 +1,15 @@
 """The paper's learned encoder: an embedding of one object's contact shapes, learned by contrast, in simulation only.
 
-A query is a freshly rendered random touch; the queue is fixed, one key a grid pose; the label is the nearest grid pose;
-the loss is the cross-entropy of the softmax of similarities over the whole grid (Bauza et al., CoRL 2020, after He et
-al., CVPR 2020). The keys are encoded from clean shapes by a momentum copy of the network, again as training goes on.
+A query is a newly rendered random touch. The queue is fixed, with one key for each grid pose. The label is the nearest
+grid pose. The loss is the cross-entropy of the softmax of similarities over the whole grid (Bauza et al., CoRL 2020,
+after He et al., CVPR 2020). A momentum copy of the network encodes the keys from clean shapes.
 """
 
 from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,42 +33,42 @@ from tactile_loc.plugin import (
 )
 from tactile_loc.plugins.encoders.moco.backbones import Backbone, load_pretrained, make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
-from tactile_loc.plugins.encoders.moco.training import Trainer, find_local_cuda
+from tactile_loc.plugins.encoders.moco.training import Trainer
 
-PLANES = "planes"  # how many the input has, in the file of weights; without it, those of shapes that are wholly seen
-SMALLER = 4  # times smaller is a batch of touches that places are learned from: more and lighter steps learn faster
+PLANES = "planes"  # key of the number of input planes in the weights file; older files have none
+SMALLER = 4  # divides the batch for places: more and smaller steps learn faster
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 
 
 class MocoEncoder(Encoder):
-    """Learns in `fit`; unit vectors, whose score in a matcher is the cosine minus one.
+    """Learns in `fit`. Its embeddings are unit vectors, so a matcher's score is the cosine minus one.
 
-    On as many threads (OMP_NUM_THREADS) and on the same kind of device it learns the same, to the bit; on others not:
-    torch adds up in an order that depends on them.
+    Training is reproducible to the bit for the same number of threads (OMP_NUM_THREADS) and the same kind of device:
+    torch's order of summation depends on both.
     """
 
     capabilities = Capabilities(needs_training=True, deterministic=False)
 
     class Options(ComponentOptions):
-        """A preset, and what differs from it (None: as the preset has it)."""
+        """A preset, and changes to it (None keeps the preset's value)."""
 
         preset: Literal["cpu", "paper"] = Field(default="cpu", description="cpu: minutes on 2 cores; paper: for a GPU")
         backbone: Literal["small", "resnet18", "resnet50"] | None = Field(default=None, description="the network")
         channels: int | None = Field(default=None, ge=1, le=2048, description="channels of the map kept as the vector")
-        signal: Signal | None = Field(default=None, description="the contact mask alone, or the depth as well")
-        epochs: int | None = Field(default=None, ge=1, description="epochs, each of fresh touches")
-        queries: int | None = Field(default=None, ge=32, description="touches rendered an epoch")
-        batch: int | None = Field(default=None, ge=2, description="touches a step")
-        rate: float | None = Field(default=None, gt=0, description="learning rate at its highest")
-        noise: NoiseLevel = Field(default="strong", description="noise of the touches to learn from")
+        signal: Signal | None = Field(default=None, description="the contact mask only, or the depth as well")
+        epochs: int | None = Field(default=None, ge=1, description="epochs, each with new touches")
+        queries: int | None = Field(default=None, ge=32, description="touches rendered in each epoch")
+        batch: int | None = Field(default=None, ge=2, description="touches in each step")
+        rate: float | None = Field(default=None, gt=0, description="highest learning rate")
+        noise: NoiseLevel = Field(default="strong", description="noise of the training touches")
         negatives: int = Field(
-            default=0, ge=0, description="grid poses in the softmax a step, drawn; 0: the whole grid"
+            default=0, ge=0, description="random grid poses in the softmax of each step; 0: the whole grid"
         )
         decoys: int = Field(
-            default=0, ge=0, le=15, description="of a whole object: views of each touch that is turned wrongly"
+            default=0, ge=0, le=15, description="whole grid: wrongly rotated views of each training touch"
         )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
-        seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
+        seed: int = Field(default=0, ge=0, description="seed of the training")
         pretrained: str | None = Field(default=None, description="weights to start from, a .safetensors file")
         device: Literal["auto", "cpu", "cuda"] = Field(
             default="auto", description="where to compute", json_schema_extra=NEUTRAL
@@ -82,43 +83,40 @@ class MocoEncoder(Encoder):
             include={"backbone", "channels", "signal", "epochs", "queries", "batch", "rate"}
         )
         changes = {name: value for name, value in chosen.items() if value is not None}
-        self.recipe: Recipe = PRESETS[self.options.preset].change(
-            **changes,
-            noise=self.options.noise,
-            negatives=self.options.negatives,
-            patience=self.options.patience,
-            seed=self.options.seed,
-        )
+        always = self.options.model_dump(include={"noise", "negatives", "patience", "seed"})
+        self.recipe: Recipe = replace(PRESETS[self.options.preset], **changes, **always)
         self._network: Backbone | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the encoder's output: the whole recipe, not where it is computed."""
+        """Return what identifies the encoder's output, as JSON values: the whole recipe, but not the device."""
         described = super().describe()
         if not self.options.decoys:
-            del described["options"]["decoys"]  # so what was learned before there were any is found
-        return {**described, "recipe": self.recipe.describe()}
+            del described["options"]["decoys"]  # keeps the keys of encoders from before this option
+        return {**described, "recipe": asdict(self.recipe)}
 
     @property
     def device(self) -> torch.device:
-        """Where to compute. Raises ConfigError when CUDA is asked for and absent."""
+        """The device to compute on. Raises ConfigError when CUDA is requested but absent."""
         wanted = self.options.device
         if wanted == "cuda" and not torch.cuda.is_available():
             raise ConfigError(
-                "the encoder 'moco' was asked to run on CUDA, but torch sees no CUDA device here; install a CUDA "
-                "build of torch and a driver, or set encoder.device to cpu"
+                "the encoder 'moco' cannot use CUDA, because torch finds no CUDA device; install a CUDA build of torch "
+                "and a driver, or set encoder.device to cpu"
             )
-        return find_local_cuda() if wanted != "cpu" and torch.cuda.is_available() else torch.device("cpu")
+        if wanted == "cpu" or not torch.cuda.is_available():
+            return torch.device("cpu")
+        return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))  # torchrun's number of this process
 
     def fit(self, problem: TrainingProblem) -> None:
         """Train on simulated touches, together with the other processes if torchrun started several.
 
-        Raises GridError for a grid too large for memory, WeightsError, ConfigError, MissingLibraryError.
+        Raises GridError for a grid that is too large for the memory, WeightsError, ConfigError, MissingLibraryError.
         """
         _require_memory(self.recipe, len(problem))
         _reset_threads()
         recipe, options = self.recipe, self.options
         if problem.partly_seen and options.batch is None:
-            recipe = recipe.change(batch=max(2, recipe.batch // SMALLER))
+            recipe = replace(recipe, batch=max(2, recipe.batch // SMALLER))
         network = self._make_network(options.seed, problem.partly_seen)
         trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
         self._network = trainer.run()
@@ -130,9 +128,9 @@ class MocoEncoder(Encoder):
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
-        """Return unit embeddings (N, D) of what is `seen` (N, H, W) of contact depths, and weights (N, D), all one.
+        """Return unit embeddings (N, D) of the `seen` pixels (N, H, W) of contact depths, and weights (N, D) of one.
 
-        A network that learned from touches that are partly seen knows what is not seen; to another it is no contact.
+        A network that was trained on partly seen touches gets the mask. For another network, unseen means no contact.
         """
         press = np.float32(press_depth_m)
         embeddings = self._encode(np.where(seen, depth_m, press), seen, press_depth_m, geometry)
@@ -158,7 +156,7 @@ class MocoEncoder(Encoder):
         save_file(tensors, path, {PLANES: str(self._require_trained().in_channels)})
 
     def load_weights(self, path: Path) -> None:
-        """Read a trained network. Raises WeightsError when the file is damaged or of another architecture."""
+        """Read a trained network. Raises WeightsError for a file that is damaged or of another architecture."""
         from safetensors import SafetensorError, safe_open
 
         whole, partly = (self.recipe.planes(partly_seen) for partly_seen in (False, True))
@@ -171,7 +169,7 @@ class MocoEncoder(Encoder):
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise WeightsError(
-                f"{path} cannot be read as the weights of a {self.recipe.backbone} encoder ({reason}); train it again"
+                f"cannot read {path} as the weights of a {self.recipe.backbone} encoder ({reason}); train it again"
             ) from error
         self._network = network.to(self.device).eval()
 
@@ -192,10 +190,10 @@ class MocoEncoder(Encoder):
 
 
 def _reset_threads() -> None:
-    """Let torch compute with its own number of threads, whatever ran before: the sums depend on it.
+    """Restore torch's own number of threads, because its sums depend on it.
 
-    When numba starts its threads, it sets OpenMP's number of threads, and so torch's, for the thread that it is called
-    from. Here it starts in a thread of no other use, and torch gets the number back that a new thread has.
+    When numba starts its threads, it changes OpenMP's number of threads, and so torch's, for the calling thread. Here
+    it starts in an unused thread, and torch gets a new thread's number.
     """
     with ThreadPoolExecutor(1) as unused:
         threads = unused.submit(torch.get_num_threads).result()
@@ -204,17 +202,17 @@ def _reset_threads() -> None:
 
 
 def _require_memory(recipe: Recipe, poses: int) -> None:
-    """Raise GridError when scores and keys would not fit into the machine's memory."""
+    """Raise GridError when scores and keys do not fit into the machine's memory."""
     needed, free = recipe.bytes_needed(poses), _find_available_bytes()
     if needed > 0.8 * free:
         raise GridError(
-            f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} are free; "
-            "set encoder.negatives (16384, say) or a smaller encoder.batch, or a coarser grid.spacing_mm"
+            f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, but {free / 2**30:.1f} are "
+            "free; set encoder.negatives (such as 16384), a smaller encoder.batch, or a larger grid.spacing_mm"
         )
 
 
 def _find_available_bytes() -> int:
-    """Memory that programs can still get: what Linux says, elsewhere all there is."""
+    """Return the available memory on Linux, and all memory elsewhere."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:

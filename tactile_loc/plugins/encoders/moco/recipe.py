@@ -1,9 +1,9 @@
-"""What decides what the learned encoder learns: the recipe, its presets, and what the network sees of a touch."""
+"""The recipe of the learned encoder, its presets, and the network's input."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,12 +18,12 @@ Signal = Literal["binary", "depth"]
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that decides what is learned.
+    """All settings that determine the trained network.
 
-    `signal` is what of a contact shape the network sees: its mask, or the penetration depth as well. `queries` touches
-    are rendered an epoch and used `repeats` times, with new noise; `batch` a step. `refresh` is how many steps keys are
-    kept before they are encoded again (0: an epoch). `momentum` is that of the key encoder's weights, `temperature`
-    divides the similarities (unitless), `image_px` is the longer side of the input.
+    `signal` selects the network's input: the contact mask, or the penetration depth as well. Each epoch renders
+    `queries` touches and uses them `repeats` times with new noise, `batch` in a step. Keys are encoded again after
+    `refresh` steps (0: each epoch). `momentum` belongs to the key encoder's weights. `temperature` (unitless) divides
+    the similarities. `image_px` is the longer side of the input.
     """
 
     backbone: str
@@ -46,20 +46,12 @@ class Recipe:
     patience: int = 8
     seed: int = 0
 
-    def change(self, **changes: Any) -> Recipe:
-        """Return the recipe with some settings changed."""
-        return replace(self, **changes)
-
     def planes(self, partly_seen: bool) -> int:
-        """Return how many planes the network's input has, of shapes that are wholly or `partly_seen`."""
+        """Return the number of planes of the network's input, for shapes that are wholly or `partly_seen`."""
         return (3 if self.signal == "depth" else 2) + partly_seen
 
-    def describe(self) -> dict[str, Any]:
-        """Return the settings as JSON values."""
-        return asdict(self)
-
     def bytes_needed(self, poses: int) -> int:
-        """About how much memory a step takes with a grid of this many poses."""
+        """Estimate the memory of a training step with a grid of this many poses."""
         in_softmax = min(poses, self.negatives + self.batch) if self.negatives else poses
         scores = 4 * 4 * self.batch * in_softmax  # float32: scores, their exponentials, and the gradients of both
         keys = 2 * 4 * self.channels * 64 * poses
@@ -76,7 +68,7 @@ class Recipe:
     ) -> torch.Tensor:
         """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,).
 
-        `seen` (N, H, W) are the pixels that are known; it is for networks that have a plane for them.
+        `seen` (N, H, W) marks the known pixels, for networks with a plane for them.
         """
         planes = make_input_planes(depth_m, press_m, geometry, self.image_px, self.signal, seen).to(device)
         if device.type == "cuda":
@@ -89,10 +81,10 @@ def make_input_planes(
     depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal,
     seen: NDArray[np.bool_] | None = None,
 ) -> torch.Tensor:  # fmt: skip
-    """Return the network's input (N, P, h, w), shares from 0 to 1, averaged to a longer side of `image_px` pixels.
+    """Return the network's input (N, P, h, w), from 0 to 1, averaged to a longer side of `image_px` pixels.
 
-    The observed contact mask; with the signal "depth" also the penetration; the press, both as shares of the sensor's
-    deepest; and where `seen` (N, H, W) is given, what of it is observed.
+    The planes are the observed contact mask; with the signal "depth", the penetration; with `seen` (N, H, W), the known
+    pixels; and the press. Penetration and press are shares of the sensor's deepest press.
     """
     press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
     known = geometry.observed_mask if seen is None else seen & geometry.observed_mask

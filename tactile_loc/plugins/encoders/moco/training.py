@@ -1,4 +1,4 @@
-"""How the learned encoder is trained: the processes that train together, the log, and the loop."""
+"""Training of the learned encoder: the processes that train together, the log, and the loop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +20,7 @@ from torch import nn
 
 from tactile_loc.plugin import (
     MissingLibraryError,
+    TouchNoise,
     TrainingBatch,
     TrainingError,
     TrainingProblem,
@@ -27,20 +29,18 @@ from tactile_loc.plugin import (
     rank,
 )
 from tactile_loc.plugins.encoders.moco.backbones import Backbone
-from tactile_loc.plugins.encoders.moco.queries import QuerySource
 from tactile_loc.plugins.encoders.moco.recipe import Recipe
+
+log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
 
 class Crew:
-    """What the processes of a training tell one another. `rank` of `size`; the first, 0, writes all that is kept.
-
-    A crew of one sends nothing. Leave it when done.
-    """
+    """The processes that train together: `rank` of `size`. Rank 0 writes all files. A crew of one sends nothing."""
 
     def __init__(self, device: torch.device) -> None:
-        """Join the processes that torchrun started, if it did; `device` is where tensors that are sent live."""
+        """Join the processes that torchrun started, if any. `device` holds the tensors that are sent."""
         self.size = int(os.environ.get("WORLD_SIZE", "1"))
         self.rank = rank()
         self.device = device
@@ -48,16 +48,16 @@ class Crew:
             dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
 
     def leave(self) -> None:
-        """Part, so that each process can end when it likes."""
+        """Leave the crew, so that each process can end on its own."""
         if self.size > 1:
             dist.destroy_process_group()
 
     def share(self, count: int) -> int:
-        """Return how many of `count` things each process does, at least one."""
+        """Return each process's share of `count` items, at least one."""
         return max(1, count // self.size)
 
     def average(self, tensors: Iterable[torch.Tensor]) -> None:
-        """Put the mean over all processes into each tensor, which is (...) on every one of them."""
+        """Put the mean over all processes into each tensor (...), in place."""
         if self.size > 1:
             for tensor in tensors:
                 dist.all_reduce(tensor)
@@ -70,53 +70,56 @@ class Crew:
         return tensor
 
     def agree(self, value: T) -> T:
-        """Return what the first process says."""
+        """Return the first process's value."""
         if self.size == 1:
             return value
-        said: list[Any] = [value]
-        dist.broadcast_object_list(said, device=self.device)
-        return said[0]  # type: ignore[no-any-return]
+        sent: list[Any] = [value]
+        dist.broadcast_object_list(sent, device=self.device)
+        return sent[0]  # type: ignore[no-any-return]
 
 
-def find_local_cuda() -> torch.device:
-    """Return the GPU of this process: the one that torchrun numbered, else the first."""
-    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+def open_board(folder: str, epochs_done: int) -> Any:
+    """Open a TensorBoard log, and hide the points of an interrupted run after `epochs_done`.
+
+    Raises MissingLibraryError when TensorBoard is not installed.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise MissingLibraryError(
+            "encoder.tensorboard needs tensorboard; install it with pip install tensorboard, or omit the option"
+        ) from error
+    return SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
 
 
-class TrainingLog:
-    """Writes a point an epoch to a folder that TensorBoard shows; without a folder, nothing."""
+class QuerySource:
+    """Renders `count` touches for each epoch, while the trainer uses the epoch before.
 
-    def __init__(self, folder: str | None, epochs_done: int = 0) -> None:
-        """Open the log; what it holds of epochs after `epochs_done`, from a run that was interrupted, is hidden.
+    Processes that train together have different `rank`s, and render different touches.
+    """
 
-        Raises MissingLibraryError when TensorBoard is not installed.
-        """
-        self._writer = None
-        if folder is None:
+    def __init__(self, problem: TrainingProblem, noise: TouchNoise, count: int, seed: int, rank: int = 0) -> None:
+        self.problem, self.noise, self.count, self.seed, self.rank = problem, noise, count, seed, rank
+
+    def epochs(self, first: int, last: int) -> Iterator[TrainingTouches]:
+        """Yield the touches of epochs `first` ... `last` - 1."""
+        if first >= last:
             return
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise MissingLibraryError(
-                "encoder.tensorboard needs the package tensorboard; install it with pip install tensorboard, or leave "
-                "the option out"
-            ) from error
-        self._writer = SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
+        with ThreadPoolExecutor(1) as ahead:
+            coming = ahead.submit(self._render, [self.seed, first, 0, self.rank], self.count)
+            for epoch in range(first, last):
+                touches = coming.result()
+                if epoch + 1 < last:
+                    coming = ahead.submit(self._render, [self.seed, epoch + 1, 0, self.rank], self.count)
+                yield touches
 
-    def epoch(self, number: int, values: dict[str, float]) -> None:
-        """Write the values of an epoch, counted from 1."""
-        if self._writer is not None:
-            for name, value in values.items():
-                self._writer.add_scalar(name, value, number)
-            self._writer.flush()
+    def validation(self, count: int) -> TrainingTouches:
+        """Return touches that are not used in training."""
+        return self._render([self.seed, 0, 1], count)
 
-    def close(self) -> None:
-        """Finish the file."""
-        if self._writer is not None:
-            self._writer.close()
+    def _render(self, seed: list[int], count: int) -> TrainingTouches:
+        return self.problem.draw(count, self.noise, np.random.default_rng(seed))
 
-
-log = logging.getLogger(__name__)
 
 VALIDATION_TOUCHES = 256
 VALIDATION_PRESSES = 4
@@ -124,14 +127,14 @@ KEYS_AT_ONCE = 512
 
 
 class Trainer:
-    """Trains a network on a problem. All randomness comes from the recipe's seed, a stream an epoch, so that a training
-    that was interrupted goes on as if it had not been."""
+    """Trains a network on a problem. Each epoch has its own random stream from the recipe's seed, so a resumed training
+    gives the same result as an uninterrupted one."""
 
     def __init__(
         self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device,
         log_folder: str | None = None, decoys: int = 0,
     ) -> None:  # fmt: skip
-        """`decoys` is how many wrongly turned views of each touch there are, where touches are turned at all."""
+        """`decoys` is the number of wrongly rotated views of each touch, for a whole grid."""
         self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
         self.crew = Crew(device)
         self.network = network.to(device)
@@ -145,16 +148,17 @@ class Trainer:
         self.best_weights = _copy_weights(self.network)
 
     def run(self) -> Backbone:
-        """Train, from the last checkpoint if there is one, and return the network that validated best, in eval mode.
+        """Train, from the last checkpoint if there is one, and return the best network by validation, in eval mode.
 
-        Raises TrainingError when the loss is no number in the first epoch; later, the best network is kept.
+        Raises TrainingError when the loss becomes NaN in the first epoch. In a later epoch, training stops instead.
         """
         self._resume()
-        self.board = TrainingLog(self.log_folder if self.crew.rank == 0 else None, self.epoch)
+        self.board = open_board(self.log_folder, self.epoch) if self.log_folder and self.crew.rank == 0 else None
         try:
             self._run_epochs(self.source.validation(VALIDATION_TOUCHES))
         finally:
-            self.board.close()
+            if self.board is not None:
+                self.board.close()
             self.crew.leave()
         self.network.load_state_dict(self.best_weights)
         return self.network.eval()
@@ -171,11 +175,11 @@ class Trainer:
                 self._checkpoint()
                 advance(1)
                 if self.stale >= self.recipe.patience:
-                    log.info("no better validation for %d epochs: stopped early", self.stale)
+                    log.info("stopped early: no better validation for %d epochs", self.stale)
                     break
 
     def _train_epoch(self, queries: TrainingTouches) -> float:
-        """One epoch of steps; returns the mean loss (unitless), NaN as soon as one is."""
+        """Train one epoch. Return the mean loss (unitless), or NaN as soon as the loss of a step is."""
         self.network.train()
         order = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank])
         losses: list[float] = []
@@ -191,7 +195,7 @@ class Trainer:
         return float(np.mean(losses))
 
     def _draw_press(self, step: int) -> float:
-        """The press, metres, at which touches and keys are compared from a step on, the same in all processes."""
+        """Draw the press, metres, at which touches and keys are compared from a step on, equal in all processes."""
         presses_m = self.problem.key_presses_m
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])
         return float(presses_m[0] if len(presses_m) == 1 else rng.choice(presses_m))
@@ -215,19 +219,19 @@ class Trainer:
         return float(mean_loss)
 
     def _rate(self, epochs_done: float) -> float:
-        """Learning rate: a warm-up of half an epoch, then a cosine down to a hundredth."""
+        """Return the learning rate: a warm-up of half an epoch, then a cosine down to a hundredth."""
         warm = min(1.0, epochs_done / 0.5 + 0.02)
         return self.recipe.rate * warm * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
     def _embed(self, batch: TrainingBatch) -> torch.Tensor:
-        """The unit vectors (B * V, D) of a batch's views, a touch's side by side."""
+        """Return the unit vectors (B * V, D) of a batch's views, grouped by touch."""
         size = batch.depth_m.shape[2:]
         depth_m, press_m = batch.depth_m.reshape(-1, *size), np.repeat(batch.press_m, batch.depth_m.shape[1])
         known = batch.seen.reshape(-1, *size) if self.problem.partly_seen else None
         return self.recipe.embed(self.network, depth_m, press_m, self.problem.geometry, self.device, known)
 
     def _scores(self, vectors: torch.Tensor, keys: torch.Tensor, batch: TrainingBatch) -> torch.Tensor:
-        """How alike each touch is to each of N keys in each of its views: (B, V * N), the right view first."""
+        """Return the similarity (B, V * N) of each touch's views to each of N keys, with the correct view first."""
         scores = vectors.float() @ keys.T / self.recipe.temperature
         if batch.counts.all():
             return scores.reshape(len(batch), -1)
@@ -236,7 +240,7 @@ class Trainer:
 
     @torch.no_grad()
     def _keys(self, network: nn.Module, press_m: float) -> torch.Tensor:
-        """Encode what the keys show, cut at a press, metres, each process some of them: keys (N, D)."""
+        """Encode the keys (N, D) from clean shapes cut at a press, metres; each process encodes a part of them."""
         problem, training = self.problem, network.training
         network.eval()
         rows = []
@@ -255,7 +259,7 @@ class Trainer:
 
     @torch.no_grad()
     def _validate(self, validation: TrainingTouches) -> tuple[float, float]:
-        """Return the loss (unitless) and the median distance, metres, of the best key's pose from the label's."""
+        """Return the loss (unitless) and the median distance, metres, of the best key's pose to the label's."""
         self.network.eval()
         rng = np.random.default_rng([self.recipe.seed, 3])
         presses_m = self.problem.key_presses_m
@@ -271,14 +275,16 @@ class Trainer:
         return float(np.mean(losses)), float(np.median(np.concatenate(errors_m)))
 
     def _judge(self, loss: float, validation: TrainingTouches) -> None:
-        """Keep the network if its validation loss is the least so far: unlike the error, it moves in small steps."""
+        """Keep the network if its validation loss is the least so far: the loss is smoother than the error."""
         validation_loss, error_m = self.crew.agree(self._validate(validation))
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
         self.problem.progress.note(shown)
         log.info("epoch %d: %s", self.epoch, shown)
-        self.board.epoch(
-            self.epoch, {"loss": loss, "validation/loss": validation_loss, "validation/best-1_mm": error_m * 1e3}
-        )
+        if self.board is not None:
+            self.board.add_scalar("loss", loss, self.epoch)
+            self.board.add_scalar("validation/loss", validation_loss, self.epoch)
+            self.board.add_scalar("validation/best-1_mm", error_m * 1e3, self.epoch)
+            self.board.flush()
         if validation_loss < self.best:
             self.best, self.stale, self.best_weights = validation_loss, 0, _copy_weights(self.network)
         else:
@@ -288,7 +294,7 @@ class Trainer:
         advice = "lower encoder.rate"
         if self.epoch == 0:
             raise TrainingError(f"the loss became NaN in the first epoch of training; {advice}")
-        log.warning("the loss became NaN in epoch %d; the best network before it is kept; %s", self.epoch + 1, advice)
+        log.warning("the loss became NaN in epoch %d; the best earlier network is kept; %s", self.epoch + 1, advice)
 
     def _checkpoint(self) -> None:
         from safetensors.torch import save_file
@@ -319,15 +325,14 @@ class Trainer:
             number, _, key = name.partition(".")
             state.setdefault(int(number), {})[key] = tensor
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
-        log.info("training goes on from epoch %d", self.epoch)
+        log.info("resumed training after epoch %d", self.epoch)
 
 
 @torch.no_grad()
 def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
-    """Move the weights of the slow network towards those of the fast one, and copy its statistics.
+    """Move the weights of the slow network towards those of the fast one, and copy the running statistics.
 
-    Keys are encoded in evaluation mode, with the statistics: were they to lag as the weights do, they would be those of
-    no network.
+    Lagging statistics would fit neither network, and keys are encoded in evaluation mode, which uses them.
     """
     for weight, newer in zip(slow.parameters(), fast.parameters(), strict=True):
         weight.copy_(torch.lerp(newer, weight, momentum))
@@ -359,7 +364,7 @@ def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any
 def _sample_keys(
     keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Keep the batch's own keys and `negatives` drawn ones; return keys (K, D) and where each target (B,) is now."""
+    """Return the batch's own keys and `negatives` drawn ones (K, D), and the new index of each target (B,)."""
     own, places = torch.unique(targets, return_inverse=True)
     drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
     drawn = drawn[~torch.isin(drawn, own)]

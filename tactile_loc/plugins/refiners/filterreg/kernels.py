@@ -1,4 +1,4 @@
-"""FilterReg compiled (numba): Gaussian sums over an observed cloud, and the equations they give.
+"""The compiled part of FilterReg: Gaussian sums over an observed cloud, and their normal equations.
 
 Lengths in mm, in the sensor's frame. A mixture is a `filterreg.refiner.Mixture`. A twist (6,) is a rotation (rad)
 before a translation (mm).
@@ -17,7 +17,7 @@ from tactile_loc.plugin import njit
 
 @njit(fast=True)
 def merge(rows, box, low, boxes):
-    """Merge the points of one box: rows (M, 7) of their number, mean point and mean normal."""
+    """Merge the points of each box: rows (M, 7) of their number, mean point and mean normal."""
     number = np.full(boxes[0] * boxes[1] * boxes[2], -1, np.int32)
     merged, found = np.zeros(rows.shape), 0
     for j in range(len(rows)):
@@ -36,29 +36,8 @@ def merge(rows, box, low, boxes):
 
 
 @njit(fast=True)
-def sort_into_columns(rows, low, cell, columns):
-    """Sort rows (M, 7) by the column of the table they lie in; return where each column starts, and the rows."""
-    starts = np.zeros(columns[0] * columns[1] + 1, np.int64)
-    column = np.empty(len(rows), np.int64)
-    for j in range(len(rows)):
-        x = min(columns[0] - 1, int((rows[j, 1] - low[0]) / cell))
-        y = min(columns[1] - 1, int((rows[j, 2] - low[1]) / cell))
-        column[j] = x * columns[1] + y
-        starts[column[j] + 1] += 1
-    for k in range(len(starts) - 1):
-        starts[k + 1] += starts[k]
-    free = starts.copy()
-    ordered = np.empty(rows.shape)
-    for j in range(len(rows)):
-        for a in range(rows.shape[1]):
-            ordered[free[column[j]], a] = rows[j, a]
-        free[column[j]] += 1
-    return starts, ordered
-
-
-@njit(fast=True)
 def measure_mean_density(samples, mixture):
-    """Return the mean sum of weights at samples (S, 7) of the cloud itself."""
+    """Return the mean sum of weights at samples (S, 7) of the cloud."""
     total = 0.0
     for i in range(len(samples)):
         total += _expect(samples[i, 1:4], samples[i, 4:7], mixture)[0]
@@ -67,7 +46,7 @@ def measure_mean_density(samples, mixture):
 
 @njit(fast=True)
 def _expect(x, n, mixture):
-    """The E step of one point x (3,) with normal n (3,), as sums over the mixture's components y_k, n_k.
+    """Do the E step of one point x (3,) with normal n (3,): sums over the mixture's components y_k, n_k.
 
     The weight of a component is a Gaussian of its distance times max(0, n . n_k). Returns the sum of weights, and the
     weighted sums of x - y_k and of n_k.
@@ -98,7 +77,7 @@ def _expect(x, n, mixture):
 def add_equations(first, last, points, normals, starts, which, T, centres, mixture, along, result):
     """Add to the normal equations `result` (K, 6, 7) of the candidates `which` (K,) from first to last.
 
-    Candidate c has the points from starts[c] to starts[c + 1], moved by T (C, 4, 4); they turn about centres (K, 3).
+    Candidate c has the points from starts[c] to starts[c + 1], moved by T (C, 4, 4). They rotate about centres (K, 3).
     """
     for k in range(first, last):
         c = which[k]
@@ -108,10 +87,10 @@ def add_equations(first, last, points, normals, starts, which, T, centres, mixtu
 
 @njit(fast=True)
 def _add_equations(points, normals, T, centre, mixture, along, result):
-    """Add the equations (6, 7) of one candidate: the matrix, and what it times the twist must equal.
+    """Add the equations (6, 7) of one candidate: the matrix and the right-hand side.
 
-    A point at x counts (n . (x - y))^2, n and y the weighted mean normal and point of the E step, and `along`, 0 to 1,
-    shifts that from the distance along n to the whole distance. Its weight is the chance that it is no outlier.
+    The cost of a point at x is (n . (x - y))^2, with the weighted mean normal n and point y of the E step. `along`, 0
+    to 1, blends this with |x - y|^2. The weight of a point is its probability of being no outlier.
     """
     x, n, A, g = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3)
     for i in range(len(points)):

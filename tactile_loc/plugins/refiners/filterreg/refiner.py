@@ -1,11 +1,10 @@
-"""FilterReg: registration as expectation-maximisation, with all candidates of a touch moved at once.
+"""FilterReg: registration by expectation-maximisation, for all candidates of a touch at once.
 
 After Gao and Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration using Gaussian Filter and
-Twist Parameterization", CVPR 2019. The observed cloud is a Gaussian mixture. The E step filters it: each moving point
-gets a weighted mean point and mean normal, and the chance of belonging to the cloud at all. Contact clouds are small,
-so that the sums are exact up to a cut-off, by a table of columns; normals take part as a feature, so that a wall is not
-drawn to the face beside it. The M step is a Gauss-Newton step on the twist of the rigid motion. The mixture's standard
-deviation shrinks from one iteration to the next.
+Twist Parameterization", CVPR 2019. The observed cloud is a Gaussian mixture. The E step gives each moving point a
+weighted mean point, a mean normal, and a probability of belonging to the cloud. The sums are exact up to a cut-off.
+Normals are a feature, so a wall is not matched to the face beside it. The M step is a Gauss-Newton step on the twist of
+the rigid motion. The mixture's standard deviation shrinks from one iteration to the next.
 """
 
 from __future__ import annotations
@@ -17,22 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, run_in_threads
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, cross_matrix, run_in_threads
 from tactile_loc.plugins.refiners.filterreg import kernels
-from tactile_loc.plugins.refiners.filterreg.twists import solve, turn_about
+
+Floats = NDArray[np.float64]
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off
-MOST_BOXES = 2_000_000  # into which points are merged; a cloud that spans more is left as it is
-MOST_COLUMNS = 256  # a side of the table in which the points are looked up
+MOST_BOXES = 2_000_000  # into which points are merged; a cloud that spans more is not merged
+MOST_COLUMNS = 256  # on each side of the lookup table of points
 SAMPLES = 100  # points of the cloud at which its own density is measured
 
 
 class Mixture(NamedTuple):
-    """Components `rows` (M, 7): how many points, their mean point (mm) and mean normal; sorted by column of a table.
+    """Components `rows` (M, 7): number of points, mean point (mm) and mean normal, sorted by column of a table.
 
     Column k = x_index * columns[1] + y_index, `cell_mm` wide from the corner `low_mm` (3,), holds the rows from
-    starts[k] to starts[k + 1]. `outlier` is the weight that a point has in being no part of the cloud, in the unit of
-    the sums of Gaussians.
+    starts[k] to starts[k + 1]. `outlier` is the weight of the outlier component, in the unit of the Gaussian sums.
     """
 
     rows: NDArray[np.float64]
@@ -46,7 +45,7 @@ class Mixture(NamedTuple):
 
 
 class Mixtures:
-    """A cloud as mixtures of any standard deviation; `outlier` (0 to 1): the share of points with no part in it."""
+    """A cloud as mixtures of any standard deviation; `outlier` (0 to 1) is the share of points outside the cloud."""
 
     def __init__(self, cloud: Cloud, outlier: float) -> None:
         points = cloud.points_mm
@@ -56,16 +55,17 @@ class Mixtures:
         self._odds = outlier / (1.0 - outlier)
 
     def make_mixture(self, sigma_mm: float, merged: bool) -> Mixture:
-        """Return the mixture with one Gaussian a point or, `merged`, one for all points of a box one sigma wide.
+        """Return the mixture with one Gaussian for each point, or, if `merged`, for each box one sigma wide.
 
-        Merging changes the sums by little, as Gaussians a sigma apart add up to a nearly even density, and saves time
-        where many points lie within reach.
+        Merging is faster and hardly changes the sums: Gaussians one sigma apart add up to a nearly even density.
         """
         rows = self._merge(sigma_mm) if merged else self._rows
         cell = max(REACH * sigma_mm, float(self._extent[:2].max()) / MOST_COLUMNS)
         columns = (self._extent[:2] / cell).astype(np.int64) + 1
-        starts, rows = kernels.sort_into_columns(rows, self._low, cell, columns)
-        bare = Mixture(rows, starts, self._low, cell, columns, float(sigma_mm), REACH * sigma_mm, 0.0)
+        x, y = np.minimum(((rows[:, 1:3] - self._low[:2]) / cell).astype(np.int64), columns - 1).T
+        order = np.argsort(x * columns[1] + y, kind="stable")
+        starts = np.searchsorted((x * columns[1] + y)[order], np.arange(columns.prod() + 1))
+        bare = Mixture(rows[order], starts, self._low, cell, columns, float(sigma_mm), REACH * sigma_mm, 0.0)
         return bare._replace(outlier=self._odds * kernels.measure_mean_density(self._samples, bare))
 
     def _merge(self, box_mm: float) -> NDArray[np.float64]:
@@ -76,36 +76,36 @@ class Mixtures:
         return rows
 
 
-Floats = NDArray[np.float64]
-
-SETTLED_MM = 1e-3  # a step that moves a candidate's points by less, in root mean square, is its last
-SPACINGS = 0.5  # of neighbouring points: Gaussians narrower than that would not overlap
+RIDGE = 1e-3  # of the equations' mean diagonal: damps directions that a contact hardly determines
+SMALL = 1e-3  # rad: angles below use the series, whose next terms are below rounding
+SETTLED_MM = 1e-3  # RMS move of a candidate's points at convergence
+SPACINGS = 0.5  # least standard deviation, in spacings of neighbouring points: narrower Gaussians would not overlap
 
 
 class FilterRegRefiner(CloudRefiner):
     """Registers by FilterReg, point to plane, at standard deviations from `sigma_mm` down to `sigma_end_mm`."""
 
     class Options(CloudRefiner.Options):
-        """How far the Gaussians reach at first and at last, what they forgive, and how long to iterate."""
+        """Standard deviations of the Gaussians, share of outliers, and number of iterations."""
 
         moving_points: int = Field(default=400, ge=50, description="points of the candidate's cloud, thinned evenly")
-        sigma_mm: float = Field(default=2.0, gt=0, description="standard deviation of the Gaussians at first, mm")
+        sigma_mm: float = Field(default=2.0, gt=0, description="first standard deviation of the Gaussians, mm")
         sigma_end_mm: float = Field(
-            default=0.15, gt=0, description="the same at last, mm, or more if points are sparse"
+            default=0.15, gt=0, description="last standard deviation, mm; larger when points are sparse"
         )
-        anneal: float = Field(default=0.5, gt=0, lt=1, description="factor on it from one iteration to the next")
-        outlier: float = Field(default=0.03, gt=0, lt=1, description="share of points taken to have no counterpart")
+        anneal: float = Field(default=0.5, gt=0, lt=1, description="factor of the standard deviation in each iteration")
+        outlier: float = Field(default=0.03, gt=0, lt=1, description="expected share of points without a counterpart")
         point_weight: float = Field(
-            default=0.0, ge=0, le=1, description="0 is point to plane, 1 is point to point, between them a mixture"
+            default=0.0, ge=0, le=1, description="0 is point to plane, 1 is point to point, others blend both"
         )
         iterations: int = Field(default=30, ge=1, description="most iterations of expectation and maximisation")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, after the last iteration (None: no point was in reach of the target)."""
+        """Return the transform, mm, after the last iteration, or None when no point was near the target."""
         return self.register_many([source], target)[0]
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Move all candidates of a touch together; each stops when it has settled at the last standard deviation."""
+        """Move all candidates of a touch together. Each stops on convergence at the last standard deviation."""
         if not sources:
             return []
         moving, going = _Moving(sources), np.arange(len(sources))
@@ -118,7 +118,7 @@ class FilterRegRefiner(CloudRefiner):
         return moving.results()
 
     def _anneal(self, target: Cloud) -> Iterator[tuple[Mixture, bool]]:
-        """The target's mixture for each iteration, and whether its standard deviation is the last one."""
+        """Yield the target's mixture for each iteration, and whether its standard deviation is the last one."""
         options, mixtures = self.options, Mixtures(target, self.options.outlier)
         sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0
         while sigma > last and done < options.iterations:
@@ -130,7 +130,7 @@ class FilterRegRefiner(CloudRefiner):
 
 
 class _Moving:
-    """The clouds of several candidates, one behind the other, and where their motion has got to."""
+    """The concatenated clouds of several candidates, and the current state of each candidate."""
 
     def __init__(self, sources: Sequence[Cloud]) -> None:
         self.points = np.concatenate([source.points_mm for source in sources])
@@ -143,9 +143,9 @@ class _Moving:
         self.found = np.zeros(len(sources), bool)
 
     def step(self, going: NDArray[np.int64], observed: Mixture, point_weight: float) -> Floats:
-        """Do one iteration of the candidates `going` (K,); return how far each one's points moved (K,), mm.
+        """Do one iteration of the candidates `going` (K,). Return the RMS move of each one's points (K,), mm.
 
-        NaN marks those that have no point in reach of the observed cloud; they stay where they are.
+        The move is NaN for a candidate without a point near the observed cloud. Such a candidate does not move.
         """
         T, middles = self.T[going], self.middles[going]
         centres = (T[:, :3, :3] @ middles[:, :, None])[:, :, 0] + T[:, :3, 3]
@@ -163,6 +163,54 @@ class _Moving:
         return moved_mm
 
     def results(self) -> list[Registration]:
-        """What has been found of each candidate."""
         rows = zip(self.T, self.found, self.converged, self.iterations, strict=True)
         return [Registration(T if found else None, bool(done), int(count)) for T, found, done, count in rows]
+
+
+# A twist (6,) is a rotation (rad), then a translation (mm).
+
+
+def solve(equations: Floats) -> tuple[Floats, Floats]:
+    """Return the twists (K, 6) that solve normal equations (K, 6, 7), and the RMS moves (K,), mm.
+
+    Both are NaN for a candidate without points.
+    """
+    diagonal = np.diagonal(equations[:, :, :6], axis1=1, axis2=2)
+    turning, sliding = diagonal[:, :3].sum(axis=1), diagonal[:, 3:].sum(axis=1)
+    known = (sliding > 0) & (turning >= 0) & np.isfinite(turning + sliding)
+    turning, sliding = turning[known], sliding[known]
+    unit = np.ones((len(turning), 6))  # radians per mm
+    unit[:, :3] = np.sqrt(np.divide(sliding, turning, out=np.ones_like(sliding), where=turning > 0))[:, None]
+    stiff = equations[known, :, :6] * unit[:, :, None] * unit[:, None]
+    ridge = RIDGE * np.trace(stiff, axis1=1, axis2=2) / 6
+    wanted = (equations[known, :, 6] * unit)[..., None]
+    scaled = np.linalg.solve(stiff + ridge[:, None, None] * np.eye(6), wanted)[..., 0]
+    twists, moved_mm = np.full((len(equations), 6), np.nan), np.full(len(equations), np.nan)
+    twists[known], moved_mm[known] = scaled * unit, np.sqrt((scaled**2).sum(axis=1))
+    return twists, moved_mm
+
+
+def exponential(twists: Floats) -> Floats:
+    """Return the rigid motions (K, 4, 4), translation in mm, of twists (K, 6)."""
+    x, y, z = twists[:, :3].T
+    angle = np.sqrt(x * x + y * y + z * z)
+    small, squared_angle = angle < SMALL, angle**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sine = np.where(small, 1 - squared_angle / 6, np.sin(angle) / angle)
+        versine = np.where(small, 0.5 - squared_angle / 24, (1 - np.cos(angle)) / squared_angle)
+        rest = np.where(small, 1 / 6 - squared_angle / 120, (angle - np.sin(angle)) / angle**3)
+    W = cross_matrix(twists[:, :3])
+    squared, one = W @ W, np.eye(3)
+    sine, versine, rest = (factor[:, None, None] for factor in (sine, versine, rest))
+    motions = np.tile(np.eye(4), (len(twists), 1, 1))
+    motions[:, :3, :3] = one + sine * W + versine * squared
+    motions[:, :3, 3] = ((one + versine * W + rest * squared) @ twists[:, 3:, None])[..., 0]
+    return motions
+
+
+def turn_about(T: Floats, centres: Floats, twists: Floats) -> Floats:
+    """Return the poses (K, 4, 4), translation in mm, after twists (K, 6) about centres (K, 3), mm."""
+    motions = exponential(twists)
+    motions[:, :3, 3] += centres - (motions[:, :3, :3] @ centres[..., None])[..., 0]
+    result: Floats = motions @ T
+    return result

@@ -1,1 +1,1 @@
-"""The refiner that renders and compares."""
+"""The render refiner: compares rendered and observed images."""

@@ -1,4 +1,4 @@
-"""Pictures that a touch and the poses of an object make, blurred alike, so that they can be compared."""
+"""Pictures of a touch and of an object's poses, with the same blur, so that they can be compared."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from tactile_loc.plugin import (
 Floats = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-BLOCK = 0.8  # blocks are averaged that are this wide, in standard deviations of the blur
-SHARP = 0.3  # pixels: a narrower blur is none
-LEAST_LEVER_PX = 4.0  # a smaller contact turns about its centre as one of this size does
-CUT = 2.5  # standard deviations: where the blur is cut off
-THINNED = 2  # pixels a side of a block suffice: the others are not drawn
-REACH = 2.0  # greatest depths above the sensing surface: what is higher comes into no picture on the way
+BLOCK = 0.8  # width of averaged blocks, in standard deviations of the blur
+SHARP = 0.3  # pixels: a narrower blur is not applied
+LEAST_LEVER_PX = 4.0  # least lever of a rotation about the contact's centre
+CUT = 2.5  # standard deviations at which the blur is cut off
+THINNED = 2  # pixels drawn on each side of a block
+REACH = 2.0  # greatest depths above the sensing surface: higher parts appear in no picture
 
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """Draws poses as a touch's sensor would see them, and moves them.
 
-    A picture is (P,) float32, unitless: how deep a pixel is pressed in, as a share of the press, averaged over blocks
-    of `block` x `block` pixels and blurred by a filter of weights `taps` (2 K + 1,). A move (6,) is a translation along
-    and a rotation about x, y, z through `centre_m`, the contact's centre, in units of `steps` (metres and radians).
-    Where poses are `in_contact`, z follows from contact.
+    A picture is (P,) float32, unitless: the indentation as a share of the press, averaged over blocks of `block` x
+    `block` pixels and blurred with weights `taps` (2 K + 1,). A move (6,) is a translation along x, y, z and a rotation
+    about them through `centre_m`, the contact's centre, in units of `steps` (metres and radians). If `in_contact`, z
+    follows from contact.
     """
 
     mesh: TriangleMesh
@@ -58,7 +58,7 @@ class Pictures:
         cls, mesh: TriangleMesh, geometry: SensorGeometry, wanted: ContactShape, width_m: float, in_contact: bool,
         drawing: Drawing = "pressed",
     ) -> Pictures:  # fmt: skip
-        """Return what draws `wanted`'s like, blurred by a Gaussian of standard deviation `width_m` in metres."""
+        """Return an instance for the contact shape `wanted`, with a Gaussian blur of `width_m` metres."""
         pitch_m = geometry.pixel_pitch_m
         block = min(max(1, int(BLOCK * width_m / pitch_m)), *geometry.shape)
         thinning = max(1, block // THINNED)
@@ -67,14 +67,14 @@ class Pictures:
         taps = _make_gaussian(width_m / (block * geometry.pixel_pitch_m))
         centre_m, radius_m = _measure_contact(geometry, wanted)
         lever_m = max(radius_m, LEAST_LEVER_PX * pitch_m)
-        # A step moves the picture by half of what it is blurred by, or by half a pixel; depths are not blurred.
+        # A step moves the picture by half the blur or half a pixel; depths are not blurred.
         across, along = 0.5 * max(width_m, pitch_m), 0.5 * pitch_m
         steps = np.array([across, across, along, along / lever_m, along / lever_m, across / lever_m])
         return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact, drawing)
 
     @property
     def directions(self) -> Floats:
-        """The moves (D, 6) by one step, one for each degree of freedom."""
+        """The moves (D, 6) by one step, one row for each degree of freedom."""
         return np.delete(np.eye(6), 2, axis=0) if self.in_contact else np.eye(6)
 
     @property
@@ -103,7 +103,7 @@ class Pictures:
         return make_translation(self.centre_m + by[:, :3]) @ turn @ make_translation(-self.centre_m) @ T_sensor_object
 
     def _draw_depths(self, depth_m: Float32) -> Float32:
-        """The pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
+        """Return the pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
         small = np.empty((len(depth_m), *(side // self.block for side in self.geometry.shape)), np.float32)
         press = np.float32(self.wanted.press_depth_m)
         run_in_threads(_average, len(small), depth_m, self.geometry.observed_mask, press, self.block, small)
@@ -113,7 +113,7 @@ class Pictures:
 
 
 def keep_within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: Poses) -> TriangleMesh:
-    """Return only those faces of a mesh that poses near these (N, 4, 4), in contact, can press in. Metres."""
+    """Return the part of a mesh that can press the sensor at contact poses near these (N, 4, 4), metres."""
     height = mesh.vertices_m @ T_sensor_object[:, 2, :3].T + T_sensor_object[:, 2, 3]
     near = height.min(axis=1)[mesh.faces].min(axis=1) < geometry.band.standoff_m + REACH * geometry.band.max_depth_m
     kept, faces = np.unique(mesh.faces[near], return_inverse=True)
@@ -121,7 +121,7 @@ def keep_within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_obj
 
 
 def _measure_contact(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Floats, float]:
-    """The centre (3,) and the root mean square radius of a contact, metres."""
+    """Return the centre (3,) and the root mean square radius of a contact, metres."""
     contact = wanted.contact & geometry.observed_mask
     points = geometry.backproject(wanted.depth_m + geometry.full_penetration_m)[contact]
     centre = points.mean(axis=0)
@@ -129,7 +129,7 @@ def _measure_contact(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Fl
 
 
 def _make_gaussian(width_px: float) -> Float32:
-    """Weights (2 K + 1,), whose sum is one, of a Gaussian of this standard deviation."""
+    """Return weights (2 K + 1,), with sum one, of a Gaussian of this standard deviation."""
     half = int(np.ceil(CUT * width_px)) if width_px > SHARP else 0
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / max(width_px, SHARP)) ** 2)
     return (weights / weights.sum()).astype(np.float32)
@@ -149,7 +149,7 @@ def _average(first, last, depth, observed, press, block, small):  # type: ignore
 
 @njit
 def _filter(first, last, pictures, taps):  # type: ignore[no-untyped-def]
-    """Filter pictures (N, h, w) by the same weights along rows and columns, in place; what lies beyond is zero."""
+    """Filter pictures (N, h, w) with the same weights along rows and columns, in place; zero beyond the border."""
     half = len(taps) // 2
     height, width = pictures.shape[1:]
     for i in range(first, last):

@@ -1,8 +1,8 @@
-"""Render and compare: moves a pose until what the sensor would see of it is what the sensor saw.
+"""Render and compare: moves a pose until its rendered picture matches the touch.
 
-Registration compares surfaces where both are in contact. Here every pixel counts, also where there is no contact and
-where the sensor ends. Pictures are drawn exactly, triangle by triangle, whatever the scene's renderer: a renderer that
-places edges to a fraction of a pixel only would put steps into what is descended.
+Registration compares surfaces where both are in contact. Here every pixel counts, also pixels without contact. Pictures
+are drawn exactly, triangle by triangle, whatever the scene's renderer. A renderer with inexact edges would put steps
+into the cost.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from pydantic import Field, NonNegativeFloat
 from tactile_loc.plugin import Candidate, ComponentOptions, PoseMetric, Poses, RefinedPose, Refiner, Scene, Touch
 from tactile_loc.plugins.refiners.render.pictures import Float32, Floats, Pictures, keep_within_reach
 
-DAMPINGS = np.array([0.1, 1.0, 10.0])  # that are tried, times the last that was good
+DAMPINGS = np.array([0.1, 1.0, 10.0])  # factors of the last good damping to try
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 30.0
-STIFFER = 30.0  # the damping grows by this when none was good
-FARTHEST = 4.0  # steps that a pose may move at once
-TINY = 1e-9  # of curvature: directions that no picture shows are left alone
-SEEN = 0.02  # shares of the press: pixels that are pressed in
+STIFFER = 30.0  # factor of the damping when no tried one helps
+FARTHEST = 4.0  # largest move in an iteration, steps
+TINY = 1e-9  # least curvature: keeps directions without information in place
+SEEN = 0.02  # least share of the press of a pressed pixel
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Moves poses (K, 4, 4), metres, until their pictures are alike the touch's, `wanted` (P,).
+    """Moves poses (K, 4, 4), metres, until their pictures match the touch's, `wanted` (P,).
 
-    Differences much beyond `tolerance` (a share of the press) are taken for errors of the touch: Geman and McClure's
-    kernel. `hold` (unitless) weighs the squared distance from where each pose was to begin with, `start` (K, 12) in the
-    metric's space, against the touch's noise, so that noise does not move what the touch hardly shows.
+    Differences much beyond `tolerance` (a share of the press) count as errors of the touch: Geman and McClure's
+    kernel. `hold` (unitless) weighs the squared distance from the start poses, `start` (K, 12) in the metric's space,
+    against the touch's noise. So noise does not move a pose along directions that the touch hardly determines.
     """
 
     pictures: Pictures
@@ -42,9 +42,9 @@ class Descent:
     hold: float
 
     def run(self, T: Poses, most: int, settled: float) -> tuple[Poses, NDArray[np.bool_], NDArray[np.int64]]:
-        """Return the poses, which of them have settled (K,), and the iterations (K,) of at most `most`.
+        """Return the poses, whether each converged (K,), and the iterations (K,) of at most `most`.
 
-        A pose has settled when it moves by less than `settled` steps, or no damping makes it better.
+        A pose has converged when it moves by less than `settled` steps, or when no damping improves it.
         """
         picture, T = self.pictures.draw_poses(T.copy())
         still, iterations = np.zeros(len(T), bool), np.zeros(len(T), np.int64)
@@ -61,7 +61,7 @@ class Descent:
     def _step(
         self, T: Poses, picture: Float32, damping: Floats, start: Floats
     ) -> tuple[Poses, Float32, Floats, Floats]:
-        """Poses, pictures and dampings after one iteration, and by how many steps (K,) each moved (inf: not at all)."""
+        """Return poses, pictures and dampings after one iteration, and the moves (K,) in steps (inf: no move)."""
         A, b, hold = self._build_equations(T, picture, start)
         tried = damping[:, None] * DAMPINGS
         moves = _solve(A, b, tried) @ self.pictures.directions
@@ -75,13 +75,13 @@ class Descent:
         return T, picture, damping, np.where(better, np.abs(moves[k, best]).max(axis=1), np.inf)
 
     def _draw(self, T: Poses, moves: Floats) -> tuple[Float32, Poses]:
-        """Pictures (K, M, P) of poses (K, 4, 4) after each of their moves (K, M, 6), and these poses (K, M, 4, 4)."""
+        """Return pictures (K, M, P) of poses (K, 4, 4) after their moves (K, M, 6), and these poses (K, M, 4, 4)."""
         count, many = moves.shape[:2]
         seen, there = self.pictures.draw_poses(self.pictures.move(np.repeat(T, many, axis=0), moves.reshape(-1, 6)))
         return seen.reshape(count, many, -1), there.reshape(count, many, 4, 4)
 
     def _build_equations(self, T: Poses, picture: Float32, start: Floats) -> tuple[Floats, Floats, Floats]:
-        """A (K, D, D) and b (K, D) of Gauss-Newton's A move = -b, in steps, and the weight (K,) of the distance."""
+        """Return A (K, D, D) and b (K, D) of Gauss-Newton's A move = -b, in steps, and the distance weights (K,)."""
         directions = self.pictures.directions
         both = np.broadcast_to(np.concatenate([directions, -directions]), (len(T), 2 * len(directions), 6))
         seen, there = self._draw(T, both)
@@ -96,13 +96,13 @@ class Descent:
         return A, b, hold
 
     def _hold(self, r: Float32, w: Float32, picture: Float32) -> Floats:
-        """The weight (K,), per square metre, of the distance from the start: `hold` times the noise's variance."""
+        """Return the weights (K,), per square metre, of the distance from the start: `hold` times the variance."""
         pressed = (np.maximum(picture, self.wanted) > SEEN).sum(axis=1)
         variance = (w * r * r).sum(axis=1) / np.maximum(pressed, 1)
         return np.asarray(self.hold * variance / self.pictures.pixel_m**2, float)
 
     def _cost(self, picture: Float32, T: Poses, start: Floats, hold: Floats) -> Floats:
-        """What is minimised (...), of pictures (..., P) and their poses (..., 4, 4)."""
+        """Return the cost (...) of pictures (..., P) and their poses (..., 4, 4)."""
         squared = (picture - self.wanted) ** 2
         robust = (squared / (1.0 + squared / np.float32(self.tolerance**2))).sum(axis=-1)
         away = ((self.metric.embed(T) - start) ** 2).sum(axis=-1)
@@ -110,13 +110,13 @@ class Descent:
 
 
 def _difference_centrally(both: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Central differences (K, D, ...) of what is (K, 2 D, ...) after steps ahead and steps back."""
+    """Return central differences (K, D, ...) of values (K, 2 D, ...) after steps forward and steps back."""
     half = both.shape[1] // 2
     return 0.5 * (both[:, :half] - both[:, half:])
 
 
 def _solve(A: Floats, b: Floats, dampings: Floats) -> Floats:
-    """Moves (K, M, D), none farther than FARTHEST, of A (K, D, D) and b (K, D) at dampings (K, M)."""
+    """Return moves (K, M, D), at most FARTHEST long, of A (K, D, D) and b (K, D) at dampings (K, M)."""
     count = A.shape[1]
     ridge = np.trace(A, axis1=1, axis2=2)[:, None] / count * dampings + TINY
     damped = A[:, None] + ridge[..., None, None] * np.eye(count)
@@ -125,45 +125,45 @@ def _solve(A: Floats, b: Floats, dampings: Floats) -> Floats:
     return np.asarray(moves * np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST)), float)
 
 
-ON_THE_WAY, SETTLED = 0.25, 0.1  # steps, of half a blur or pixel: a pose that moves less has settled
-ROUGHLY = 0.02  # overlaps are counted in pixels: a loss this small is none
+ON_THE_WAY, SETTLED = 0.25, 0.1  # largest move at convergence before the last descent and in it, steps
+ROUGHLY = 0.02  # loss of contact IoU that is within the error of counting pixels
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 
 class RenderRefiner(Refiner):
-    """Descends from blurred pictures, which show the way from afar, to sharp ones.
+    """Descends from blurred pictures, which have a wide basin of attraction, to sharp ones.
 
-    z is free until the last descent, where it follows from contact: the way there would otherwise lead along folds,
-    because what touches first changes at once as the object tilts.
+    z is free until the last descent, in which it follows from contact. With z from contact, the cost has folds: the
+    point that touches first jumps as the object tilts.
     """
 
     class Options(ComponentOptions):
-        """How sharp the pictures are, and how errors of the touch are met."""
+        """Sharpness of the pictures, and tolerance to errors of the touch."""
 
-        image_px: int = Field(default=200, ge=16, description="the longer image side is thinned to about this, pixels")
+        image_px: int = Field(default=200, ge=16, description="approximate longer image side after thinning, pixels")
         widths_mm: tuple[NonNegativeFloat, ...] = Field(
             default=(1.5, 0.5, 0.0), min_length=1, description="blur (standard deviation) of each descent, mm"
         )
         tolerance: float = Field(
-            default=0.1, gt=0, description="indentations that differ by more hardly count, share of the press"
+            default=0.1, gt=0, description="difference of indentation beyond which a pixel hardly counts, press shares"
         )
-        blurred_tolerance: float = Field(default=0.25, ge=0, description="what each mm of blur adds to the tolerance")
-        max_iterations: int = Field(default=8, ge=1, description="iterations a descent")
+        blurred_tolerance: float = Field(default=0.25, ge=0, description="increase of the tolerance per mm of blur")
+        max_iterations: int = Field(default=8, ge=1, description="most iterations in each descent")
         patch_mm: float = Field(
-            default=3.0, ge=0, description="a touch's errors are alike over this, mm; 0: noise is not reckoned with"
+            default=3.0, ge=0, description="correlation length of the touch's errors, mm; 0 ignores noise"
         )
-        spread_mm: float = Field(default=2.0, gt=0, description="how far off candidates usually are, mm")
+        spread_mm: float = Field(default=2.0, gt=0, description="usual error of candidates, mm")
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the pose (4, 4), metres, near the candidate's that looks most like the touch.
+        """Return the pose (4, 4), metres, near the candidate's whose picture matches the touch best.
 
-        A pose that explains the touch worse than the candidate is not returned.
+        The candidate's own pose is returned when it explains the touch better.
         """
         return self.refine_many(touch, [candidate], scene)[0]
 
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
-        """Refine candidates of one touch side by side; see `refine`."""
+        """Refine all candidates of one touch together, each as `refine` does."""
         if len(candidates) == 0:
             return []
         before = np.stack([candidate.T_sensor_object for candidate in candidates])
@@ -177,7 +177,7 @@ class RenderRefiner(Refiner):
     def _choose_better(
         self, touch: Touch, scene: Scene, before: Poses, after: Poses, settled: Flags, iterations: Counts
     ) -> list[RefinedPose]:
-        """Results of the refined poses, and of the candidates (K, 4, 4) that explain the touch better than theirs."""
+        """Return, for each candidate, the better of its poses before and after refinement (K, 4, 4)."""
         scores = [scene.compare_imprints(T, touch) for T in (before, after)]
         contact, imprint = (np.stack([one[k] for one in scores]) for k in (0, 1))
         good = (imprint[1] >= imprint[0]) & (contact[1] >= contact[0] - ROUGHLY)
@@ -187,7 +187,7 @@ class RenderRefiner(Refiner):
         return [RefinedPose(pose.copy(), float(fit), bool(ok), int(count)) for pose, fit, ok, count in rows]
 
     def _descend(self, touch: Touch, T: Poses, scene: Scene) -> tuple[Poses, Flags, Counts]:
-        """Poses (K, 4, 4) after all descents, which of them settled in the last (K,), and all iterations (K,)."""
+        """Return poses (K, 4, 4) after all descents, whether each converged (K,), and all iterations (K,)."""
         options, metric = self.options, PoseMetric(scene.object)
         geometry, wanted = touch.thin(options.image_px)
         still, iterations = np.zeros(len(T), bool), np.zeros(len(T), np.int64)

@@ -1,4 +1,4 @@
-"""The OpenGL side of the pyrender renderer. Import it only once PYOPENGL_PLATFORM is set: PyOpenGL reads it then."""
+"""The OpenGL side of the pyrender renderer. Set PYOPENGL_PLATFORM before importing it: PyOpenGL reads it on import."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from scipy.sparse.csgraph import connected_components
 
 from tactile_loc.plugin import RenderError, SensorGeometry, TriangleMesh
 
-# pyrender switches multisampling off for segmentation only. With it on, the depth is that of one sample off the
-# pixel's centre: tens of micrometres wrong on a slope.
+# pyrender disables multisampling for segmentation only. With multisampling, the depth is taken beside the pixel's
+# centre: tens of micrometres wrong on a slope.
 _FLAGS = RenderFlags.DEPTH_ONLY | RenderFlags.SEG
 _BLACK = (0, 0, 0)
 
 
 class DepthCamera(pyrender.Camera):  # type: ignore[misc]
-    """A camera with any principal point and focal lengths, which projects points of the sensor frame themselves.
+    """A camera with any principal point and focal lengths that projects points given in the sensor frame.
 
-    pyrender linearises the depth buffer of every camera as if it were a perspective one with its znear and zfar. The
-    fixed 1 and 2 given here serve this alone, and `depth_m` undoes it; the true clipping planes are near and far.
+    pyrender linearises the depth buffer of every camera as if it were perspective, with its znear and zfar. These are 1
+    and 2 here, and `depth_m` undoes the linearisation. The true clipping planes are near and far.
     """
 
     def __init__(self, geometry: SensorGeometry) -> None:
         super().__init__(znear=1.0, zfar=2.0)
         self._geometry = geometry
-        # A tenth of the standoff keeps parts that stick out beside the sensor; 24 bits still give tens of nanometres.
+        # A tenth of the standoff keeps parts that stick out beside the sensor; 24 bits resolve tens of nanometres.
         self._near_m = 0.1 * geometry.standoff_m if geometry.is_pinhole else 0.0
         self._far_m = geometry.standoff_m + 1.01 * geometry.max_depth_m
 
@@ -40,7 +40,7 @@ class DepthCamera(pyrender.Camera):  # type: ignore[misc]
         """Return the matrix (4, 4) from the sensor frame in metres to OpenGL's clip coordinates."""
         g, near, far = self._geometry, self._near_m, self._far_m
         P = np.zeros((4, 4))
-        offset = 2 if g.is_pinhole else 3  # the principal point counts times z, or as it is
+        offset = 2 if g.is_pinhole else 3  # the column that is multiplied by z, or by one
         P[0, 0], P[0, offset] = 2.0 * g.fx / g.width_px, 2.0 * g.cx / g.width_px - 1.0
         P[1, 1], P[1, offset] = -2.0 * g.fy / g.height_px, 1.0 - 2.0 * g.cy / g.height_px
         P[2, 2], P[2, 3] = (near + far, -2.0 * near * far) if g.is_pinhole else (2.0, -near - far)
@@ -49,7 +49,7 @@ class DepthCamera(pyrender.Camera):  # type: ignore[misc]
         return P
 
     def depth_m(self, rendered: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Turn what pyrender takes for depths (H, W), 0 where nothing is, into camera depths z in metres, or inf."""
+        """Return camera depths z (H, W) in metres, or inf, from pyrender's depths, which are 0 without a surface."""
         scale, shift = self.get_projection_matrix()[2, 2:]
         depth = np.full(rendered.shape, np.inf, np.float32)
         hit = rendered > 0.0
@@ -70,13 +70,13 @@ class DepthScene:
         self._node = self._scene.add(pyrender.Mesh([surface]))
 
     def draw(self, offscreen: Offscreen, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return camera depth (H, W) in metres at one pose (4, 4), inf where nothing is."""
+        """Return camera depths (H, W) in metres at one pose (4, 4), inf without a surface."""
         self._scene.set_pose(self._node, T_sensor_object)
         return self._camera.depth_m(offscreen.render(self._scene, _FLAGS, {self._node: _BLACK}))
 
 
 def choose_faces(mesh: TriangleMesh) -> NDArray[np.int64]:
-    """Return the faces (F', 3), those that may be seen from behind in both windings: pyrender drops back faces.
+    """Return the faces (F', 3), with both windings of faces that may be seen from behind: pyrender drops back faces.
 
     Only a connected part that is closed and wound outward is never seen from behind.
     """
@@ -85,7 +85,7 @@ def choose_faces(mesh: TriangleMesh) -> NDArray[np.int64]:
     _, part = connected_components(coo_array((np.ones(len(start)), (start, end)), (count, count)), directed=False)
     a, b, c = np.moveaxis(mesh.triangles_m - mesh.vertices_m[0], 1, 0)
     volume = np.bincount(part[mesh.faces[:, 0]], np.einsum("fk,fk->f", a, np.cross(b, c)), minlength=part.max() + 1)
-    # Every edge of a closed, consistent part runs as often one way as the other.
+    # In a closed, consistent part, both directions of each edge are equally frequent.
     _, edge = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
     balance = np.bincount(edge, np.where(start < end, 1.0, -1.0))
     doubtful = volume <= 0.0
@@ -94,10 +94,10 @@ def choose_faces(mesh: TriangleMesh) -> NDArray[np.int64]:
 
 
 class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
-    """pyrender's offscreen renderer as a good neighbour of other OpenGL contexts and threads.
+    """pyrender's offscreen renderer, made compatible with other OpenGL contexts and threads.
 
-    The original stays current in the thread that drew last, so that no other thread can use it, and ends with
-    eglTerminate, which takes the display from every other context of the process.
+    The original stays current in the thread that drew last, so no other thread can use it. It also calls eglTerminate
+    at the end, which invalidates every other context of the process.
     """
 
     _platform: Any = None
@@ -105,11 +105,11 @@ class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
 
     @contextmanager
     def current(self) -> Iterator[None]:
-        """Draw in the calling thread, and let go of it afterwards. Raises RenderError when OpenGL fails meanwhile."""
+        """Draw in the calling thread, and release the context afterwards. Raises RenderError when OpenGL fails."""
         try:
             yield
         except OpenGLError as error:
-            raise RenderError(f"OpenGL failed to draw ({error!r:.200}); choose --renderer heightmap") from error
+            raise RenderError(f"OpenGL cannot draw ({error!r:.200}); choose --renderer heightmap") from error
         finally:
             self._release()
 
@@ -120,9 +120,9 @@ class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
             EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
 
     def delete(self) -> None:
-        """Free this renderer's OpenGL resources; harmless when they are freed already.
+        """Free this renderer's OpenGL resources, if they are not freed already.
 
-        A renderer may be collected while another one draws in the same thread: the context that is current stays so.
+        A renderer may be collected while another one draws in the same thread, so the current context is restored.
         """
         platform, renderer, self._renderer = self._platform, self._renderer, None
         if platform is None or renderer is None:

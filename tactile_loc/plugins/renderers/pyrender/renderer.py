@@ -1,4 +1,4 @@
-"""Rendering with OpenGL, without a display: pyrender through EGL, on the graphics card or on Mesa's software driver."""
+"""Rendering with OpenGL without a display: pyrender through EGL, on a graphics card or Mesa's software driver."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class PyrenderRenderer(Renderer):
-    """Draws every pose with OpenGL. Depths may differ by nanometres from one graphics driver to another.
+    """Draws every pose with OpenGL. Depths may differ by nanometres between graphics drivers.
 
-    The OpenGL context is made at the first picture and lives until `close` or the end of the renderer.
+    The OpenGL context is made for the first picture and lives until `close` or the end of the renderer.
     """
 
     capabilities = Capabilities(exact_undercuts=True)
@@ -25,11 +25,11 @@ class PyrenderRenderer(Renderer):
     _scene: DepthScene | None = None
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+        """Return camera depths z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Surfaces deeper than standoff + max_depth are inf, as pixels without any surface are; so are parts beside a
-        pinhole sensor that reach up to its camera (nearer than a tenth of the standoff). Raises RenderError when no
-        OpenGL context can be had.
+        Pixels without a surface are inf, and so are surfaces deeper than standoff + max_depth. For a pinhole sensor,
+        surfaces nearer to the camera than a tenth of the standoff are inf, too. Raises RenderError when no OpenGL
+        context can be made.
         """
         offscreen, scene = self._prepare_context(geometry), self._prepare_scene(mesh, geometry)
         depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
@@ -46,7 +46,7 @@ class PyrenderRenderer(Renderer):
         return self._offscreen
 
     def _prepare_scene(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
-        """Return a scene of the mesh before the camera: the last one when it is of the very same two."""
+        """Return a scene of the mesh and the camera; the last scene is reused for the same two."""
         from tactile_loc.plugins.renderers.pyrender.gl import DepthScene
 
         if self._scene is None or self._scene.mesh is not mesh or self._scene.geometry is not geometry:
@@ -61,15 +61,15 @@ class PyrenderRenderer(Renderer):
 
 
 def _open(geometry: SensorGeometry) -> Offscreen:
-    """Make an OpenGL context. Raises RenderError, which says what to install, when there is none to be had."""
-    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # PyOpenGL reads it when it is imported
+    """Make an OpenGL context. Raises RenderError, with the packages to install, when this fails."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # PyOpenGL reads it on import
     try:
         from tactile_loc.plugins.renderers.pyrender.gl import Offscreen
 
         return Offscreen(geometry.width_px, geometry.height_px)
-    except Exception as error:  # a missing library, driver or device shows as one of many kinds of error
+    except Exception as error:  # a missing library, driver or device raises many kinds of errors
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
         raise RenderError(
-            f"the pyrender renderer gets no OpenGL context here ({reason}); on Debian install libegl1 and "
+            f"the pyrender renderer cannot make an OpenGL context ({reason}); on Debian, install libegl1 and "
             "libgl1-mesa-dri, or choose --renderer heightmap or --renderer raycast"
         ) from error

@@ -1,4 +1,4 @@
-"""`tactile-loc doctor`: what is installed and what is missing."""
+"""`tactile-loc doctor`: check the installation."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 def doctor(
     store: Store = None,
     compiling: Annotated[
-        bool, typer.Option("--compile", help="Compile what locating takes: the first run need not.")
+        bool, typer.Option("--compile", help="Also compile the code for locating, which speeds up the first run.")
     ] = False,
 ) -> dict[str, Any]:
-    """Say what is installed, and whether it works.
+    """Check the installation.
 
-    Each library is tried, in a process of its own; for what is missing or broken the line says what to do. The exit
-    code is 1 when something that everybody needs is broken.
+    Each library is tried in a separate process. For a missing or broken one, the line says what to do. The exit code
+    is 1 when something required is missing or broken.
     """
     from tactile_loc_cli.doctor.checks import examine
 

@@ -1,4 +1,4 @@
-"""The TOML files that docs/conventions.md shows are ones that are read."""
+"""The TOML files that docs/files.md shows are ones that are read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 
-PAGE = Path(__file__).parents[1] / "docs" / "conventions.md"
+PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 
 
 def block(first: str) -> str:

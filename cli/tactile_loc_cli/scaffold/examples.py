@@ -1,0 +1,47 @@
+"""Writes docs/plugin-examples.md from the templates of new packages: `python -m tactile_loc_cli.scaffold.examples`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc_cli.scaffold.naming import Naming
+from tactile_loc_cli.scaffold.package import SUMMARIES, render
+
+INTRODUCTION = """\
+# An example of each slot
+
+This page is generated: `python -m tactile_loc_cli.scaffold.examples` writes it, and a test compares it with the
+program.
+
+`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot. Below is the module of each. All of
+them pass the [contract checks](plugin-checks.md). Replace the computation, and keep the structure.
+[Plugins](plugins.md) explains the hook and the packaging, which are the same for every slot.
+
+| slot | what the example does |
+|---|---|
+"""
+
+
+def make_examples() -> str:
+    """Return the text of docs/plugin-examples.md."""
+    rows = "".join(f"| [{slot}](#{slot}) | {SUMMARIES[slot]} |\n" for slot in SLOTS)
+    return INTRODUCTION + rows + "".join(map(_show, SLOTS))
+
+
+def _show(slot: str) -> str:
+    """The section of a slot: the command, and the module that it writes."""
+    naming = Naming(slot, f"my-{slot}")
+    path = f"{naming.package}/{slot}.py"
+    command = f"    tactile-loc new-plugin {slot} {naming.name}"
+    return f"\n## {slot.capitalize()}\n\n{command}\n\n`{path}`\n\n```python\n{render(naming)[path]}```\n"
+
+
+def main() -> None:
+    """Write docs/plugin-examples.md of the source tree that this module lies in."""
+    page = Path(__file__).parents[3] / "docs" / "plugin-examples.md"
+    page.write_text(make_examples(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

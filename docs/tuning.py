@@ -1,0 +1,68 @@
+#!/usr/bin/env python3
+"""The options of the search, of hypotheses and of the tracker, as tables of docs/tuning.md, from their models.
+
+The last cell of a row, the effect of a larger value, is written by hand in the page. The rest comes from the models.
+Run it to renew the tables.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
+
+PAGE = Path(__file__).parent / "tuning.md"
+MODELS: dict[str, type[BaseModel]] = dict(zip(TUNABLE, (SearchOptions, HypothesisOptions, TrackerOptions), strict=True))
+MARKER = re.compile(r"<!-- options: (\w+) -->\n(.*?)<!-- /options -->\n", re.DOTALL)
+ROW = re.compile(r"^\| `(?P<option>[\w.]+)` \|.*\| (?P<effect>[^|]*) \|$", re.MULTILINE)
+HEAD = "| option | default | range | meaning | effect of a larger value |\n|---|---|---|---|---|\n"
+
+
+def with_tables(page: str) -> str:
+    """Return the page with its tables as the models have them. Raises KeyError for a table of an unknown model."""
+    effects = read_effects(page)
+    return MARKER.sub(lambda m: f"<!-- options: {m[1]} -->\n{table(m[1], effects)}<!-- /options -->\n", page)
+
+
+def read_effects(page: str) -> dict[str, str]:
+    """Return the effect of each option of the page."""
+    return {match["option"]: match["effect"].strip() for match in ROW.finditer(page)}
+
+
+def table(kind: str, effects: dict[str, str]) -> str:
+    """Return the table of a model: a row for each option."""
+    rows = []
+    for name, field in MODELS[kind].model_fields.items():
+        option = f"{kind}.{name}"
+        cells = (f"`{option}`", f"{field.default:g}", _describe_range(field), str(field.description))
+        rows.append(f"| {' | '.join(cells)} | {effects.get(option, '')} |\n")
+    return HEAD + "".join(rows)
+
+
+def _describe_range(field: FieldInfo) -> str:
+    """The bounds of an option, as its help text has them."""
+    signs = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
+    return ", ".join(f"{sign} {getattr(one, name):g}" for one in field.metadata for name, sign in signs.items()
+                     if getattr(one, name, None) is not None)  # fmt: skip
+
+
+def options() -> set[str]:
+    """Return the names of all options."""
+    return {f"{kind}.{name}" for kind, model in MODELS.items() for name in model.model_fields}
+
+
+def main() -> None:
+    """Renew the tables. Refuse to lose an effect whose option is gone."""
+    page = PAGE.read_text(encoding="utf-8")
+    if gone := sorted(set(read_effects(page)) - options()):
+        sys.exit(f"{PAGE} describes options that are gone: {', '.join(gone)}; rename or delete their rows")
+    PAGE.write_text(with_tables(page), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""Presses of a ball as public sets have them: a writer for each format that is converted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from press_sets import write_image
+
+# as these sets count, from the centre of the first pixel; the last is a little larger than the ball of `press_sets`
+CIRCLES = [(20.0, 31.0, 5.0), (40.0, 12.5, 7.0), (33.0, 35.0, 13.0)]
+
+
+def write_gs_sdk(source: Path, images: np.ndarray, background: np.ndarray) -> Path:
+    source.mkdir()
+    write_image(source / "background.png", background)
+    for number, image, circle in zip((2, 10, 11), images, CIRCLES, strict=True):
+        folder = source / str(number)
+        folder.mkdir()
+        write_image(folder / "gelsight.png", image)
+        np.savez(folder / "label.npz", center=np.array(circle[:2]), radius=np.array(circle[2]))
+    return source
+
+
+def write_taxim(source: Path, images: np.ndarray, background: np.ndarray) -> Path:
+    source.mkdir()
+    circles = np.array(CIRCLES)
+    np.savez(
+        source / "pack.npz", imgs=images, f0=background, touch_center=circles[:, :2],
+        touch_radius=circles[:, 2], names=np.array(["a", "b", "c"]),
+    )  # fmt: skip
+    return source / "pack.npz"
+
+
+def write_fots(source: Path, images: np.ndarray, _: np.ndarray) -> Path:
+    (source / "gelsight").mkdir(parents=True)
+    (source / "csv").mkdir()
+    lines = ["img_names,center_x,center_y,radius"]
+    for number, (image, circle) in enumerate(zip(images, CIRCLES, strict=True)):
+        write_image(source / "gelsight" / f"{number}.png", image)
+        lines.append(f"/somewhere/else/gelsight/{number}.png,{','.join(map(str, circle))}")
+    (source / "csv" / "annotate.csv").write_text("\n".join(lines) + "\n")
+    return source
+
+
+def write_circles(source: Path, images: np.ndarray, background: np.ndarray) -> Path:
+    source.mkdir()
+    write_image(source / "background.png", background)
+    lines = []
+    for number, (image, (x, y, radius)) in enumerate(zip(images, CIRCLES, strict=True)):
+        write_image(source / f"press_{number}.png", image)
+        lines.append(f"press_{number}.png ({x}, {y}) {radius}")
+    (source / "labels.txt").write_text("\n".join(lines) + "\n\n")
+    return source
+
+
+PUBLIC_SETS = {"gs_sdk": write_gs_sdk, "taxim": write_taxim, "fots": write_fots, "circles": write_circles}

@@ -1,0 +1,24 @@
+"""docs/plugin-examples.md shows the modules that `tactile-loc new-plugin` writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tactile_loc_cli.scaffold.examples import make_examples
+from tactile_loc_cli.scaffold.naming import Naming
+from tactile_loc_cli.scaffold.package import render
+
+from tactile_loc.core.slots.registry import SLOTS
+
+PAGE = Path(__file__).parents[1] / "docs" / "plugin-examples.md"
+
+
+def test_the_page_is_up_to_date():
+    assert PAGE.read_text() == make_examples(), "run python -m tactile_loc_cli.scaffold.examples"
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_every_slot_is_shown_as_new_plugin_writes_it(slot):
+    files = render(Naming(slot, f"my-{slot}"))
+    assert files[f"tactile_loc_my_{slot}/{slot}.py"] in PAGE.read_text()

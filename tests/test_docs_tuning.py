@@ -1,0 +1,79 @@
+"""docs/tuning.md lists every number to tune as the models have it, each with its effect, and its example works."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.options import TUNABLE
+
+SCRIPT = Path(__file__).parents[1] / "docs" / "tuning.py"
+
+
+def load() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("docs_tuning", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+tuning = load()
+PAGE = tuning.PAGE.read_text(encoding="utf-8")
+
+
+def test_the_tables_are_up_to_date():
+    assert [marker[1] for marker in tuning.MARKER.finditer(PAGE)] == list(TUNABLE)
+    assert tuning.with_tables(PAGE) == PAGE, "run python docs/tuning.py"
+
+
+def test_every_option_has_an_effect():
+    effects = tuning.read_effects(PAGE)
+    assert set(effects) == tuning.options()
+    assert [option for option, effect in effects.items() if not effect] == []
+
+
+def test_options_that_the_text_names_are_there():
+    named = set(re.findall(rf"`((?:{'|'.join(TUNABLE)})\.\w+)`", PAGE))
+    assert named == tuning.options()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("| `search.registered` | 300 |", "| `search.registered` | 301 |"), ("| >= 1 |", "| >= 2 |")],
+)
+def test_whichever_cell_is_changed_is_renewed(before, after):
+    assert before in PAGE
+    assert tuning.with_tables(PAGE.replace(before, after)) == PAGE
+
+
+def test_an_effect_whose_option_is_gone_is_not_lost(tmp_path, monkeypatch):
+    page = tmp_path / "tuning.md"
+    page.write_text(PAGE.replace("`tracker.modes` | 8", "`tracker.poses` | 8"), encoding="utf-8")
+    monkeypatch.setattr(tuning, "PAGE", page)
+    with pytest.raises(SystemExit, match=r"tracker\.poses"):
+        tuning.main()
+    assert "tracker.poses" in page.read_text(encoding="utf-8")
+
+
+def test_the_python_on_the_page_runs(monkeypatch, store):
+    (code,) = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(store.root))
+    names: dict[str, Any] = {}
+    exec(code, names)
+    assert names["localizer"].config.search.registered == 500
+    assert names["localizer"].config.hypotheses.refined == 30
+
+
+def test_the_configuration_on_the_page_is_read(tmp_path):
+    (text,) = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    (tmp_path / "run.toml").write_text(text)
+    config = RunConfig.from_toml(tmp_path / "run.toml")
+    assert (config.search.registered, config.hypotheses.refined) == (500, 30)
