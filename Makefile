@@ -1,7 +1,6 @@
-# Everything is done with the Python of .venv, so it does not matter which virtual environment is active, or whether
-# one is. `make help` lists the targets.
+# All targets use the Python of .venv, so any virtual environment may be active, or none. `make help` lists the targets.
 
-# The Python that .venv is made with; empty: scripts/find-python.sh looks for one.
+# The Python that makes .venv; if empty, scripts/find-python.sh looks for one.
 PYTHON ?=
 VENV := .venv
 STAMP := $(VENV)/.installed
@@ -9,8 +8,8 @@ MUTATE := $(VENV)/.mutate
 RUN := $(VENV)/bin/python -m
 PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 
-# ROS and others put their own packages, pytest plugins among them, in front of ours. And what is started hundreds of
-# times, as by the tests, is compiled once.
+# ROS and others put their own packages, such as pytest plugins, before ours. Compiled modules are kept, because the tests
+# start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test pytest lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
@@ -35,45 +34,47 @@ pytest: $(STAMP)
 	@echo "test: pytest"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN) pytest $(PYTEST_FLAGS)
 
-lint: $(STAMP) ## check style, format and types
+lint: $(STAMP) ## check style, format, types and English
 	@echo "lint: ruff check"
 	@$(RUN) ruff check --quiet
 	@echo "lint: ruff format --check"
 	@$(RUN) ruff format --check --quiet
 	@echo "lint: mypy"
 	@$(RUN) mypy --no-error-summary
+	@echo "lint: prose"
+	@$(VENV)/bin/python scripts/check_prose.py
 
 smoke: $(STAMP) ## build the wheel, install it into a fresh environment and try it there
 	@scripts/smoke-wheel.sh $(VENV)/bin/python
 
-# --quiet would hide warnings from --strict too, so what mkdocs says is shown only when it fails, each line once.
+# --quiet would also hide warnings from --strict. So the output of mkdocs is shown only when it fails, each line once.
 docs: $(STAMP) ## build the documentation site in out/site; any warning is an error
 	@echo "docs: out/site/index.html"
 	@said=$$(NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict 2>&1) || \
 		{ printf '%s\n' "$$said" | grep -v '^INFO' | awk '!told[$$0]++' >&2; exit 1; }
 
-audit: $(STAMP) ## look the pinned packages up among known vulnerabilities; needs the internet
+audit: $(STAMP) ## look for known vulnerabilities of the pinned packages; needs the internet
 	@scripts/audit.sh $(VENV)/bin/python
 
-sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.cdx.json
+sbom: $(STAMP) ## list the packages that the wheel installs, as CycloneDX, in out/sbom.cdx.json
 	@scripts/sbom.sh $(VENV)/bin/python out/sbom.cdx.json
 
-fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same again goes on where it was stopped
+fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; continues where it stopped
 	@$(VENV)/bin/python scripts/fuzz.py
 
-kill: $(STAMP) ## kill and starve commands, half an hour; the same again goes on where it was stopped
+kill: $(STAMP) ## kill and starve commands, half an hour; continues where it stopped
 	@$(VENV)/bin/python scripts/kill.py
 
 soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process, an hour; nothing may grow
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python scripts/soak.py
 
-mutate: $(MUTATE) ## change the numerical core in 700 places, hours, and see whether tests notice; the same again goes on
+mutate: $(MUTATE) ## change the numerical core in 700 places and run its tests, hours; continues where it stopped
 	@$(VENV)/bin/python scripts/mutate.py
 
-bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
+bench: $(STAMP) ## run all benchmarks, hours, and keep their tables
 	@$(VENV)/bin/python scripts/bench.py keep --all
 
-bench-compare: $(STAMP) ## tell what benchmarks print otherwise than in the version before
+bench-compare: $(STAMP) ## report the changes of benchmarks since the previous version
 	@$(VENV)/bin/python scripts/bench.py compare
 
 clean: ## remove .venv, out, build and the tools' caches
@@ -85,7 +86,7 @@ $(MUTATE): $(STAMP)
 	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[mutate]'
 	@touch $@
 
-# A virtual environment holds its own path: one that was copied or moved here is made anew.
+# A virtual environment contains its own path. After a copy or move of the folder it is made anew.
 ifneq "$(shell cat $(STAMP) 2>/dev/null)" "$(CURDIR)"
 .PHONY: $(STAMP)
 endif
@@ -97,6 +98,6 @@ $(STAMP): pyproject.toml constraints.txt
 		echo "setup: making $(VENV) with $$python" && "$$python" -m venv $(VENV)
 	@echo "setup: installing the pinned packages, a minute or two the first time"
 	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	@echo "setup: compiling what locating takes"
-	@$(RUN) tactile_loc_cli.doctor.trials kernels > /dev/null || echo "setup: that failed; the first run will say why"
+	@echo "setup: compiling the kernels"
+	@$(RUN) tactile_loc_cli.doctor.trials kernels > /dev/null || echo "setup: the kernels were not compiled; the first run reports the reason"
 	@echo "$(CURDIR)" > $(STAMP)

@@ -1,9 +1,9 @@
 #!/bin/sh
-# Looks the pinned packages up among known vulnerabilities, with pip-audit in an environment of its own. Usage:
+# Looks for known vulnerabilities of the pinned packages, with pip-audit in a separate environment. Usage:
 #
 #     scripts/audit.sh PYTHON
 #
-# It needs the internet. A package that cannot be looked up is no package that was found safe: the exit status says so.
+# It needs the internet. The exit status is 1 if a package could not be looked up.
 set -eu
 
 tree=$(cd "$(dirname "$0")/.." && pwd)

@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
 """Keep the results of benchmarks, compare them over time, and write them into the documentation.
 
-`keep NAME [ARGUMENT ...]` runs benchmarks/NAME.py, shows its output, and keeps its tables in
-benchmarks/results/VERSION/RUN.json with the machine, the versions, the date and the arguments. A run is named after its
-benchmark, or by `--as RUN` where one benchmark has several runs. Without arguments it gets those of the last time. Then
-the tables and computed figures of the documentation are renewed, and the sentences to look over are listed.
-`bind RUN` says that they were looked over. `--all` repeats every kept run, and runs every other benchmark.
-`compare` reports the changes since the version before that has results, and fails where a time grew, or a speed fell,
-by more than a tenth. Times are compared as multiples of a yardstick: a fixed piece of work, measured before and after.
-`page` writes the documentation's page of results, and all figures that come from results.
+`keep NAME [ARGUMENT ...]` runs benchmarks/NAME.py and keeps its tables in benchmarks/results/VERSION/RUN.json, with the
+machine, the versions, the date and the arguments. A run has the name of its benchmark, or that of `--as RUN`. Without
+arguments it takes those of the last time. Then the tables and computed figures of the documentation are renewed, and
+the sentences to check are listed. `bind RUN` confirms these sentences. `--all` repeats every kept run, and runs every
+other benchmark. `compare` reports the changes since the previous version with results. It fails if a time grew, or a
+speed fell, by more than a tenth. Times are compared as multiples of a yardstick: the time of a fixed piece of work
+before and after a run. `page` writes the documentation's page of results, and all figures that come from results.
 """
 
 from __future__ import annotations
@@ -31,23 +30,23 @@ from statistics import median
 from typing import Any
 
 import figures
-from results import NUMBER, RESULTS, ROOT, Kept, Table, latest, tables, versions
+from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_latest
 
 BENCHMARKS = ROOT / "benchmarks"
 PAGE = ROOT / "docs" / "results.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
-WORSE = 0.1  # the share by which a time may grow
-CHANGED = 0.1  # the share from which a change is reported
+WORSE = 0.1  # share by which a time may grow
+CHANGED = 0.1  # share from which a change is reported
 TIME = re.compile(r"(?<!/)\b(m?s|seconds|milliseconds)\b")
 RATE = re.compile(r"/s\b")
-RATIO = re.compile(r"^x \w")  # a ratio to something else of the same run
+RATIO = re.compile(r"^x \w")  # ratio to another row of the same run
 
 
 @dataclass(frozen=True)
 class Change:
-    """A figure of a row and column `before` and `now`, times as multiples of the yardstick.
+    """A figure `before` and `now`, times as multiples of the yardstick.
 
-    `wanted` is 1 for a speed, -1 for a time, 0 for anything else.
+    `wanted` is 1 if the figure should grow (a speed), -1 if it should fall (a time), else 0.
     """
 
     where: str
@@ -57,7 +56,7 @@ class Change:
 
     @property
     def ratio(self) -> float:
-        """The figure now as a multiple of the one before."""
+        """The figure now, divided by the one before."""
         return self.now / self.before if self.before else (1.0 if self.now == 0 else math.inf)
 
     @property
@@ -66,39 +65,38 @@ class Change:
         return self.wanted * math.log(max(self.ratio, 1e-9)) < -math.log(1 + WORSE)
 
 
-def compared(before: Kept, now: Kept) -> list[Change]:
-    """Return the changes of all figures that both have: same column, same words in the row.
+def find_changes(before: Kept, now: Kept) -> list[Change]:
+    """Return the changes of all figures that both runs have: same column, same words in the row.
 
-    Times and speeds are left out where a yardstick is unknown.
+    Times and speeds are left out if a yardstick is unknown.
     """
-    earlier = {key: value for table in before.tables for key, value in _figures(table).items()}
+    earlier = {key: value for table in before.tables for key, value in _read_figures(table).items()}
     yardsticks = (before.yardstick_ms, now.yardstick_ms)
     changes = []
-    for (row, column, place), value in ((key, one) for table in now.tables for key, one in _figures(table).items()):
+    for key, value in (item for table in now.tables for item in _read_figures(table).items()):
+        row, column, _ = key
         power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
-        if (row, column, place) in earlier and (all(yardsticks) or not power):
+        if key in earlier and (all(yardsticks) or not power):
             old, new = ((y or 1.0) ** power for y in yardsticks)
             wanted = 1 if RATIO.search(column) else power
-            changes.append(
-                Change(f"{now.name}: {row}, {column}", old * earlier[row, column, place], new * value, wanted)
-            )
+            changes.append(Change(f"{now.name}: {row}, {column}", old * earlier[key], new * value, wanted))
     return changes
 
 
-def _figures(table: Table) -> dict[tuple[str, str, int], float]:
-    """Return the numbers of a table by the words of their row, their column and their place in the cell."""
+def _read_figures(table: Table) -> dict[tuple[str, str, int], float]:
+    """Return the numbers of a table by the words of their row, their column and their index in the cell."""
     found: dict[tuple[str, str, int], float] = {}
     rows = (", ".join(cell for cell in cells if cell and not NUMBER.match(cell)) for cells in table.filled)
-    columns = _told_apart(table.columns)
-    for row, cells in zip(_told_apart(rows), table.filled, strict=True):
+    columns = _number_repeats(table.columns)
+    for row, cells in zip(_number_repeats(rows), table.filled, strict=True):
         for column, cell in zip(columns, cells, strict=True):
             numbers = NUMBER.findall(cell) if NUMBER.match(cell) else []
             found |= {(row, column, place): float(number) for place, number in enumerate(numbers)}
     return found
 
 
-def _told_apart(words: Iterable[str]) -> list[str]:
-    """Return the words, with a number from their second time on."""
+def _number_repeats(words: Iterable[str]) -> list[str]:
+    """Return the words; from its second time on, a word gets a number."""
     seen, found = Counter[str](), []
     for word in words:
         seen[word] += 1
@@ -106,8 +104,8 @@ def _told_apart(words: Iterable[str]) -> list[str]:
     return found
 
 
-def yardstick_ms() -> float:
-    """Return how long a fixed piece of work takes: loops of Python, sorting, products of matrices; median of 9."""
+def measure_yardstick_ms() -> float:
+    """Return the median of 9 times of a fixed piece of work: Python loops, sorting, products of matrices."""
     import numpy as np
 
     values = np.random.default_rng(0).random((600, 600))
@@ -121,8 +119,8 @@ def yardstick_ms() -> float:
     return median(taken)
 
 
-def machine(threads: Mapping[str, str] = os.environ) -> dict[str, Any]:
-    """Return the properties of this machine, and the limits of threads among the given variables."""
+def describe_machine(threads: Mapping[str, str] = os.environ) -> dict[str, Any]:
+    """Return the properties of this machine, and the limits among the variables `threads`."""
     info = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
     return {
@@ -135,41 +133,41 @@ def machine(threads: Mapping[str, str] = os.environ) -> dict[str, Any]:
 
 
 def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "") -> Kept:
-    """Run a benchmark, show its output, and keep its tables as those of `run`, by default of its name.
+    """Run a benchmark, show its output, and keep its tables. The name of the `run` is by default its own.
 
-    Without arguments it gets those of the last time. Raises SystemExit when it fails, or they are unknown.
+    Without arguments it takes those of the last time. Raises SystemExit if it fails, or its arguments are unknown.
     """
     if not (script := BENCHMARKS / f"{name}.py").exists():
-        raise SystemExit(f"bench: there is no benchmark {name}; there are {', '.join(names())}")
-    before = latest(folder).get(run or name)
+        raise SystemExit(f"bench: there is no benchmark {name}; there are {', '.join(list_benchmarks())}")
+    before = read_latest(folder).get(run or name)
     arguments = arguments or (before.arguments if before else [])
     if any(given.startswith(("FILE", "FOLDER")) for given in arguments):
-        raise SystemExit(f"bench: {run or name} was measured with files of one's own; name them: {' '.join(arguments)}")
+        raise SystemExit(f"bench: {run or name} was measured with your own files; name them: {' '.join(arguments)}")
     if before and before.arguments != arguments:
-        print(f"bench: other arguments than those that {before.name} was kept with: {' '.join(before.arguments)}")
-    first, start = yardstick_ms(), time.perf_counter()
-    environment = {**(_threads(before) if before else {}), **os.environ}
-    found = tables(_printed(script, arguments, environment))
+        print(f"bench: the arguments differ from those of the last {before.name}: {' '.join(before.arguments)}")
+    first, start = measure_yardstick_ms(), time.perf_counter()
+    environment = {**(_read_threads(before) if before else {}), **os.environ}
+    found = find_tables(_run_benchmark(script, arguments, environment))
     if not found:
         raise SystemExit(f"bench: {name} printed no table; nothing is kept")
     known = {(one.metadata["Name"] or "").lower(): one.version for one in metadata.distributions()}
     kept = Kept(
         name, [given.rpartition("/")[2] for given in arguments],
         metadata.version("tactile-loc"), f"{datetime.now(UTC):%Y-%m-%d}", round(time.perf_counter() - start, 1),
-        round((first + yardstick_ms()) / 2, 2), machine(environment),
+        round((first + measure_yardstick_ms()) / 2, 2), describe_machine(environment),
         {package: known[package] for package in PACKAGES if package in known}, found, run or name,
     )  # fmt: skip
     print(f"bench: kept in {kept.write(folder)}")
     return kept
 
 
-def _threads(kept: Kept) -> dict[str, str]:
-    """Return the limits of threads that a run had, as variables of the environment."""
+def _read_threads(kept: Kept) -> dict[str, str]:
+    """Return the limits of threads of a run, as variables of the environment."""
     return {name: kept.machine[name] for name in sorted(kept.machine) if name.isupper()}
 
 
-def _printed(script: Path, arguments: list[str], environment: dict[str, str]) -> str:
-    """Return what a benchmark prints, and show it meanwhile. Raises SystemExit when it fails."""
+def _run_benchmark(script: Path, arguments: list[str], environment: dict[str, str]) -> str:
+    """Run a benchmark, and show and return its output. Raises SystemExit if it fails."""
     words, lines = [sys.executable, str(script), *arguments], []
     environment = {**environment, "COLUMNS": "200"}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment) as process:
@@ -181,14 +179,14 @@ def _printed(script: Path, arguments: list[str], environment: dict[str, str]) ->
     return "".join(lines)
 
 
-def names() -> list[str]:
+def list_benchmarks() -> list[str]:
     """Return the names of all benchmarks."""
     return sorted(path.stem for path in BENCHMARKS.glob("*.py"))
 
 
 def compare(folder: Path = RESULTS) -> int:
-    """Print the changes between the last two versions that have results; return 1 where a time grew."""
-    known = versions(folder)
+    """Print the changes between the last two versions with results; return 1 if one is worse."""
+    known = list_versions(folder)
     if len(known) < 2:
         print(f"bench: only {known[0]} has results; nothing to compare with" if known else "bench: nothing is kept yet")
         return 0
@@ -198,17 +196,17 @@ def compare(folder: Path = RESULTS) -> int:
         if not (folder / old / path.name).exists():
             print(f"{path.stem}: new since {old}")
             continue
-        for change in compared(Kept.read(folder / old / path.name), Kept.read(path)):
+        for change in find_changes(Kept.read(folder / old / path.name), Kept.read(path)):
             worse += change.is_worse
             if change.is_worse or abs(change.ratio - 1) > CHANGED:
                 mark = "WORSE  " if change.is_worse else "       "
                 print(f"{mark}{change.where}: {change.before:.4g} -> {change.now:.4g} ({change.ratio:.2f} times)")
-    print(f"bench: {old} -> {new}: {worse} times grew, or speeds fell, by more than {WORSE:.0%}")
+    print(f"bench: {old} -> {new}: {worse} figures are worse by more than {WORSE:.0%}")
     return 1 if worse else 0
 
 
-def page(folder: Path = RESULTS) -> str:
-    """Return the documentation's page of results: every run, and the tables of those that `keep` made."""
+def format_page(folder: Path = RESULTS) -> str:
+    """Return the documentation's page of results: every run, and the tables of runs that `keep` made."""
     parts = [
         "# Results over time\n",
         "This page lists every run of the benchmarks, with its command and date, and the tables of the runs that\n"
@@ -219,36 +217,35 @@ def page(folder: Path = RESULTS) -> str:
         "`make bench-compare` reports the changes since the previous version. It fails if a time grew, or a speed\n"
         "fell, by more than a tenth.\n",
     ]
-    runs = latest(folder)
-    rows = [
-        [name, f"`{command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or kept.source.partition(",")[0])]
-        for name, kept in runs.items()
-    ]
+    runs = read_latest(folder)
+    rows = []
+    for name, kept in runs.items():
+        source = kept.source.partition(",")[0]
+        rows.append([name, f"`{format_command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or source)])
     parts.append(Table(["run", "command", "version", "date", "yardstick, ms, or source"], rows).markdown())
     for name, kept in runs.items():
         if kept.yardstick_ms is not None:
             parts.append(
-                f"## {name}\n\n`{command(kept)}`\n\n{kept.version}, {kept.date}, {kept.machine['processor']}, "
+                f"## {name}\n\n`{format_command(kept)}`\n\n{kept.version}, {kept.date}, {kept.machine['processor']}, "
                 f"{kept.machine['cores']} cores; yardstick {kept.yardstick_ms:g} ms.\n"
             )
             parts += [table.markdown() for table in kept.tables]
     return "\n".join(parts)
 
 
-def command(kept: Kept) -> str:
-    """Return how a run is started."""
+def format_command(kept: Kept) -> str:
+    """Return the command of a run."""
     is_ours = (BENCHMARKS / f"{kept.benchmark}.py").exists()
-    threads = [f"{name}={value}" for name, value in _threads(kept).items()]
-    return " ".join(
-        [*threads, f"python benchmarks/{kept.benchmark}.py" if is_ours else kept.benchmark, *kept.arguments]
-    )
+    threads = [f"{name}={value}" for name, value in _read_threads(kept).items()]
+    program = f"python benchmarks/{kept.benchmark}.py" if is_ours else kept.benchmark
+    return " ".join([*threads, program, *kept.arguments])
 
 
 def keep_all() -> int:
-    """Repeat every run of a benchmark, and run every benchmark that has none. Return how many failed."""
-    runs = {name: kept.benchmark for name, kept in latest().items() if kept.benchmark in names()}
-    failed = 0
-    for run, name in {**runs, **{name: name for name in names() if name not in runs.values()}}.items():
+    """Repeat every kept run, and run every other benchmark. Return the number of failures."""
+    known, failed = list_benchmarks(), 0
+    runs = {name: kept.benchmark for name, kept in read_latest().items() if kept.benchmark in known}
+    for run, name in [*runs.items(), *((name, name) for name in known if name not in runs.values())]:
         try:
             keep(name, [], run=run)
         except SystemExit as error:
@@ -258,17 +255,17 @@ def keep_all() -> int:
 
 
 def main() -> int:
-    """Run what the command line asks for."""
+    """Run the chosen command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     kept = commands.add_parser("keep", help="run a benchmark and keep its tables")
-    kept.add_argument("--as", dest="run", default="", help="the name of the run; by default the benchmark's")
-    kept.add_argument("--all", action="store_true", help="all that is kept, and every other benchmark")
+    kept.add_argument("--as", dest="run", default="", help="name of the run; by default the benchmark's")
+    kept.add_argument("--all", action="store_true", help="every kept run, and every other benchmark")
     kept.add_argument("name", nargs="?")
     kept.add_argument("arguments", nargs=argparse.REMAINDER)
-    commands.add_parser("compare", help="report the changes since the version before")
+    commands.add_parser("compare", help="report the changes since the previous version")
     commands.add_parser("page", help="write the documentation's page and figures")
-    bound = commands.add_parser("bind", help="say that the text about a run was looked over, and is true of it")
+    bound = commands.add_parser("bind", help="confirm the sentences of the documentation about a run")
     bound.add_argument("name")
     chosen = parser.parse_args()
     failed = 0
@@ -279,14 +276,14 @@ def main() -> int:
     elif chosen.command == "keep" and chosen.all:
         failed = keep_all()
     elif chosen.command == "keep" and chosen.name:
-        benchmark = latest()[chosen.name].benchmark if chosen.name in latest() else chosen.name
+        benchmark = read_latest()[chosen.name].benchmark if chosen.name in read_latest() else chosen.name
         keep(benchmark, chosen.arguments, run=chosen.run or chosen.name)
     elif chosen.command == "keep":
-        parser.error(f"name a benchmark, or say --all; there are {', '.join(names())}")
-    PAGE.write_text(page(), encoding="utf-8")
-    for path in figures.renew():
+        parser.error(f"name a benchmark, or add --all; there are {', '.join(list_benchmarks())}")
+    PAGE.write_text(format_page(), encoding="utf-8")
+    for path in figures.renew_pages():
         print(f"bench: wrote {path}")
-    for problem in figures.problems():
+    for problem in figures.find_problems():
         print(f"bench: {problem}")
     return 1 if failed else 0
 

@@ -1,8 +1,8 @@
-"""Makes the demo objects' meshes from their dimensions: `python scripts/demo_meshes.py FOLDER` writes them all.
+"""Draw the meshes of the demo objects from their dimensions: `python scripts/demo_meshes.py FOLDER` writes them all.
 
-Six kinds of part that tactile localization is commonly tried on, drawn with manifold3d in millimetres. A profile is a
-list of (radius, z). A path lies in the xz plane: rows (x, z, heading), the heading in radians from +x towards +z. The
-same code and libraries give the same bytes.
+They are six kinds of part that are common in tactile localization, drawn with manifold3d in millimetres. A profile is a
+list of (radius, z). A path lies in the xz plane: rows (x, z, heading), with the heading in radians from +x towards +z.
+The same code and libraries give the same bytes.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ HALF_DISC = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(-np.pi / 2, np
 
 
 def arc(center: Sequence[float], radius: float, start_rad: float, stop_rad: float) -> Array:
-    """Return (N, 2) points of a circular arc, ends included, no chord further than CHORD_ERROR from the circle."""
+    """Return (N, 2) points of a circular arc, ends included, with chords within CHORD_ERROR of the circle."""
     angles = np.linspace(start_rad, stop_rad, _steps(radius, stop_rad - start_rad) + 1)
     return np.asarray(center) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def revolved(profile: Points, sections: int = SECTIONS) -> Manifold:
-    """Return the solid that a profile sweeps about z; it starts and ends on the axis, and a meridian lies at +x."""
+    """Return the solid of a profile rotated about z. The profile starts and ends on the axis; a meridian lies at +x."""
     return Manifold.revolve(CrossSection([np.asarray(profile)], FillRule.NonZero), sections)
 
 
 def hexagon(across_flats: float, bottom: float, top: float) -> Manifold:
-    """Return a hexagonal prism about z between two heights, a corner on +x."""
+    """Return a hexagonal prism about z between two heights, with a corner on +x."""
     return Manifold.cylinder(top - bottom, across_flats / np.sqrt(3), circular_segments=6).translate((0, 0, bottom))
 
 
 def straight(path: Points, stations: ArrayLike) -> Array:
-    """Return the path continued straight on, with a point at each distance from its present end."""
+    """Return the path with a straight end, which has a point at each distance from the present end."""
     heading = path[-1][2]
     step = np.array([np.cos(heading), np.sin(heading), 0])
     return np.vstack([path, path[-1] + np.asarray(stations)[:, None] * step])
 
 
 def bend(path: Points, radius: float, turn_rad: float, outer_radius: float) -> Array:
-    """Return the path continued by an arc, to the left if `turn_rad` is positive.
+    """Return the path with an arc at its end, to the left if `turn_rad` is positive.
 
-    The solid's largest radius about the centre of the bend sets how fine the arc is cut.
+    The solid's largest radius about the centre of the bend sets the length of the chords.
     """
     x, z, heading = path[-1]
     side = np.copysign(radius, turn_rad)
@@ -62,7 +62,7 @@ def bend(path: Points, radius: float, turn_rad: float, outer_radius: float) -> A
 
 
 def swept(path: Array, radii: ArrayLike, section: Array) -> Manifold:
-    """Return the solid that a unit section (S, 2), left of the path and -y, sweeps along a path, scaled by radii."""
+    """Return the solid of a unit section (S, 2), in the axes left and -y, moved along a path and scaled by radii."""
     scales = np.broadcast_to(radii, len(path))
 
     def place(points: Array) -> Array:  # of a prism with a layer for each point of the path
@@ -81,7 +81,7 @@ def round_section(sections: int = SECTIONS) -> Array:
 
 
 def pin() -> Manifold:
-    """Return a stepped locating pin: z is its axis, tip at -z; the origin lies in the shoulder that seats. Symmetry z2.
+    """Return a stepped locating pin: z is its axis, tip at -z; the origin lies in the seating shoulder. Symmetry z2.
 
     Its head has two flats that face +-y, and a bore; the shank has a groove and a cross hole along x.
     """
@@ -118,11 +118,11 @@ def head() -> Manifold:
     sphere = (9**2 + 4**2) / (2 * 4)  # the radius of a dome 9 in radius and 4 high
     dome = arc((0, peak - sphere), sphere, np.arccos(9 / sphere), np.pi / 2)
     shaft = [(0, -12), (5, -12), (6, -11), (6, 0), (rim, 0), (rim, 1.2), (9, 2.5)]
-    turned = revolved(np.vstack([shaft, dome[:-1], (0, peak)]))
+    body = revolved(np.vstack([shaft, dome[:-1], (0, peak)]))
     chamfer = revolved([(0, 0), (rim, 0), (rim, top - (rim - face) * np.tan(np.radians(30))), (face, top), (0, top)])
     half_section = (0, 0, 180 / SECTIONS)
     slot = Manifold.cube((FAR, 3, FAR), center=True).translate((0, 0, peak - 2.8 + FAR / 2))
-    return turned.rotate(half_section) + (hexagon(20, 0.6, top) ^ chamfer.rotate(half_section)) - slot
+    return body.rotate(half_section) + (hexagon(20, 0.6, top) ^ chamfer.rotate(half_section)) - slot
 
 
 def elbow_pipe() -> Manifold:
@@ -137,14 +137,14 @@ def elbow_pipe() -> Manifold:
 
 
 def _elbow(end: Array) -> Manifold:
-    """Return the round solid bent by 90 degrees, both of whose ends have the profile (N, 2): from the end, radius."""
+    """Return a round solid bent by 90 degrees; both ends have the profile (N, 2): distance from the end, radius."""
     stations, radii = end.T
     reach = (20 + 14 - stations[0]) * np.sqrt(0.5)
     path = straight([(reach, reach, np.radians(225))], stations[1:] - stations[0])
     path = bend(path, 20, np.pi / 2, 30)
-    turned = len(path) - len(end)
+    bend_points = len(path) - len(end)
     path = straight(path, (stations[-1] - stations)[-2::-1])
-    return swept(path, [*radii, *[radii[-1]] * turned, *radii[-2::-1]], round_section())
+    return swept(path, [*radii, *[radii[-1]] * bend_points, *radii[-2::-1]], round_section())
 
 
 def cotter(long_leg: float = 52.0, short_leg: float = 44.0) -> Manifold:
@@ -165,8 +165,8 @@ def cotter(long_leg: float = 52.0, short_leg: float = 44.0) -> Manifold:
 def hook() -> Manifold:
     """Return a J hook in the xz plane: shank along z, hook towards +x. No symmetry.
 
-    The origin lies in the collar's lower face. Wire and shank both end within the collar, apart from one another. Rings
-    groove the shank: a touch can hardly tell them from a thread's helix.
+    The origin lies in the collar's lower face. Wire and shank both end within the collar, apart from each other. The
+    shank has ring grooves, which a touch can hardly distinguish from a thread.
     """
     wire, core, top, pitch, groove = 4.0, 3.1, 35.0, 2.0, 0.9
     path = straight([(0, 1.5, -np.pi / 2)], [1.5 + 26])
@@ -190,7 +190,7 @@ def mesh_of(solid: Manifold) -> trimesh.Trimesh:
 
 
 def write_all(folder: Path) -> list[Path]:
-    """Write every demo object into `folder` as `NAME.ply` (binary, float32, metres) and return the paths."""
+    """Write every demo object into `folder` as `NAME.ply` (binary, float32, metres), and return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}.ply" for name in BUILDERS]
     for path in paths:
@@ -204,5 +204,5 @@ def _steps(radius: float, angle_rad: float) -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Write the meshes of the demo objects.")
-    parser.add_argument("folder", type=Path, help="where the PLY files go")
+    parser.add_argument("folder", type=Path, help="folder of the PLY files")
     write_all(parser.parse_args().folder)

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Damaged and strange inputs for every reader: each must be read rightly or refused in one sentence.
+"""Give damaged inputs to every reader, which must read them correctly or refuse them in one sentence.
 
-Inputs are numbered: a number, the seed and the reader's name make the same input again. A finding is an exception that
-is none of tactile-loc's, a refusal that is no sentence or names no file, more than a minute or 3 GiB, a process that
-dies, or something written elsewhere. OUT/findings/READER-NUMBER holds a finding and its input. OUT/state.json keeps
-what is done: the same command goes on there.
+The reader's name, the seed and a number make the same input again. A finding is an exception other than tactile-loc's
+own, a refusal that is not one sentence or names no file, more than a minute or 3 GiB, a process that dies, or a file
+written elsewhere. OUT/findings/READER-NUMBER holds a finding and its input. OUT/state.json keeps the counts; the same
+command continues from there.
 """
 
 from __future__ import annotations
@@ -21,42 +21,42 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from unittest import mock
 
-from record import OURS, PROGRAM, ROOT, Done, Record, limited, make_parser
+from record import OURS, PROGRAM, ROOT, Done, Record, limit_memory, make_parser
 
-sys.path.append(str(ROOT / "tests"))  # which have helpers that write results
+sys.path.append(str(ROOT / "tests"))  # for the helpers that write results
 
 from fuzzing.readers import READERS
 from fuzzing.trial import READ, REFUSED, SECONDS, Job, Verdict, make_input, read_all
 
-PATIENCE_S = SECONDS + 60  # for a process that does not even hear its alarm
-EXPECTED = (0, 2, 3)  # exit codes of a command: done, refused, something to notice
-COMMAND_BYTES = 12 * 2**30  # of address space; libraries take most of it without using it
+PATIENCE_S = SECONDS + 60  # for a process that ignores its alarm
+EXPECTED = (0, 2)  # exit codes of a command: done, refused
+COMMAND_BYTES = 12 * 2**30  # address space, which libraries reserve without using it
 SPAWN = multiprocessing.get_context("spawn")
 
 
 def fuzz(names: Sequence[str], state: Record, inputs: int, commands: int, out: Path) -> None:
-    """Have readers read the rest of their inputs, in one process, and their commands the first of these."""
+    """Give readers their remaining inputs, in one process, and give the first ones to commands, too."""
     for name in names:
-        _write_whole(name, out)
+        _write_corpus(name, out)
     while jobs := [(name, number) for name in names for number in range(state.of(name)["inputs"], inputs)]:
-        for (name, number), verdict in zip(jobs, _verdicts(jobs, state.seed, out), strict=False):
+        for (name, number), verdict in zip(jobs, _read_inputs(jobs, state.seed, out), strict=False):
             _note(name, number, verdict, "inputs", state, out)
             if number % 100 == 0:
                 state.save()
     for name in (name for name in names if READERS[name].line):
         for number in range(state.of(name)["commands"], commands):
-            _note(name, number, _commanded(name, state.seed, number, out), "commands", state, out)
+            _note(name, number, _run_command(name, state.seed, number, out), "commands", state, out)
             state.save()
     state.save()
 
 
-def findings(counts: Counter[str]) -> dict[str, int]:
-    """Return the findings of a reader by their kinds."""
+def select_findings(counts: Counter[str]) -> dict[str, int]:
+    """Return the number of a reader's findings of each kind."""
     return {kind: n for kind, n in counts.items() if kind not in (READ, REFUSED, "inputs", "commands")}
 
 
-def _write_whole(name: str, out: Path) -> None:
-    """Write, once, a reader's files as they should be."""
+def _write_corpus(name: str, out: Path) -> None:
+    """Write a reader's correct files, unless they exist."""
     folder, making = out / "whole" / name, out / "whole" / f".{name}"
     if not folder.is_dir():
         shutil.rmtree(making, ignore_errors=True)
@@ -65,8 +65,8 @@ def _write_whole(name: str, out: Path) -> None:
         making.rename(folder)
 
 
-def _verdicts(jobs: Sequence[Job], seed: int, out: Path) -> Iterator[Verdict]:
-    """Yield what a process makes of inputs, up to the last or to one that it does not survive."""
+def _read_inputs(jobs: Sequence[Job], seed: int, out: Path) -> Iterator[Verdict]:
+    """Yield the verdicts of one process; it ends with the last input, or with one that kills it."""
     whole: list[Job] = [(name, None) for name in dict.fromkeys(name for name, _ in jobs)]
     with tempfile.TemporaryDirectory() as sandbox:
         hear, say = SPAWN.Pipe(duplex=False)
@@ -87,29 +87,29 @@ def _verdicts(jobs: Sequence[Job], seed: int, out: Path) -> Iterator[Verdict]:
                 yield verdict
             elif verdict[0] not in (READ, REFUSED):
                 process.kill()
-                sys.exit(f"{name} does not read what is as it should be: {verdict}")
+                sys.exit(f"{name} does not read its correct files: {verdict}")
             if verdict[0].startswith("dies"):
                 return
         process.join()
 
 
-def _commanded(name: str, seed: int, number: int, out: Path) -> Verdict:
-    """Return what the command line makes of an input."""
+def _run_command(name: str, seed: int, number: int, out: Path) -> Verdict:
+    """Return the verdict of the command line on an input."""
     with tempfile.TemporaryDirectory() as sandbox:
         folder = Path(sandbox, "input")
         make_input(READERS[name], out / "whole" / name, folder, seed, number)
         words = READERS[name].line.replace("FOLDER", str(folder)).replace("STORE", str(out / "store")).split()
-        line = [*limited("-v", COMMAND_BYTES // 1024), *PROGRAM, *words]
+        line = [*limit_memory(COMMAND_BYTES), *PROGRAM, *words]
         try:
             done = subprocess.run(line, cwd=sandbox, env={**os.environ, **OURS}, capture_output=True, text=True,
                                   errors="replace", timeout=PATIENCE_S, check=False)  # fmt: skip
         except subprocess.TimeoutExpired:
             return "command: too long", str(words)
         left = [path.name for path in Path(sandbox).iterdir() if path != folder]
-    return _outcome(Done(done.returncode, done.stdout, done.stderr), left), f"{words}\n{done.stderr}\n{left}"
+    return _judge_command(Done(done.returncode, done.stdout, done.stderr), left), f"{words}\n{done.stderr}\n{left}"
 
 
-def _outcome(done: Done, left: list[str]) -> str:
+def _judge_command(done: Done, left: list[str]) -> str:
     if done.code not in EXPECTED:
         return f"command: exit code {done.code}"
     if done.code == 2 and not done.is_refusal:
@@ -118,7 +118,7 @@ def _outcome(done: Done, left: list[str]) -> str:
 
 
 def _note(name: str, number: int, verdict: Verdict, what: str, state: Record, out: Path) -> None:
-    """Count what became of an input; keep the input of a finding."""
+    """Count the outcome of an input; keep the input of a finding."""
     outcome, details = verdict
     state.of(name).update((what, outcome))
     if outcome in (READ, REFUSED):
@@ -127,24 +127,25 @@ def _note(name: str, number: int, verdict: Verdict, what: str, state: Record, ou
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
         make_input(READERS[name], out / "whole" / name, folder, state.seed, number)
-    told = {"reader": name, "seed": state.seed, "number": number, "outcome": outcome}
-    (folder / "finding.json").write_text(json.dumps(told) + "\n", encoding="utf-8")
+    finding = {"reader": name, "seed": state.seed, "number": number, "outcome": outcome}
+    (folder / "finding.json").write_text(json.dumps(finding) + "\n", encoding="utf-8")
     (folder / "finding.txt").write_text(details, encoding="utf-8")
     print(f"{name} {number}: {outcome}", flush=True)
 
 
 def main(words: list[str] | None = None) -> int:
-    """Fuzz the readers that are asked for; return 1 if there are findings."""
-    numbers = {"inputs": (2000, "inputs a reader"), "commands": (5, "of these through the command line")}
+    """Fuzz the chosen readers; return 1 if there are findings."""
+    numbers = {"inputs": (2000, "inputs of each reader"), "commands": (5, "inputs of each command")}
     given = make_parser(__doc__, "reader", READERS, "fuzz", **numbers).parse_args(words)
     state = Record.open(given.out / "state.json", given.seed)
-    for name in given.names:
+    names = given.names or list(READERS)
+    for name in names:
         fuzz([name], state, given.inputs, given.commands, given.out)
         counts = state.of(name)
-        said = f"{counts['inputs']:6d} inputs, {counts['commands']:3d} commands: {counts[READ]} read"
-        found = findings(counts)
-        print(f"{name:16s} {said}, {counts[REFUSED]} refused, {sum(found.values())} findings {found or ''}", flush=True)
-    return int(any(findings(state.of(name)) for name in given.names))
+        line = f"{counts['inputs']:6d} inputs, {counts['commands']:3d} commands: {counts[READ]} read"
+        found = select_findings(counts)
+        print(f"{name:16s} {line}, {counts[REFUSED]} refused, {sum(found.values())} findings {found or ''}", flush=True)
+    return int(any(select_findings(state.of(name)) for name in names))
 
 
 if __name__ == "__main__":

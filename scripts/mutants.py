@@ -1,7 +1,7 @@
-"""What is mutated, which tests judge it, and which mutants count.
+"""The targets of mutation, their tests, and the mutants that count.
 
-Not counted are mutants of annotations, of texts, of what is raised or logged, of what only a type checker reads, and of
-bits. The tests mirror the files and are quick; they are not the whole suite.
+Mutants of annotations, texts, raised errors, log lines, code for type checkers, and bits do not count. The tests are
+the quick ones that mirror the files, not the whole suite.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Any
 
 NOUNS, CURVED = "tests/test_nouns.py", "tests/core/sensing/test_curved_contact.py"
 STORE = ("artifact", "files", "keys", "line_files", "store", "workspace")
-SLOW = "imprint or first_use or dense or sizes"  # without a compiler, or of renderers and sensors
-PROCESSES = "any_step or two_processes or killed_build"  # several, started one after the other
+SLOW = "imprint or first_use or dense or sizes"  # tests that are slow without a compiler
+PROCESSES = "any_step or two_processes or killed_build"  # tests that start several processes
 LOGGERS = {"log", "logger", "logging", "warnings"}
-BITS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift")  # of floats: a TypeError, which any test would notice
+BITS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift")  # with floats these raise a TypeError, which any test notices
 
 Mutation = Any  # cosmic-ray's MutationSpec: operator_name, occurrence, start_pos and end_pos
 Place = tuple[int, int]  # line, from 1, and character of the line, from 0
@@ -26,33 +26,33 @@ Span = tuple[Place, Place]  # a part of a file, from its start to before its end
 
 @dataclass(frozen=True)
 class Target:
-    """Files of tactile_loc that are mutated together, and the tests that judge them: files and options of pytest."""
+    """Files of tactile_loc that are mutated together, and the files and options of pytest that judge them."""
 
     name: str
     files: tuple[str, ...]
     tests: tuple[str, ...]
 
 
-def _mirrored(name: str, *files: str, more: tuple[str, ...] = ()) -> Target:
-    """Files without their suffix, the tests that mirror them, and more tests or options."""
+def _mirror(name: str, *files: str, more: tuple[str, ...] = ()) -> Target:
+    """Return a target of files, given without suffix, with the tests that mirror them and `more` words."""
     tests = (f"tests/{folder}/test_{stem}.py" for folder, _, stem in (file.rpartition("/") for file in files))
     return Target(name, tuple(f"{file}.py" for file in files), (*tests, NOUNS, *more))
 
 
 TARGETS = (
-    _mirrored("geometry", "core/geometry/rigid"),
-    _mirrored("contact", "core/sensing/contact", more=(CURVED, "-k", f"not ({SLOW})")),
-    _mirrored("poses", "core/poses/metric"),
-    _mirrored("posterior", "core/poses/posterior"),
+    _mirror("geometry", "core/geometry/rigid"),
+    _mirror("contact", "core/sensing/contact", more=(CURVED, "-k", f"not ({SLOW})")),
+    _mirror("poses", "core/poses/metric"),
+    _mirror("posterior", "core/poses/posterior"),
     Target("fusing", ("core/slots/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
            ("tests/core/slots/test_common_poses.py", "tests/plugins/fusers", NOUNS)),
-    _mirrored("covariance", "core/objects/mesh", "core/geometry/hand_eye", "tasks/pose_filter"),
-    _mirrored("store", *(f"store/{name}" for name in STORE), more=("-k", f"not ({PROCESSES})")),
+    _mirror("covariance", "core/objects/mesh", "core/geometry/hand_eye", "tasks/pose_filter"),
+    _mirror("store", *(f"store/{name}" for name in STORE), more=("-k", f"not ({PROCESSES})")),
 )  # fmt: skip
 
 
 def counts(mutation: Mutation, spans: list[Span]) -> bool:
-    """Tell whether a mutant counts, given the parts of its file that `uncounted` found."""
+    """Whether a mutant counts, given the parts of its file that `find_uncounted` returned."""
     kind, _, change = mutation.operator_name.rpartition("/")[2].partition("_")
     before, _, after = change.partition("_")
     mixes_bits = kind == "ReplaceBinaryOperator" and (before in BITS) != (after in BITS)
@@ -60,18 +60,18 @@ def counts(mutation: Mutation, spans: list[Span]) -> bool:
 
 
 def sample(mutations: list[tuple[str, Mutation]], count: int, seed: int) -> list[int]:
-    """Draw the places of `count` mutants, each with its file's name: the same ones again from the same sources."""
+    """Return the indices of `count` drawn mutants; each mutant has its file's name. Their order does not matter."""
     names = [(file, mutation.operator_name, mutation.occurrence) for file, mutation in mutations]
     return Random(seed).sample(sorted(range(len(names)), key=names.__getitem__), min(count, len(names)))
 
 
-def uncounted(source: str) -> list[Span]:
-    """Return the parts of a file whose mutants do not count."""
+def find_uncounted(source: str) -> list[Span]:
+    """Return the parts of a file where mutants do not count."""
     lines = source.splitlines()
-    return [_span(part, lines) for node in ast.walk(ast.parse(source)) for part in _uncounted_parts(node)]
+    return [_find_span(part, lines) for node in ast.walk(ast.parse(source)) for part in _find_uncounted(node)]
 
 
-def _uncounted_parts(node: ast.AST) -> Iterator[ast.AST]:
+def _find_uncounted(node: ast.AST) -> Iterator[ast.AST]:
     if isinstance(node, ast.FunctionDef):
         yield from (d for d in node.decorator_list if "njit" in ast.unparse(d))
         if node.returns is not None:
@@ -79,7 +79,7 @@ def _uncounted_parts(node: ast.AST) -> Iterator[ast.AST]:
     elif isinstance(node, (ast.arg, ast.AnnAssign)) and node.annotation is not None:
         yield node.annotation
     elif isinstance(node, ast.ExceptHandler) and node.type is not None:
-        yield from (part for part in ast.walk(node.type) if isinstance(part, ast.Attribute))  # cosmic-ray wants names
+        yield from (part for part in ast.walk(node.type) if isinstance(part, ast.Attribute))  # not a name
     elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
         yield node.exc
     elif _is_text(node) or _is_log(node) or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
@@ -94,8 +94,8 @@ def _is_log(node: ast.AST) -> bool:
     return isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[0] in LOGGERS
 
 
-def _span(node: ast.AST, lines: list[str]) -> Span:
-    """Where a node is: Python counts a line's bytes, cosmic-ray its characters; a decorator is the whole line."""
+def _find_span(node: ast.AST, lines: list[str]) -> Span:
+    """Return the place of a node. Python counts bytes, cosmic-ray characters. A decorator is a whole line."""
     if lines[node.lineno - 1].startswith("@"):
         return (node.lineno, 0), (node.end_lineno + 1, 0)
     start, end = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)

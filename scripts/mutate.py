@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Mutants of the numerical core: code changed in one place, which a test should notice.
+"""Change the numerical core in one place at a time, and check that a test notices each mutant.
 
-A seed draws the same sample of cosmic-ray's mutants of each target. cosmic-ray judges them by the target's own tests,
-in a copy of the project whose kernels run uncompiled. Survivors are shown as diffs. OUT/TARGET-SEED.sqlite keeps a
-session, which `cr-report` and `cr-html` read: the same command goes on there. It begins anew when the target's files,
-their tests or the number of mutants are others.
+The seed draws a sample of cosmic-ray's mutants of each target. cosmic-ray runs the target's own tests on them, in a
+copy of the project whose kernels run uncompiled. Survivors are shown as diffs. OUT/TARGET-SEED.sqlite keeps a session
+for `cr-report` and `cr-html`; the same command continues from there. It begins anew after a change of the target's
+files, their tests or the number of mutants.
 """
 
 from __future__ import annotations
@@ -26,36 +26,26 @@ from cosmic_ray.config import ConfigDict
 from cosmic_ray.tools.report import report
 from cosmic_ray.work_db import WorkDB, use_db
 from cosmic_ray.work_item import TestOutcome, WorkerOutcome
-from mutants import TARGETS, Target, counts, sample, uncounted
-from record import ONE_THREAD, ROOT, limited, make_parser
+from mutants import TARGETS, Target, counts, find_uncounted, sample
+from record import ONE_THREAD, ROOT, limit_memory, make_parser
 
 PACKAGE = Path("tactile_loc")
 COPIED = ("tactile_loc", "cli", "tests", "scripts", "pyproject.toml")
-LEAST_S, PATIENCE = 60.0, 5.0  # seconds that a trial may take, or times as long as without a mutant
-MEMORY_BYTES = 16 * 2**30  # of address space
+LEAST_S, PATIENCE = 60.0, 5.0  # limit of a trial: seconds, and times the duration without a mutant
+MEMORY_BYTES = 16 * 2**30  # address space
 SETTINGS = {"NUMBA_DISABLE_JIT": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
 
 
-def command(target: Target) -> list[str]:
-    """Return the command that runs a target's tests until one fails, with a limit of memory."""
-    return [
-        *limited("-v", MEMORY_BYTES // 1024),
-        sys.executable,
-        "-B",
-        "-m",
-        "pytest",
-        "-x",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        *target.tests,
-    ]
+def make_command(target: Target) -> list[str]:
+    """Return the command that runs a target's tests until one fails."""
+    options = "-B -m pytest -x -q -p no:cacheprovider"
+    return [*limit_memory(MEMORY_BYTES), sys.executable, *options.split(), *target.tests]
 
 
-def begin(db: WorkDB, target: Target, count: int, seed: int) -> None:
+def draw_mutants(db: WorkDB, target: Target, count: int, seed: int) -> None:
     """Fill an empty session with a sample of a target's mutants."""
     init([PACKAGE / file for file in target.files], db, {})
-    spans = {PACKAGE / file: uncounted((PACKAGE / file).read_text()) for file in target.files}
+    spans = {PACKAGE / file: find_uncounted((PACKAGE / file).read_text()) for file in target.files}
     mutants = [(item.mutations[0], item) for item in db.work_items]
     mutants = [(one, item) for one, item in mutants if counts(one, spans[one.module_path])]
     chosen = sample([(one.module_path.as_posix(), one) for one, _ in mutants], count, seed)
@@ -63,17 +53,17 @@ def begin(db: WorkDB, target: Target, count: int, seed: int) -> None:
     db.add_work_items([mutants[k][1] for k in chosen])
 
 
-def pursue(db: WorkDB, target: Target) -> None:
-    """Judge the rest of a session. Raises SystemExit when its tests fail without a mutant, or cannot run."""
+def judge_mutants(db: WorkDB, target: Target) -> None:
+    """Judge the remaining mutants of a session. Raises SystemExit when the tests fail without a mutant."""
     if not (pending := len(list(db.pending_work_items))):
         return
     start = time.monotonic()
-    done = subprocess.run(command(target), capture_output=True, text=True, check=False)
+    done = subprocess.run(make_command(target), capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"the tests of {target.name} fail without a mutant:\n{done.stdout}{done.stderr}")
     print(f"{target.name}: {pending} mutants to judge", file=sys.stderr)
     seconds = max(LEAST_S, PATIENCE * (time.monotonic() - start))
-    settings = {"test-command": shlex.join(command(target)), "timeout": seconds, "distributor": {"name": "local"}}
+    settings = {"test-command": shlex.join(make_command(target)), "timeout": seconds, "distributor": {"name": "local"}}
     execute(db, ConfigDict(settings))
     print(f"{target.name}: judged in {time.monotonic() - start:.0f} s", file=sys.stderr)
     for _, result in db.completed_work_items:
@@ -81,8 +71,8 @@ def pursue(db: WorkDB, target: Target) -> None:
             raise SystemExit(f"a mutant of {target.name} could not be judged:\n{result.output}")
 
 
-def session(out: Path, target: Target, count: int, seed: int) -> Path:
-    """Return the file of a session. One of other sources is removed."""
+def prepare_session(out: Path, target: Target, count: int, seed: int) -> Path:
+    """Return the file of a session; delete a session of other sources."""
     tests = [Path(test) for test in target.tests if test.startswith("tests/")]
     files = [file for test in tests for file in ([test] if test.is_file() else sorted(test.glob("*.py")))]
     texts = [path.read_bytes() for path in [*(PACKAGE / file for file in target.files), *files]]
@@ -95,7 +85,7 @@ def session(out: Path, target: Target, count: int, seed: int) -> Path:
 
 
 def mutate(targets: Sequence[Target], count: int, seed: int, out: Path) -> None:
-    """Judge a sample of each target's mutants, show those that survive, and say how many."""
+    """Judge a sample of each target's mutants; show the survivors and their number."""
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, contextlib.chdir(folder):
         paths = os.pathsep.join(str(Path(name).absolute()) for name in (".", "cli", "tests", "scripts"))
@@ -106,21 +96,21 @@ def mutate(targets: Sequence[Target], count: int, seed: int, out: Path) -> None:
             else:
                 shutil.copy(source, source.name)
         for target in targets:
-            path = session(out, target, count, seed)
+            path = prepare_session(out, target, count, seed)
             with use_db(path) as db:
                 if not db.num_work_items:
-                    begin(db, target, count, seed)
-                pursue(db, target)
+                    draw_mutants(db, target, count, seed)
+                judge_mutants(db, target)
             print(f"{target.name}:")
-            report.callback(False, True, False, True, path)  # diffs of survivors, and how many there are
+            report.callback(False, True, False, True, path)  # diffs of survivors, and their number
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Read the command line and judge mutants."""
+    """Judge the mutants of the chosen targets."""
     known = {target.name: target for target in TARGETS}
-    numbers = {"mutants": (100, "of each target")}
+    numbers = {"mutants": (100, "mutants of each target")}
     given = make_parser(__doc__, "target", known, "mutants", **numbers).parse_args(arguments)
-    mutate([known[name] for name in given.names], given.mutants, given.seed, given.out)
+    mutate([known[name] for name in given.names or known], given.mutants, given.seed, given.out)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""The figures of the documentation's text that are computed from results, by page.
+"""The sentences of the documentation whose figures are computed from results, by page.
 
-`{}` stands for a figure. The page decides how many decimals it shows. SETTINGS are figures that come from no table.
+`{}` stands for a figure. The page decides how many decimals it shows. SETTINGS have figures that come from no table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from statistics import geometric_mean, mean, median
 
 from results import Results
@@ -16,7 +17,7 @@ Values = Callable[[Results], Sequence[float]]
 
 DRAWN = ("same mesh", "scanned, 0.05 mm", "scanned, 0.1 mm", "decimated, 0.1 mm", "unseen noise")
 PARTS_APART = ("pin", "damping pin", "cotter")
-EXAMPLES = 15  # of each row of the table of outliers
+EXAMPLES = 15  # in each row of the table of outliers
 ONE_FACE = ("ten refined hypotheses of one", "the most probable pose of these")  # rows of times
 PAPER = (
     ("pin", "best-1", "0.11"), ("damping pin", "best-1", "0.16"), ("head", "best-1", "0.18"),
@@ -30,33 +31,33 @@ def ends(values: Sequence[float]) -> list[float]:
 
 
 def ratios(above: Sequence[float], below: Sequence[float]) -> list[float]:
-    """Return the ratios of numbers one by one."""
+    """Return the ratio of each pair of numbers."""
     return [a / b for a, b in zip(above, below, strict=True)]
 
 
 def beside_the_paper(name: str, line: str) -> Values:
-    """Return what computes a row of normalised medians: of pixels, and of the learned encoder."""
+    """Return a function for a row of normalised medians: of pixels, and of the learned encoder."""
     return lambda r: [r.at("encoders", 1, line, name, encoder)[1] for encoder in ("pixel", "moco")]
 
 
 def presses(column: str, way: int) -> Values:
-    """Return what computes the errors of random (0) or spread (1) presses as multiples of those of all presses."""
+    """Return a function for the errors of random (0) or spread (1) presses, divided by those of all presses."""
     return lambda r: ratios(r.column("few_presses", 1, column)[way::2], r.column("few_presses", 1, "all"))
 
 
 def range_of(run: str, number: int, column: str) -> Values:
-    """Return what computes the least and the greatest number of a column."""
+    """Return a function for the least and the greatest number of a column."""
     return lambda r: ends(r.column(run, number, column))
 
 
 def five_located(r: Results) -> list[float]:
-    """Return the located shares, %: of determined cases with 2, 3 and 5 clean touches, of all with 3 and 5."""
+    """Return shares of located cases, %: solvable ones with 2, 3 and 5 clean touches, all with 3 and 5."""
     cells = [r.at("contacts-clean", 1, touches, "all 14") for touches in "235"]  # such as 80% (114 of 117)
     return [*(100 * hits / of for _, hits, of in cells), cells[1][0], cells[2][0]]
 
 
 def outside(r: Results, column: int, *drawn: str) -> list[float]:
-    """Return the shares within 1 mm of touches that other meshes made, means over the parts, %."""
+    """Return the shares of touches within 1 mm, %, means over the parts, for touches of other meshes."""
     return [mean(r.at("outside", 1, column, part, one)[0] for part in PARTS_APART) for one in drawn]
 
 
@@ -67,16 +68,16 @@ def medians_outside(r: Results, *drawn: str) -> list[float]:
 
 
 def renderer(r: Results, digits: int, place: int) -> list[float]:
-    """Return the range of the heightmap renderer's poses a second (place 0), or of its ratio to OpenGL's (1)."""
+    """Return the range of the heightmap renderer's poses per second (place 0), or of its ratio to OpenGL (1)."""
     table, demo = r["renderers-parts"].table(1), r["renderers"].table(1)
     parts = [table.numbers("heightmap", *row[:2])[place] for row in table.rows]
-    column = demo.place(("poses/s", "x pyrender")[place])
+    column = demo.find_column(("poses/s", "x pyrender")[place])
     found = [*parts, *(float(row[column]) for row in demo.rows if "heightmap" in row)]
     return [round(value, digits) for value in ends(found)]
 
 
 def one_touch(r: Results) -> list[float]:
-    """Return the range of the answers' errors on the seven parts that one touch tells best, mm."""
+    """Return the range of the errors on the seven parts with the smallest ones, mm."""
     return ends(sorted(r.column("single_touch", 1, "chosen"))[:7])
 
 
@@ -87,18 +88,13 @@ def encoded(r: Results, encoder: str, column: str) -> list[float]:
 
 
 def learned(r: Results) -> list[float]:
-    """Return on how many objects the learned encoder is nearer than pixels, of how many, and the mean error ratio."""
+    """Return the number of objects where the learned encoder beats pixels, that of all, and the mean error ratio."""
     found = ratios(encoded(r, "moco", "best-1"), encoded(r, "pixel", "best-1"))
     return [sum(ratio < 1 for ratio in found), len(found), geometric_mean(found)]
 
 
-def learned_over_closest(r: Results) -> list[float]:
-    """Return the last but one and the last ratio of the learned encoder's best of ten to the closest pose."""
-    return sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:]
-
-
 def seven_contacts(r: Results) -> list[float]:
-    """Return contact alone's normalised errors with seven contacts, and how many times nearer best-1 is: ranges."""
+    """Return the ranges of normalised errors of contact alone with seven contacts, and of their ratio to best-1."""
     table = r["evaluate-contacts"].table(1)
     lines = ("kinematic", "best-1")
     alone, best = ([table.numbers("7", *row[:4]) for row in table.rows if row[3] == line] for line in lines)
@@ -111,42 +107,39 @@ def second_contact(r: Results) -> list[float]:
 
 
 def outliers(r: Results, column: str) -> list[tuple[bool, str, int]]:
-    """Return, of each row of the table of outliers, if it has one, what its touches are like, and a column."""
+    """Return for each row of the table of outliers whether it has one, the kind of its touches, and a column."""
     table = r["contacts-outliers"].table(1)
-    touches = [row[1] for row in table.rows]
-    touches = [next(word for word in touches[k::-1] if word) for k in range(len(touches))]
-    place = table.place(column)
+    touches = accumulate((row[1] for row in table.rows), lambda above, cell: cell or above)
+    place = table.find_column(column)
     return [(row[2] != "none", word, int(row[place])) for row, word in zip(table.rows, touches, strict=True)]
 
 
 def wrongly(r: Results) -> list[float]:
-    """Return how often a right touch is named where none is wrong, of how many; and of how many where one is."""
+    """Return the number of named right touches without a wrong one, and the examples without and with one."""
     without, with_one = ([n for one, _, n in outliers(r, "wrongly") if one is which] for which in (False, True))
     if sum(with_one):
-        raise ValueError("a right touch was named beside a wrong one: say how often")
+        raise ValueError("a right touch was named beside a wrong one; change the sentence")
     return [sum(without), EXAMPLES * len(without), EXAMPLES * len(with_one)]
 
 
 def named(r: Results) -> list[float]:
-    """Return how often the wrong touch is named and of how many examples: of clean touches, then of shifted ones."""
+    """Return the number of named wrong touches and of examples, for clean touches, then for shifted ones."""
     counts = [[n for one, touches, n in outliers(r, "named") if one and touches == which] for which in ("clean", "off")]
     return [value for some in counts for value in (sum(some), EXAMPLES * len(some))]
 
 
 def more_touches(r: Results) -> list[float]:
-    """Return the touches needed after the first, chosen and at random, and the shares known within three, %."""
+    """Return the touches needed after the first, chosen and random, and the shares known within three, %."""
     row = "the 12 in most doubt after the first touch"
     cells = {place: r.at("next_touch", 1, place, row) for place in (3, 4, 6, 7)}
     return [cells[4][0] - 1, cells[7][0] - 1, cells[3][2], cells[6][2]]
 
 
 def worse_found(r: Results) -> list[float]:
-    """Return by how much found labels of the last two sets are worse than those by hand, %."""
-    found, hand = (
-        [r.at("found_labels", 2, column, name)[0] for name in ("160 x 120", "FOTS")]
-        for column in ("found on hand", "hand on hand")
-    )
-    return [100 * (ratio - 1) for ratio in ratios(list(found), list(hand))]
+    """Return the excess error of found labels over those by hand, %, for the last two sets."""
+    columns = ("found on hand", "hand on hand")
+    pairs = ([r.at("found_labels", 2, column, name)[0] for column in columns] for name in ("160 x 120", "FOTS"))
+    return [100 * (found / hand - 1) for found, hand in pairs]
 
 
 SETTINGS = {
@@ -238,7 +231,8 @@ QUOTES: dict[str, dict[str, Values]] = {
     "docs/benchmarks/encoders.md": {
         "The learned encoder's best-1 is below that of pixels on {} of {} objects, in geometric mean {} of it": learned,
         "Its ten most probable poses come within {} times the nearest grid pose's error on all objects but the "
-        "ambiguous 00308 ({})": learned_over_closest,
+        "ambiguous 00308 ({})":
+            lambda r: sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:],
         "the learned encoder's first pose is at {} mm in the median over the objects, pixels' at {}":
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),

@@ -1,4 +1,4 @@
-"""What long programs share: arguments, a JSON file of what they have done with a seed, and how commands are run."""
+"""The command line and the record of long programs, and the way they start commands."""
 
 from __future__ import annotations
 
@@ -17,45 +17,31 @@ from tactile_loc.store.files import write_json
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = (sys.executable, "-m", "tactile_loc_cli.main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-PATHS = os.pathsep.join(str(ROOT / name) for name in (".", "cli", "scripts", "tests"))  # tests write results
-OURS = {"PYTHONPATH": PATHS, "TACTILE_LOC_PLUGINS": "", **ONE_THREAD}  # variables of a command
+PATHS = os.pathsep.join(str(ROOT / name) for name in (".", "cli", "scripts", "tests"))  # tests/ has helpers
+OURS = {"PYTHONPATH": PATHS, "TACTILE_LOC_PLUGINS": "", **ONE_THREAD}  # environment of a command
 
 
 def make_parser(about: str | None, what: str, known: Iterable[str], out: str, **numbers: tuple[int, str]) -> Any:
-    """Return a parser of names of `what` to do, by default all that are `known`, of numbers, of a seed and a folder.
-
-    Each number has a default, and a text that says what it is.
-    """
-    known = list(known)
-
-    def name_of(word: str) -> str:
-        if word not in known:
-            raise argparse.ArgumentTypeError(f"there is no {what} {word!r}; there are {', '.join(known)}")
-        return word
-
+    """Return a parser of `names` among those `known`, of `numbers` (default, help), of a seed, and of a folder."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = f"of {', '.join(known)}; all by default"
-    parser.add_argument("names", nargs="*", type=name_of, default=known, metavar=what.upper(), help=names)
+    names = f"{', '.join(known)}; all by default"
+    parser.add_argument("names", nargs="*", choices=list(known), metavar=what.upper(), help=names)
     for name, (number, text) in numbers.items():
-        parser.add_argument(
-            f"--{name.replace('_', '-')}", type=int, default=number, metavar="N", help=f"{text} ({number})"
-        )
-    parser.add_argument("--seed", type=int, default=0, help="another seed draws others (0)")
-    folder = ROOT / "out" / out
-    parser.add_argument(
-        "--out", type=lambda path: Path(path).absolute(), default=folder, help=f"where all is kept (out/{out})"
-    )
+        parser.add_argument(f"--{name}", type=int, default=number, metavar="N", help=f"{text} ({number})")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random draws (0)")
+    folder, text = ROOT / "out" / out, f"folder of the results (out/{out})"
+    parser.add_argument("--out", type=lambda path: Path(path).absolute(), default=folder, help=text)
     return parser
 
 
-def limited(option: str, amount: int) -> tuple[str, ...]:
-    """Return what stands before a command whose processes have a limit, such as ("-v", kilobytes of memory)."""
-    return "bash", "-c", f'ulimit {option} {amount}; exec "$@"', "-"
+def limit_memory(nbytes: int) -> tuple[str, ...]:
+    """Return the words before a command that limit the address space of its processes."""
+    return "bash", "-c", f'ulimit -v {nbytes // 1024}; exec "$@"', "-"
 
 
 @dataclass
 class Record:
-    """Counts by what was tried, and findings. The same command continues from the file."""
+    """Counts of outcomes by name, and findings. The same command continues from the file."""
 
     path: Path
     seed: int
@@ -64,7 +50,7 @@ class Record:
 
     @classmethod
     def open(cls, path: Path, seed: int) -> Record:
-        """Read what was done with this seed; nothing, if the file is of another seed."""
+        """Read the record; return an empty one if the file is missing, or belongs to another seed."""
         try:
             kept = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -74,17 +60,17 @@ class Record:
         return cls(path, seed, counts, kept.get("findings", []))
 
     def of(self, name: str) -> Counter[str]:
-        """Return the counts of what was tried."""
+        """Return the counts of a name."""
         return self.counts.setdefault(name, Counter())
 
     def save(self) -> None:
-        """Write the file, whole. Raises OutputError."""
+        """Write the file. Raises OutputError."""
         write_json(self.path, {"seed": self.seed, "counts": self.counts, "findings": self.findings})
 
 
 @dataclass(frozen=True)
 class Done:
-    """What a command came to: its exit code, minus the signal that killed it, and its output."""
+    """A finished command: its exit code (negative: the signal that killed it), and its output."""
 
     code: int
     out: str
@@ -92,6 +78,6 @@ class Done:
 
     @property
     def is_refusal(self) -> bool:
-        """Whether it ended with one error sentence, warnings aside, and the exit code of bad input."""
+        """Whether it ended with one error line, apart from warnings, and the exit code of bad input."""
         lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
         return self.code == 2 and len(lines) == 1 and lines[0].startswith("error: ") and lines[0].isprintable()

@@ -1,7 +1,7 @@
-"""The tables that benchmarks printed, kept in benchmarks/results/VERSION/RUN.json.
+"""The tables of benchmarks, kept in benchmarks/results/VERSION/RUN.json.
 
-A run is a benchmark with its arguments. It is named after the benchmark, or has a name of its own.
-Runs from before there were such files were taken from a page, their `source`.
+A run is a benchmark with its arguments. Its name is that of the benchmark, or another. Runs that are older than these
+files were copied from a page, their `source`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -21,50 +22,48 @@ NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 @dataclass(frozen=True)
 class Table:
-    """A printed table: the names of its columns, and its rows. An empty first cell repeats the one above."""
+    """A printed table. An empty first cell of a row stands for the one above."""
 
     columns: list[str]
     rows: list[list[str]]
 
     def markdown(self, columns: Sequence[str] = ()) -> str:
-        """Return all columns, or those named, as Markdown. Raises LookupError for an unknown column."""
-        chosen = [self.place(name) for name in columns] or range(len(self.columns))
+        """Return all columns, or the named ones, as Markdown. Raises LookupError for an unknown column."""
+        chosen = [self.find_column(name) for name in columns] or range(len(self.columns))
         first, *others = [f"| {' | '.join(row[k] for k in chosen)} |" for row in (self.columns, *self.rows)]
         return "\n".join([first, "|---" * len(chosen) + "|", *others]) + "\n"
 
     @cached_property
     def filled(self) -> list[list[str]]:
         """The rows, each with its first cell."""
-        rows: list[list[str]] = []
-        for row in self.rows:
-            rows.append([row[0] or (rows[-1][0] if rows else ""), *row[1:]])
-        return rows
+        firsts = accumulate((row[0] for row in self.rows), lambda above, cell: cell or above)
+        return [[first, *row[1:]] for first, row in zip(firsts, self.rows, strict=True)]
 
-    def place(self, column: str | int) -> int:
-        """Return the place of a column, given by name or number. Raises LookupError for an unknown name."""
+    def find_column(self, column: str | int) -> int:
+        """Return the index of a column, given by name or index. Raises LookupError for an unknown name."""
         if isinstance(column, str) and column not in self.columns:
             raise LookupError(f"there is no column {column!r} among {self.columns}")
         return self.columns.index(column) if isinstance(column, str) else column
 
     def numbers(self, column: str | int, *words: str) -> list[float]:
-        """Return the numbers of a cell: of the first row that begins with `words`. Raises LookupError without one."""
+        """Return the numbers of a cell in the first row that begins with `words`. Raises LookupError without one."""
         for row in self.filled:
             if row[: len(words)] == list(words):
-                return [float(number) for number in NUMBER.findall(row[self.place(column)])]
+                return [float(number) for number in NUMBER.findall(row[self.find_column(column)])]
         raise LookupError(f"no row of the table begins with {words}")
 
     def column(self, column: str | int) -> list[float]:
         """Return the first number of each cell of a column that has one. Raises LookupError for an unknown column."""
-        found = [NUMBER.search(row[self.place(column)]) for row in self.rows]
+        found = [NUMBER.search(row[self.find_column(column)]) for row in self.rows]
         return [float(number[0]) for number in found if number]
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What a benchmark printed, where and when. `yardstick_ms` is the median time of a fixed piece of work.
+    """The tables of a run, with its place and time. `yardstick_ms` is the median time of a fixed piece of work.
 
-    `beside` holds the documentation's sentences that tell more of this run than its tables do. The time and the
-    yardstick of a run that was taken from a page are unknown.
+    `beside` holds the documentation's sentences with figures of this run that its tables do not have. The duration and
+    the yardstick of a run that was copied from a page are unknown.
     """
 
     benchmark: str
@@ -92,7 +91,7 @@ class Kept:
         return cls(**{**values, "tables": [Table(**table) for table in values["tables"]]})
 
     def write(self, folder: Path) -> Path:
-        """Write a results file, one line a row of a table, into the folder of its version. Return its path."""
+        """Write a results file, with a line for each row of a table, and return its path."""
         path = folder / self.version / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         text = json.dumps(asdict(self), indent=1, ensure_ascii=False)
@@ -101,17 +100,17 @@ class Kept:
         return path
 
     def table(self, number: int) -> Table:
-        """Return the table of a number, from 1. Raises LookupError where there are fewer."""
+        """Return a table by its number, from 1. Raises LookupError for an unknown number."""
         if not 1 <= number <= len(self.tables):
             raise LookupError(f"{self.name} has {len(self.tables)} tables, and no number {number}")
         return self.tables[number - 1]
 
 
 class Results(dict[str, Kept]):
-    """The runs by name, and their numbers. Raises LookupError for anything unknown."""
+    """The runs by name. Its functions raise LookupError for anything unknown."""
 
     def at(self, run: str, number: int, column: str | int, *words: str) -> list[float]:
-        """Return the numbers of a cell: of the first row that begins with `words`."""
+        """Return the numbers of a cell in the first row that begins with `words`."""
         return self[run].table(number).numbers(column, *words)
 
     def column(self, run: str, number: int, column: str | int) -> list[float]:
@@ -119,36 +118,25 @@ class Results(dict[str, Kept]):
         return self[run].table(number).column(column)
 
 
-def tables(text: str) -> list[Table]:
-    """Return the Markdown tables in a benchmark's output, each row with as many cells as its heading.
-
-    Other lines between rows do not end a table.
-    """
-    found: list[Table] = []
-    before: list[str] = []
-    is_row = False
-    for line in text.splitlines():
-        cells = [cell.strip() for cell in line.strip()[1:-1].split("|")] if line.strip().startswith("|") else []
-        is_rule = bool(cells) and all(re.fullmatch(r":?-+:?", cell) for cell in cells)
-        if is_rule and before:
-            if is_row:  # the line before was the next table's heading
-                found[-1].rows.pop()
-            found.append(Table(before, []))
-        is_row = bool(cells and found and not is_rule)
-        if is_row:
-            count = len(found[-1].columns)
-            found[-1].rows.append((cells + [""] * count)[:count])
-        before = cells
+def find_tables(text: str) -> list[Table]:
+    """Return the Markdown tables of a benchmark's output; other lines between rows do not end a table."""
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("|")]
+    rows = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
+    rules = [k for k, row in enumerate(rows) if k and all(re.fullmatch(r":?-+:?", cell) for cell in row)]
+    found = []
+    for rule, end in zip(rules, [*(k - 1 for k in rules[1:]), len(rows)], strict=False):
+        count = len(rows[rule - 1])
+        found.append(Table(rows[rule - 1], [(row + [""] * count)[:count] for row in rows[rule + 1 : end]]))
     return found
 
 
-def versions(folder: Path = RESULTS) -> list[str]:
-    """Return the versions that have results, the oldest first."""
+def list_versions(folder: Path = RESULTS) -> list[str]:
+    """Return the versions with results, the oldest first."""
     found = [path.name for path in folder.glob("*") if path.is_dir()]
     return sorted(found, key=lambda name: [int(part) for part in re.findall(r"\d+", name)])
 
 
-def latest(folder: Path = RESULTS) -> Results:
+def read_latest(folder: Path = RESULTS) -> Results:
     """Return the newest results of each run."""
-    paths = {path.stem: path for version in versions(folder) for path in sorted((folder / version).glob("*.json"))}
+    paths = {path.stem: path for version in list_versions(folder) for path in sorted((folder / version).glob("*.json"))}
     return Results((name, Kept.read(paths[name])) for name in sorted(paths))

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Lists what a stranger gets with the wheel: builds it, installs it with the pinned versions into a fresh environment, and
+# Lists the packages that the wheel installs: builds it, installs it with the pinned versions into a fresh environment, and
 # writes that environment as a CycloneDX bill of materials. Usage:
 #
 #     scripts/sbom.sh PYTHON OUT.json

@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: warn if the API reference documents a name twice.
+"""Hooks of mkdocs that warn if the API reference documents a name twice.
 
 mkdocs itself warns only if a page links to such a name. Names of the API are the anchors with a dot, as in
 `tactile_loc.Touch`; anchors of headings have none.
@@ -17,12 +17,12 @@ _page_of: dict[str, str] = {}  # the first page that documents a name
 
 
 def on_pre_build(**_: Any) -> None:
-    """Forget the names of the previous build, for `mkdocs serve` builds many times."""
+    """Forget the names of the previous build; `mkdocs serve` builds many times."""
     _page_of.clear()
 
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:
-    """Warn of each name that this page, or a page before it, documents already; members of such a name are left out."""
+    """Warn of each name that was documented before; members of such a name are left out."""
     here, twice = page.file.src_uri, {}
     for name in ANCHOR.findall(output):
         if name in _page_of:

@@ -1,10 +1,10 @@
 #!/bin/sh
-# Tries what a stranger gets: builds the source distribution and from it the wheel, installs the wheel into a fresh
+# Tries the wheel as a user gets it: builds the source distribution and from it the wheel, installs the wheel into a fresh
 # virtual environment outside the source tree, and locates a demo object there. Usage:
 #
 #     scripts/smoke-wheel.sh PYTHON
 #
-# PYTHON has build, setuptools and wheel (the development environment's has); nothing is downloaded to build with.
+# PYTHON must have build, setuptools and wheel, as in the development environment; the build downloads nothing.
 # The wheel's dependencies are those of constraints.txt.
 set -eu
 
@@ -24,7 +24,7 @@ trap 'rm -rf "$place"' EXIT
 trap 'exit 130' INT TERM
 cd "$place"
 
-# From a copy: what an earlier build or an editable installation left in the tree must not slip in.
+# The build uses a copy, without files of an earlier build or an editable installation.
 say "building the wheel"
 mkdir source dist run
 (cd "$tree" && cp -R pyproject.toml README.md LICENSE tactile_loc cli "$place/source")

@@ -1,9 +1,9 @@
 #!/bin/sh
 # Checks what pip cannot install: the shared libraries that open3d and pyrender load, and Python's venv module. On
-# Debian and Ubuntu the missing packages, and no others, are installed if we may; elsewhere they are named.
+# Debian and Ubuntu, it installs the missing packages if it may; elsewhere it lists them.
 #
-# With --tests, instead: the browser that some tests drive. Without one these tests are skipped, so nothing that goes
-# wrong here is an error.
+# With --tests, it installs the browser that some tests need. Without a browser these tests are skipped, so a failure
+# here is no error.
 set -eu
 
 # shared library, Debian package

@@ -1,4 +1,4 @@
-"""Results of benchmarks: what is printed is kept, and what changed is told; times are multiples of a yardstick."""
+"""Printed tables of benchmarks are kept, and changes reported; times are multiples of a yardstick."""
 
 import dataclasses
 import re
@@ -21,11 +21,11 @@ PRINTED = """symmetry found
 
 def kept(version, yardstick_ms=10.0, text=PRINTED):
     return bench.Kept("joint", ["pin"], version, "2026-01-01", 3.0, yardstick_ms, {"processor": "x", "cores": 2}, {},
-                      bench.tables(text))  # fmt: skip
+                      bench.find_tables(text))  # fmt: skip
 
 
 def test_tables_are_found_in_what_is_printed():
-    first, second = bench.tables(PRINTED)
+    first, second = bench.find_tables(PRINTED)
     assert first.columns == ["object", "faces", "median, ms", "error, mm"]
     assert first.rows[1] == ["", "1768", "60, 70", "12 of 15"]
     assert first.filled[1] == ["pin", "1768", "60, 70", "12 of 15"]
@@ -35,29 +35,29 @@ def test_tables_are_found_in_what_is_printed():
 
 
 def test_a_row_has_as_many_cells_as_its_heading():
-    (table,) = bench.tables("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n")
+    (table,) = bench.find_tables("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n")
     assert table.rows == [["1", "2"], ["4", ""]]
     assert table.markdown() == "| a | b |\n|---|---|\n| 1 | 2 |\n| 4 |  |\n"
 
 
 def test_tables_that_touch_are_two():
-    first, second = bench.tables("| a | b |\n|---|---|\n| 1 | 2 |\n| c | d |\n|---|---|\n| 3 | 4 |\n")
+    first, second = bench.find_tables("| a | b |\n|---|---|\n| 1 | 2 |\n| c | d |\n|---|---|\n| 3 | 4 |\n")
     assert (first.rows, second.columns, second.rows) == ([["1", "2"]], ["c", "d"], [["3", "4"]])
 
 
 def test_lines_between_rows_do_not_end_a_table():
     text = "| a |\n|---|\n| 1 |\n  1 touch: pin taken for hook\n| 2 |\n\n| b |\n|---|\n| 3 |\n"
-    assert [table.rows for table in bench.tables(text)] == [[["1"], ["2"]], [["3"]]]
+    assert [table.rows for table in bench.find_tables(text)] == [[["1"], ["2"]], [["3"]]]
 
 
 def test_columns_of_one_name_are_compared_each_with_its_own():
     text = "| object | mean | mean |\n|---|---|---|\n| pin | 1.0 | 2.0 |\n"
-    changes = bench.compared(kept("1", text=text), kept("2", text=text.replace("1.0", "3.0")))
+    changes = bench.find_changes(kept("1", text=text), kept("2", text=text.replace("1.0", "3.0")))
     assert [(c.where, c.ratio) for c in changes] == [("joint: pin, mean", 3.0), ("joint: pin, mean 2", 1.0)]
 
 
 def test_times_are_not_compared_where_the_yardstick_is_not_known():
-    columns = {change.where for change in bench.compared(kept("1", None), kept("2"))}
+    columns = {change.where for change in bench.find_changes(kept("1", None), kept("2"))}
     assert "joint: pin, error, mm" in columns
     assert not any("median, ms" in where for where in columns)
 
@@ -69,11 +69,10 @@ def test_what_is_kept_is_read_again(tmp_path):
 
 
 def test_every_figure_is_compared_with_its_own():
-    changes = {
-        change.where: change for change in bench.compared(kept("1"), kept("2", text=PRINTED.replace("0.10", "0.30")))
-    }
+    found = bench.find_changes(kept("1"), kept("2", text=PRINTED.replace("0.10", "0.30")))
+    changes = {change.where: change for change in found}
     assert changes["joint: pin, error, mm"].ratio == pytest.approx(3)
-    assert [round(c.ratio, 6) for c in bench.compared(kept("1"), kept("2"))] == [1.0] * 13
+    assert [round(c.ratio, 6) for c in bench.find_changes(kept("1"), kept("2"))] == [1.0] * 13
 
 
 @pytest.mark.parametrize(
@@ -82,7 +81,7 @@ def test_every_figure_is_compared_with_its_own():
 def test_a_time_that_grew_by_a_tenth_of_the_yardsticks_fails(tmp_path, capsys, yardstick_ms, printed_ms, fails):
     kept("0.9.0").write(tmp_path)
     kept("0.10.0", yardstick_ms, PRINTED.replace("| 50 |", f"| {printed_ms} |")).write(tmp_path)
-    others = [c for c in bench.compared(kept("1"), kept("2", yardstick_ms)) if c.is_worse]
+    others = [c for c in bench.find_changes(kept("1"), kept("2", yardstick_ms)) if c.is_worse]
     assert bench.compare(tmp_path) == (1 if fails or others else 0)
     said = capsys.readouterr().out
     assert ("WORSE  joint: pin, median, ms:" in said) == bool(fails)
@@ -123,17 +122,17 @@ def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
     script.write_text(f"import sys\nprint({PRINTED!r})\nsys.exit(len(sys.argv) > 2)\n")
     monkeypatch.setattr(bench, "BENCHMARKS", tmp_path)
     result = bench.keep("tiny", [str(script)], tmp_path / "results")
-    assert result.tables == bench.tables(PRINTED)
+    assert result.tables == bench.find_tables(PRINTED)
     assert result.arguments == ["tiny.py"]  # no path of this machine
     assert result.yardstick_ms > 0
     assert bench.Kept.read(next((tmp_path / "results").glob("*/tiny.json"))) == result
-    monkeypatch.setattr(bench, "yardstick_ms", lambda: 10.0)
+    monkeypatch.setattr(bench, "measure_yardstick_ms", lambda: 10.0)
     again = bench.keep("tiny", [], tmp_path / "results", run="tiny-again")
     assert (again.name, again.arguments) == ("tiny-again", [])
     assert bench.keep("tiny", [], tmp_path / "results").arguments == ["tiny.py"]  # as before
     unknown = dataclasses.replace(again, arguments=["FILE[:UNITS]", "..."])
     unknown.write(tmp_path / "results")
-    with pytest.raises(SystemExit, match="with files of one's own; name them: FILE"):
+    with pytest.raises(SystemExit, match="with your own files; name them: FILE"):
         bench.keep("tiny", [], tmp_path / "results", run="tiny-again")
     with pytest.raises(SystemExit, match="nothing is kept"):
         bench.keep("tiny", ["a", "b"], tmp_path / "others")
@@ -146,7 +145,7 @@ def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
 
 
 def test_the_page_is_that_of_what_is_kept():
-    assert bench.PAGE.read_text() == bench.page()
+    assert bench.PAGE.read_text() == bench.format_page()
 
 
 def test_no_path_is_kept():

@@ -1,4 +1,4 @@
-"""Damaged inputs for every reader, a few of what `make fuzz` tries; and what the fuzzer would find."""
+"""A short run of the fuzzer, and tests of its checks."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def test_damaged_inputs_are_read_rightly_or_refused_in_one_sentence(tmp_path, ch
         pytest.importorskip(library)
     state = Record(tmp_path / "state.json", 0)
     fuzz.fuzz(chosen, state, inputs, 0, tmp_path)
-    assert {name: found for name in chosen if (found := fuzz.findings(state.of(name)))} == {}
+    assert {name: found for name in chosen if (found := fuzz.select_findings(state.of(name)))} == {}
     assert all(sum(state.of(name)[outcome] for outcome in (trial.READ, trial.REFUSED)) == inputs for name in chosen)
     assert sum(state.of(name)[trial.READ] for name in chosen) > 0.05 * inputs * len(chosen)
 
 
 @pytest.fixture
 def judge(tmp_path):
-    """Judge a reader that does something with a folder of one file."""
+    """Return a function that judges a reader of a folder with one file."""
 
     def judged(read, names_file=True):
         folder = tmp_path / "sandbox" / "input"
         folder.mkdir(parents=True)
         (folder / "part.toml").write_text("a = 1\n")
-        return trial.judged(Reader("broken", lambda _: None, read, names_file=names_file), folder)
+        return trial.judge(Reader("broken", lambda _: None, read, names_file=names_file), folder)
 
     return judged
 
@@ -94,11 +94,11 @@ def test_a_process_that_dies_is_a_finding_and_the_next_input_follows(tmp_path, m
             return
         yield from ((trial.READ, "") for _ in jobs)
 
-    monkeypatch.setattr(fuzz, "_verdicts", verdicts)
+    monkeypatch.setattr(fuzz, "_read_inputs", verdicts)
     state = Record(tmp_path / "state.json", 3)
     fuzz.fuzz(["mount"], state, 5, 0, tmp_path)
     assert state.of("mount") == {"inputs": 5, "dies (-9)": 1, trial.READ: 4}
-    assert fuzz.findings(state.of("mount")) == {"dies (-9)": 1}
+    assert fuzz.select_findings(state.of("mount")) == {"dies (-9)": 1}
     told = json.loads((tmp_path / "findings" / "mount-0" / "finding.json").read_text())
     assert told == {"reader": "mount", "seed": 3, "number": 0, "outcome": "dies (-9)"}
     assert Record.open(tmp_path / "state.json", 3) == state, "it goes on there"

@@ -1,4 +1,4 @@
-"""A command killed and begun again, a little of what `make kill` does; and what the killer would find."""
+"""A short run of the killer, and tests of its checks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from killing import remains
 from killing.commands import FLAT, Life, Moment, Place
-from killing.trials import Plan, Trials, kill
+from killing.trials import Plan, Trials, run_trials
 from record import Done, Record
 
 from tactile_loc.store.files import replace_file
@@ -22,7 +22,7 @@ KEY = StageKey("bank", 1, {"mesh": "a"})
 def place(tmp_path) -> Place:
     """A place with something finished in it, and an interrupted build."""
     (tmp_path / "inputs").mkdir()
-    here = Place(tmp_path / "place").make(tmp_path / "inputs")
+    here = Place(tmp_path / "place").reset(tmp_path / "inputs")
     StageStore(here.store).build(KEY, lambda work: work.save_json("numbers", [1, 2]))
     with pytest.raises(KeyboardInterrupt):
         StageStore(here.store).build(StageKey("grid", 1, {}), interrupted)
@@ -40,16 +40,16 @@ def test_a_build_is_killed_and_begun_again(tmp_path):
     (tmp_path / "inputs").mkdir()
     (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
     plan = Plan(tmp_path, tmp_path / "inputs", Record(tmp_path / "record.json", 0), ["build"], {"kill": 1})
-    killed = sum(kill(plan))
+    killed = sum(run_trials(plan, "kill"))
     assert killed == Trials(plan, "kill", "build").counts["killed"] >= 1
     assert plan.record.findings == []
-    assert len(plan.calm("build").answer) > 10
-    assert list(kill(plan)) == [killed], "nothing is left to do"
+    assert len(plan.run_calm("build").answer) > 10
+    assert list(run_trials(plan, "kill")) == [killed], "nothing is left to do"
 
 
 def test_what_is_whole_is_no_finding(place):
-    assert remains.broken(place, ended=True) == []
-    assert {word.split()[0] for word in remains.finished(place)} == {"artifact", "piece", "line"}
+    assert remains.find_broken(place, ended=True) == []
+    assert {word.split()[0] for word in remains.list_finished(place)} == {"artifact", "piece", "line"}
 
 
 @pytest.mark.parametrize(
@@ -65,40 +65,40 @@ def test_what_is_whole_is_no_finding(place):
 )
 def test_what_is_broken_is_found(place, path, content, found):
     (place.root / path).write_bytes(content)
-    (said,) = remains.broken(place, ended=True)
+    (said,) = remains.find_broken(place, ended=True)
     assert found in said
 
 
 def test_what_was_finished_and_is_gone_is_lost_unless_something_was_made_of_it(place):
-    before = remains.finished(place)
+    before = remains.list_finished(place)
     StageStore(place.store).build(StageKey("grid", 1, {}), lambda work: work.save_json("whole", 2))
-    assert remains.lost(before, remains.finished(place), place) == []
+    assert remains.find_lost(before, remains.list_finished(place), place) == []
     StageStore(place.store).remove(KEY.digest)
     StageStore(place.store).build(KEY, lambda work: work.save_json("numbers", [1, 2]))
     (place.work / "found.jsonl").write_text('{"name": "b"}\n')
-    lost = remains.lost(before, remains.finished(place), place)
+    lost = remains.find_lost(before, remains.list_finished(place), place)
     assert [word.split()[0] for word in lost] == ["artifact", "line", "line"]
 
 
 def test_what_is_left_beside_is_told(place):
-    assert remains.leftovers(place) == ["HEX.partial"]
+    assert remains.list_leftovers(place) == ["HEX.partial"]
     with replace_file(place.work / "a.txt") as temporary:
         temporary.touch()
         (place.temporary / "tmpabc").mkdir()
-        assert remains.leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]
+        assert remains.list_leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]
 
 
 def test_the_answer_is_without_what_depends_on_the_clock(place):
-    before = remains.answer(place)
+    before = remains.digest_answer(place)
     for text, same in (('{"name": "a", "seconds": 2}\n{"name": "b"}\n', True), ('{"name": "b"}\n', False)):
         (place.work / "found.jsonl").write_text(text)
-        assert (remains.answer(place) == before) == same
+        assert (remains.digest_answer(place) == before) == same
 
 
 def test_moments_are_drawn_from_the_seed_and_after_work_has_begun():
     life = Life(1.0, 3.0, 40)
-    moments = [Moment.drawn(life, np.random.default_rng([1, n])) for n in range(50)]
-    assert moments == [Moment.drawn(life, np.random.default_rng([1, n])) for n in range(50)]
+    moments = [Moment.draw(life, np.random.default_rng([1, n])) for n in range(50)]
+    assert moments == [Moment.draw(life, np.random.default_rng([1, n])) for n in range(50)]
     assert all(0.8 <= m.seconds <= 3.0 if m.changes == 0 else 1 <= m.changes <= 40 for m in moments)
 
 

@@ -1,13 +1,14 @@
-"""What is done again and again: growth, open files and changed answers are told; a short run of the real thing."""
+"""The soak reports growth, open files and changed answers; and a short run of it."""
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 
 import pytest
 import soak
-from soak import Held, Soaked, soaked
+from soak import Held, Soaked
 
 WARM = Held(1_000_000, 10)
 
@@ -29,11 +30,12 @@ def test_memory_that_is_kept_and_files_that_stay_open_are_seen(tmp_path, monkeyp
     kept: list[object] = []
     monkeypatch.setattr(Held, "now", lambda: Held(10**6 + 1000 * len(kept), len(os.listdir("/proc/self/fd"))))
 
-    def leak(number: int) -> bool:
-        kept.append((tmp_path / f"{number}").open("w"))
-        return number % 2 == 1
+    def leak():
+        for number in itertools.count():
+            kept.append((tmp_path / f"{number}").open("w"))
+            yield number % 2 == 1
 
-    found = soaked("leaks", 60, leak)
+    found = soak.soak("leaks", 60, leak())
     assert found.growth > soak.MOST_GROWTH
     assert found.end.files - found.warm.files == 54, "of the last nine tenths"
     assert found.changed == 30

@@ -1,1 +1,1 @@
-"""The fuzzer of every reader: what is damaged, how, who reads it, and what counts as a finding."""
+"""The fuzzer of every reader: correct files, damage to them, readers, and findings."""

@@ -1,10 +1,9 @@
-"""Files that are as they should be, from which inputs are made by damage. Texts lie in the folder `whole`."""
+"""Correct files, which are then damaged. The folder `whole` has the texts."""
 
 from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -62,13 +61,13 @@ def touches(folder: Path) -> None:
 
 
 def touch_list(folder: Path) -> None:
-    """Write a list of touches, and all that it names."""
+    """Write a list of touches, and the files that it names."""
     touches(folder)
     texts("touches mount", folder)
 
 
 def calibration(folder: Path) -> None:
-    """Write a calibrated sensor that has learned nothing, and images for it to read."""
+    """Write an untrained calibrated sensor, and images for it."""
     write_calibrated(folder / "sensor")
     image = np.array(Image.open(folder / "sensor" / "background.png"))
     image[20:30, 20:30] += 9
@@ -98,14 +97,14 @@ def weights(folder: Path) -> None:
 
 
 def make_stage(work: Workspace) -> None:
-    """Build an artifact of each kind of file."""
+    """Write one of each kind of file into an artifact."""
     work.save_array("mapped", np.arange(30.0))
     work.save_array("packed", np.arange(40), packed=True)
     work.save_json("sizes", [3, 4])
 
 
 def artifact(folder: Path) -> None:
-    """Write a store that holds one artifact, of each kind of file."""
+    """Write a store with one artifact that has each kind of file."""
     StageStore(folder).build(STAGE, make_stage)
 
 
@@ -123,13 +122,12 @@ def result(folder: Path) -> None:
 
 def sweep(folder: Path) -> None:
     """Write the table of a sweep."""
-
-    def configured(row: dict[str, Any]) -> dict[str, Any]:
+    rows = list(sweep_rows())
+    for row in rows:
         grid = {"name": "face", "spacing_mm": row["grid.spacing_mm"]}
         config = RunConfig.from_dict({"object": {"path": row["object"]}, "grid": grid, "refiner": row["refiner"]})
-        return {**row, "configuration": config.model_dump(mode="json")}
-
-    write_sweep(folder, [configured(row) for row in sweep_rows()])
+        row["configuration"] = config.model_dump(mode="json")
+    write_sweep(folder, rows)
 
 
 def mcap(folder: Path) -> None:
@@ -159,6 +157,6 @@ def video(folder: Path) -> None:
 
 
 def public_sets(folder: Path) -> None:
-    """Write presses in each of the public formats that are converted."""
+    """Write presses in each public format."""
     for kind, write in PUBLIC_SETS.items():
         write(folder / kind, IMAGES, IMAGES[0])

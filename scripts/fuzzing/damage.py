@@ -1,4 +1,4 @@
-"""Damage to files: bytes changed anywhere, lengths that lie, names that lead elsewhere, and unexpected values."""
+"""Damage to files: changed bytes, false lengths, names that lead elsewhere, and unexpected values."""
 
 from __future__ import annotations
 
@@ -42,37 +42,46 @@ OTHERS = [None, True, False, [], {}, [[]], [None], [0] * 1000, [[0.0] * 4] * 4, 
 DTYPES = [
     "f2", "f4", "f8", ">f8", "i1", "i8", "u1", "u2", ">u2", "u8", "?", "c16", "U8", "S8", "M8[s]", "m8[s]", "O", "V4",
 ]  # fmt: skip
-LYING_DTYPES = ["<f8", "<f4", "|u1", "<u2", "|O", "<c16", "<M8[s]", "|V0", "<U0", "|S4000000"]
-LYING_SHAPES = [
+FALSE_DTYPES = ["<f8", "<f4", "|u1", "<u2", "|O", "<c16", "<M8[s]", "|V0", "<U0", "|S4000000"]
+FALSE_SHAPES = [
     (10**9,), (10**5, 10**5), (2**31, 2**31), (2**62, 8), (0, 10**9), (1,) * 40, (3,), (30_000, 30_000), (),
 ]  # fmt: skip
-BLOCK, BLOCKS = 2**26, 32  # zeros: 64 MiB at a time, 2 GiB in all
-
-Change = Callable[[bytes, Random], bytes]
+BLOCK, BLOCKS = 2**26, 32  # zeros: bytes of a block, and number of blocks
 
 
-def damaged(name: str, content: bytes, other: bytes, draw: Random) -> bytes:
-    """Return the damaged content of a file of that name; parts of `other` may be taken."""
-    structured = STRUCTURED.get(name.rpartition(".")[2].lower())
-    if structured is not None and draw.random() < 0.5:
-        return structured(content, draw)
+def damage(name: str, content: bytes, other: bytes, draw: Random) -> bytes:
+    """Return the damaged content of a file; it may contain parts of `other`. The suffix of `name` sets the format."""
+    suffix = name.rpartition(".")[2].lower()
+    if suffix in {"png", "safetensors", *VALUES} and draw.random() < 0.5:
+        return _change_form(suffix, content, draw)
     for _ in range(draw.choice([1, 1, 1, 2, 4, 16])):
-        content = _bytes_changed(content, other, draw)
+        content = _change_bytes(content, other, draw)
     return content
 
 
-def _place(content: bytes, draw: Random) -> int:
-    """Draw a place in a file; the beginning, where lengths stand, as often as all of the rest."""
+def _change_form(suffix: str, content: bytes, draw: Random) -> bytes:
+    """Return content of a valid form with other values."""
+    if suffix == "png":
+        return _change_png(content, draw)
+    if suffix == "safetensors":
+        return _change_safetensors(content, draw)
+    if suffix == "npz" and draw.random() < 0.02:
+        return _make_inflating(next(iter(_arrays(content))))
+    return _change_values(content, *VALUES[suffix], draw)
+
+
+def _draw_place(content: bytes, draw: Random) -> int:
+    """Draw a place in a file, half of the time near the beginning, where lengths are."""
     return draw.randint(0, len(content) if draw.random() < 0.5 else min(len(content), 200))
 
 
-def _bytes_changed(content: bytes, other: bytes, draw: Random) -> bytes:
-    """Return a file with something else in place of one part."""
-    start = _place(content, draw)
+def _change_bytes(content: bytes, other: bytes, draw: Random) -> bytes:
+    """Return the content with one part changed."""
+    start = _draw_place(content, draw)
     end = min(len(content), start + draw.choice([1, 2, 4, 16, 100, 1000]))
     part = content[start:end]
     match draw.choice(("number", "number", "extreme", "extreme", "flip", "cut", "remove", "repeat", "text", "splice")):
-        case "number" if found := list(WRITTEN.finditer(content[:5000])):  # as in the headers of many formats
+        case "number" if found := list(WRITTEN.finditer(content[:5000])):  # as in many headers
             (start, end), part = draw.choice(found).span(), draw.choice(NUMBER_TEXTS)
         case "number" | "extreme":  # 1 to 8 bytes, little or big endian
             part = draw.choice(INTEGERS + FLOATS)[: draw.choice([1, 2, 4, 4, 8])][:: draw.choice([1, 1, -1])]
@@ -89,21 +98,21 @@ def _bytes_changed(content: bytes, other: bytes, draw: Random) -> bytes:
         case "text":
             part = draw.choice(TEXTS) + part
         case "splice":
-            part, end = other[_place(other, draw) :], len(content)
+            part, end = other[_draw_place(other, draw) :], len(content)
     return content[:start] + part + content[end:]
 
 
 # ---- values
 
 
-def strange_tree(tree: Any, draw: Random) -> Any:
-    """Return nested values of which one, anywhere, is another, is missing, is renamed, or stands twice or last."""
+def change_tree(tree: Any, draw: Random) -> Any:
+    """Return nested values after one of them was replaced, removed, renamed, doubled or moved to the end."""
     if not isinstance(tree, (dict, list)) or not tree or draw.random() < 0.08:
-        return _strange_value(tree, draw)
+        return _change_value(tree, draw)
     items = dict(tree if isinstance(tree, dict) else enumerate(tree))
     place, kind = draw.choice(list(items)), draw.random()
     if kind > 0.2:
-        items[place] = strange_tree(items[place], draw)
+        items[place] = change_tree(items[place], draw)
     else:
         value = items[place] if kind < 0.05 else items.pop(place)
         if kind < 0.1:
@@ -111,10 +120,10 @@ def strange_tree(tree: Any, draw: Random) -> Any:
     return items if isinstance(tree, dict) else list(items.values())
 
 
-def _strange_value(value: Any, draw: Random) -> Any:
-    """Return another value: a number, a bad name of a file or something else."""
+def _change_value(value: Any, draw: Random) -> Any:
+    """Return another value: a number, a bad name of a file, or another type."""
     if isinstance(value, np.ndarray):
-        return _strange_array(value, draw)
+        return _change_array(value, draw)
     others = [draw.choice(draw.choice([NUMBERS, NUMBERS, NAMES, OTHERS]))] * 6 + [[value], str(value)]
     if isinstance(value, str):
         others.append(value + draw.choice(NAMES))
@@ -123,16 +132,12 @@ def _strange_value(value: Any, draw: Random) -> Any:
     return draw.choice(others)
 
 
-def _changed(load: Callable[[bytes], Any], dump: Callable[[Any], bytes]) -> Change:
-    """Return what changes the values of a format, once or several times."""
-
-    def change(content: bytes, draw: Random) -> bytes:
-        tree = load(content)
-        for _ in range(draw.choice([1, 1, 2, 4])):
-            tree = strange_tree(tree, draw)
-        return dump(tree)
-
-    return change
+def _change_values(content: bytes, load: Callable[[bytes], Any], dump: Callable[[Any], bytes], draw: Random) -> bytes:
+    """Return the content of a format with one or several changed values."""
+    tree = load(content)
+    for _ in range(draw.choice([1, 1, 2, 4])):
+        tree = change_tree(tree, draw)
+    return dump(tree)
 
 
 def _as_json(tree: Any) -> bytes:
@@ -156,7 +161,7 @@ def _rows(content: bytes) -> list[list[str]]:
 
 
 def _from_yaml(content: bytes) -> Any:
-    from ruamel.yaml import YAML  # which rosbags needs
+    from ruamel.yaml import YAML  # a dependency of rosbags
 
     return YAML(typ="safe").load(content)
 
@@ -164,11 +169,11 @@ def _from_yaml(content: bytes) -> Any:
 # ---- arrays
 
 
-def _strange_array(array: np.ndarray, draw: Random) -> np.ndarray | bytes:
-    """Return an array of another shape or type, or with strange numbers in it, or a file that lies."""
+def _change_array(array: np.ndarray, draw: Random) -> np.ndarray | bytes:
+    """Return an array with another shape, type or extreme numbers, or a file with a false header."""
     kind, flat = draw.random(), array.ravel()
     if kind < 0.15:
-        return _lying_npy(draw)
+        return _make_false_npy(draw)
     if kind < 0.35:
         ends = [array[:1], array[..., :-1], np.concatenate([array, array])] if array.ndim else []
         return draw.choice([array.T, flat, array[None], array[..., None], flat[:0], *ends])
@@ -183,9 +188,9 @@ def _strange_array(array: np.ndarray, draw: Random) -> np.ndarray | bytes:
     return np.full(array.shape, draw.choice(NAMES).replace("\x00", ""))
 
 
-def _lying_npy(draw: Random) -> bytes:
-    """Return an .npy file whose header promises more than it holds, or something strange."""
-    head = _npy_head(draw.choice(LYING_DTYPES), draw.choice(LYING_SHAPES), fortran_order=draw.random() < 0.5)
+def _make_false_npy(draw: Random) -> bytes:
+    """Return an .npy file with a false header."""
+    head = _npy_head(draw.choice(FALSE_DTYPES), draw.choice(FALSE_SHAPES), fortran_order=draw.random() < 0.5)
     return head + bytes(draw.choice([0, 8, 1000]))
 
 
@@ -200,7 +205,7 @@ def _from_npy(content: bytes) -> np.ndarray:
 
 
 def _as_npy(value: Any) -> bytes:
-    """Return the bytes of an .npy file; Python objects are pickled, as numpy does."""
+    """Return an .npy file; numpy pickles Python objects."""
     if isinstance(value, bytes):
         return value
     file = io.BytesIO()
@@ -214,7 +219,7 @@ def _arrays(content: bytes) -> dict[str, np.ndarray]:
 
 
 def _as_npz(tree: Any) -> bytes:
-    """Return an archive of arrays, of no date: the same again."""
+    """Return an archive of arrays, without dates."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         for name, value in (tree if isinstance(tree, dict) else {"value": tree}).items():
@@ -223,15 +228,9 @@ def _as_npz(tree: Any) -> bytes:
     return file.getvalue()
 
 
-def _npz(content: bytes, draw: Random) -> bytes:
-    if draw.random() < 0.02:
-        return _inflating(next(iter(_arrays(content))))
-    return _changed(_arrays, _as_npz)(content, draw)
-
-
 @cache
-def _inflating(name: str) -> bytes:
-    """Return an archive of some MB whose one array is of zeros and far larger."""
+def _make_inflating(name: str) -> bytes:
+    """Return an archive of some MB with one array of zeros of 2 GiB."""
     file, member = io.BytesIO(), zipfile.ZipInfo(f"{name}.npy")
     member.compress_type = zipfile.ZIP_DEFLATED
     with zipfile.ZipFile(file, "w") as archive, archive.open(member, "w", force_zip64=True) as array:
@@ -241,11 +240,11 @@ def _inflating(name: str) -> bytes:
     return file.getvalue()
 
 
-# ---- other formats whose checksums and lengths stay right
+# ---- other formats, with correct checksums and lengths
 
 
-def _png(content: bytes, draw: Random) -> bytes:
-    """Return a picture with another size, depth or kind in its header."""
+def _change_png(content: bytes, draw: Random) -> bytes:
+    """Return a picture whose header has another size, depth or kind."""
     head = bytearray(content[16:29])
     if draw.random() < 0.33:
         head[:8] = struct.pack(">I", draw.choice([9_000, 13_000, 50_000, 2**31 - 1])) * 2
@@ -254,15 +253,18 @@ def _png(content: bytes, draw: Random) -> bytes:
     return content[:16] + head + struct.pack(">I", zlib.crc32(b"IHDR" + head)) + content[33:]
 
 
-def _safetensors(content: bytes, draw: Random) -> bytes:
+def _change_safetensors(content: bytes, draw: Random) -> bytes:
     size = struct.unpack_from("<Q", content)[0]
-    text = _json(content[8 : 8 + size], draw)
+    text = _change_values(content[8 : 8 + size], *VALUES["json"], draw)
     return struct.pack("<Q", len(text)) + text + content[8 + size :]
 
 
-_json = _changed(json.loads, _as_json)
-STRUCTURED: Mapping[str, Change] = {
-    "npy": _changed(_from_npy, _as_npy), "npz": _npz, "png": _png, "safetensors": _safetensors,
-    "json": _json, "gltf": _json, "toml": _changed(lambda content: tomllib.loads(content.decode()), _as_toml),
-    "csv": _changed(_rows, _as_csv), "yaml": _changed(_from_yaml, _as_json),
+def _read_toml(content: bytes) -> Any:
+    return tomllib.loads(content.decode())
+
+
+VALUES: Mapping[str, tuple[Callable[[bytes], Any], Callable[[Any], bytes]]] = {
+    "npy": (_from_npy, _as_npy), "npz": (_arrays, _as_npz), "json": (json.loads, _as_json),
+    "gltf": (json.loads, _as_json), "toml": (_read_toml, _as_toml), "csv": (_rows, _as_csv),
+    "yaml": (_from_yaml, _as_json),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Every reader, what it reads, and what must hold of an accepted input."""
+"""Every reader, its files, and the checks of accepted inputs."""
 
 from __future__ import annotations
 
@@ -45,11 +45,10 @@ NEXT = "next-touch FOLDER/result.json --candidates FOLDER/approaches.toml --out 
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader of a folder's files, and the line of the command that reads them, where there is one.
+    """A reader of a folder's files, and the command `line` that reads them, if any; FOLDER stands for the folder.
 
-    `write` makes the files as they should be. `read` reads them and checks what was accepted. The files that match
-    `fuzzed` are damaged. In the line FOLDER stands for the folder. A refusal names the file if `names_file` is set;
-    components do not know which file asked for them.
+    `write` makes correct files. `read` reads them and checks the outcome. Files that match `fuzzed` are damaged. With
+    `names_file`, a refusal must name a file.
     """
 
     name: str
@@ -64,8 +63,8 @@ class Reader:
         return sorted({path for pattern in self.fuzzed for path in folder.glob(pattern) if path.is_file()})
 
 
-def _every(reads: Iterable[Callable[[], object]]) -> None:
-    """Read one after another, then raise the first refusal."""
+def _read_every(reads: Iterable[Callable[[], object]]) -> None:
+    """Read all, then raise the first refusal."""
     refusals = []
     for read in reads:
         try:
@@ -78,8 +77,8 @@ def _every(reads: Iterable[Callable[[], object]]) -> None:
 
 def _object(folder: Path) -> None:
     mesh = load_object(next(iter(sorted(folder.glob("part.*")))), "mm").mesh
-    assert np.isfinite(mesh.vertices_m).all(), "a surface was accepted that is none"
-    assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices_m), "a surface was accepted that is none"
+    assert np.isfinite(mesh.vertices_m).all(), "a mesh with infinite vertices was accepted"
+    assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices_m), "a mesh with missing vertices was accepted"
 
 
 def _sensor(folder: Path):
@@ -92,15 +91,14 @@ def _touch(name: str, unit: str | None, folder: Path) -> None:
     sensor = _sensor(folder)
     touch = read_touch(folder / name, sensor, unit)
     depth_m, press_m = touch.contact_shape.depth_m, touch.press_depth_m
-    assert depth_m.shape == sensor.geometry.shape, "a touch was accepted whose depths are none"
-    assert press_m > 0, "a touch was accepted whose press is none"
-    assert (depth_m >= 0).all(), "a touch was accepted whose depths are none"
-    assert (depth_m <= np.float32(press_m)).all(), "a touch was accepted that is deeper than its press"
+    assert depth_m.shape == sensor.geometry.shape, "a touch of another size was accepted"
+    assert press_m > 0, "a touch without press depth was accepted"
+    assert ((depth_m >= 0) & (depth_m <= np.float32(press_m))).all(), "a touch outside its press depth was accepted"
     _require_rigid(touch.T_base_sensor, touch.T_sensor_object)
 
 
 def _require_rigid(*poses: np.ndarray | None) -> None:
-    assert all(T is None or (np.isfinite(T).all() and is_rigid(T)) for T in poses), "a pose was accepted that is none"
+    assert all(T is None or (np.isfinite(T).all() and is_rigid(T)) for T in poses), "an invalid pose was accepted"
 
 
 @cache
@@ -110,13 +108,13 @@ def _pin() -> ObjectModel:
 
 def _prior(path: Path) -> None:
     prior = read_prior(path, _pin()).view_from(np.eye(4))
-    assert not np.isnan(prior(np.stack([np.eye(4)] * 3))).any(), "a prior was accepted whose value is no number"
+    assert not np.isnan(prior(np.stack([np.eye(4)] * 3))).any(), "a prior without a value was accepted"
 
 
 def _mount(folder: Path) -> None:
     mount = read_mount(folder / "mount.toml")
     _require_rigid(mount.T_flange_sensor)
-    assert np.isfinite(mount.find_std_at(np.array([0, 0, 0.02]))).all(), "a mount was accepted whose error is no number"
+    assert np.isfinite(mount.find_std_at(np.array([0, 0, 0.02]))).all(), "a mount with an infinite error was accepted"
 
 
 def _configuration(folder: Path) -> None:
@@ -128,12 +126,12 @@ def _configuration(folder: Path) -> None:
 def _presses(folder: Path) -> None:
     presses = read_presses(folder, read_sensor_file(folder / "sensor.toml"))
     for label in (presses.label(number) for number in range(len(presses))):
-        assert np.isfinite(label.slope[label.known]).all(), "a label was accepted whose slopes are no numbers"
+        assert np.isfinite(label.slope[label.known]).all(), "a label with infinite slopes was accepted"
 
 
 def _calibration(folder: Path) -> None:
     sensor = registry().create("sensor", "calibrated", {"path": str(folder / "sensor")})
-    _every(partial(read_touch, folder / f"photo.{suffix}", sensor, "m") for suffix in ("png", "jpg", "npy"))
+    _read_every(partial(read_touch, folder / f"photo.{suffix}", sensor, "m") for suffix in ("png", "jpg", "npy"))
 
 
 def _weights(folder: Path) -> None:
@@ -143,12 +141,12 @@ def _weights(folder: Path) -> None:
 
 
 def _artifact(folder: Path) -> None:
-    """Whatever was damaged, the store returns what was built."""
+    """The store returns the built artifact after any damage."""
     store = StageStore(folder)
     store.entries()
     found = store.build(corpora.STAGE, corpora.make_stage)
-    assert np.array_equal(found.load_array("mapped"), np.arange(30.0)), "a damaged artifact was read"
-    assert np.array_equal(found.load_array("packed"), np.arange(40)), "a damaged artifact was read"
+    for name, values in (("mapped", np.arange(30.0)), ("packed", np.arange(40))):
+        assert np.array_equal(found.load_array(name), values), "a damaged artifact was read"
     assert found.load_json("sizes") == [3, 4], "a damaged artifact was read"
 
 
@@ -171,10 +169,10 @@ def _compared(folder: Path) -> None:
 
 
 def _recording(folder: Path) -> None:
-    """Read every image and transform of a recording; of a damaged one those before the damage."""
+    """Read every image and transform of a recording, up to the damage."""
     recording = Recording(next(iter(sorted(folder.glob("drive*")))))
     recording.read_contents()
-    _every(partial(_image, message) for message in recording.read_messages() if message.topic.type in IMAGE_TYPES)
+    _read_every(partial(_image, message) for message in recording.read_messages() if message.topic.type in IMAGE_TYPES)
     list(recording.read_extras())
     recording.read_frame_tree()
 
@@ -199,7 +197,7 @@ def _touch_reader(suffix: str, unit: str | None) -> Reader:
 
 def _recorded(name: str, write: Callable[[Path], None], recording: str) -> Reader:
     line = f"replay FOLDER/{recording} --object pin --grid face -o grid.spacing_mm=8 --out FOLDER/out/x.mcap"
-    return Reader(name, write, _recording, line, names_file=False)  # a message's refusal names its topic
+    return Reader(name, write, _recording, line, names_file=False)  # it names the topic
 
 
 _ALL = (
@@ -215,7 +213,7 @@ _ALL = (
            f"{RUN} --touch FOLDER/touches.toml", ("*.toml",)),
     Reader("sensor", corpora.sensor, _sensor, f"{RUN} --sensor FOLDER/sensor.toml"),
     Reader("prior", partial(corpora.texts, "gaussian region half-space"),
-           lambda folder: _every(partial(_prior, path) for path in sorted(folder.iterdir())),
+           lambda folder: _read_every(partial(_prior, path) for path in sorted(folder.iterdir())),
            f"{RUN} --prior FOLDER/gaussian.toml"),
     Reader("mount", partial(corpora.texts, "mount"), _mount),
     Reader("configuration", partial(corpora.texts, "run"), _configuration, f"run --config FOLDER/run.toml {KEPT}",
@@ -229,7 +227,7 @@ _ALL = (
            "calibrate FOLDER --sensor FOLDER/sensor.toml --out FOLDER/out -o steps=5",
            ("presses.csv", "sensor.toml", "0000.png", "part.stl")),
     Reader("public-sets", corpora.public_sets,
-           lambda folder: _every(partial(convert, folder / name, folder / "out" / kind, kind, 4.0, 0.1)
+           lambda folder: _read_every(partial(convert, folder / name, folder / "out" / kind, kind, 4.0, 0.1)
                                  for kind, name in SETS.items())),
     Reader("calibration", corpora.calibration, _calibration, f"{RUN} --sensor FOLDER/sensor --touch FOLDER/photo.png"),
     Reader("weights", corpora.weights, _weights),

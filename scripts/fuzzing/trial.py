@@ -1,4 +1,4 @@
-"""Damaged inputs, and what their readers make of them: an answer, a refusal in one sentence, or a finding."""
+"""A damaged input and the verdict of its reader: an answer, a refusal in one sentence, or a finding."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 
-from fuzzing.damage import damaged
+from fuzzing.damage import damage
 from fuzzing.readers import READERS, Reader
 from tactile_loc.core.errors import TactileLocError
 
-Job = tuple[str, int | None]  # a reader, and the number of its input; none: the files as they should be
-Verdict = tuple[str, str]  # READ, REFUSED or the kind of a finding; and the details
+Job = tuple[str, int | None]  # a reader, and the number of its input; None: its correct files
+Verdict = tuple[str, str]  # READ, REFUSED or the kind of a finding, and details
 
 SECONDS = 60
-MOST_BYTES = 3 * 2**30  # of address space, beyond what the libraries take by themselves
-MOST_TAKEN = 2**30  # bytes by which the peak of the memory may grow
-LONGEST = 1600  # letters of a sentence
+MOST_BYTES = 3 * 2**30  # address space beyond that of the libraries
+MOST_TAKEN = 2**30  # growth of the peak of the memory, bytes
+LONGEST = 1600  # sentence, letters
 WRITES = re.compile(r"[wxa+]")
-CACHES = re.compile(r"__pycache__|/dev/null|/matplotlib|\.cache/")  # of what is compiled, not of what is read
+CACHES = re.compile(r"__pycache__|/dev/null|/matplotlib|\.cache/")  # of libraries
 MOVES = {"os.rename": 2, "os.remove": 1, "os.rmdir": 1, "os.mkdir": 2, "os.symlink": 2, "shutil.rmtree": 1}
 READ, REFUSED = "read", "refused"
-written: list[str] = []  # files that were written, moved or removed, since `watch_writes`
+written: list[str] = []  # files written, moved or removed since `watch_writes`
 
 
 class TooLongError(BaseException):
-    """A reader took longer than SECONDS; no `except Exception` may swallow this."""
+    """A reader took longer than SECONDS; `except Exception` must not catch this."""
 
 
 def make_input(reader: Reader, pristine: Path, folder: Path, seed: int, number: int) -> None:
-    """Copy the files of `pristine` to `folder`, one of them damaged, seldom two."""
+    """Copy the files of `pristine` to `folder`, and damage one of them, sometimes two."""
     shutil.copytree(pristine, folder)
     draw, files = Random(f"{seed} {reader.name} {number}"), reader.files(folder)
     for path in draw.sample(files, min(len(files), 2 if draw.random() < 0.1 else 1)):
-        path.write_bytes(damaged(path.name, path.read_bytes(), draw.choice(files).read_bytes(), draw))
+        path.write_bytes(damage(path.name, path.read_bytes(), draw.choice(files).read_bytes(), draw))
 
 
-def judged(reader: Reader, folder: Path) -> Verdict:
-    """Have a reader read a folder, and judge what it does."""
-    outside, peak = _listing(folder), _peak()
+def judge(reader: Reader, folder: Path) -> Verdict:
+    """Give a folder to a reader, and judge the outcome."""
+    outside, peak = _list_beside(folder), _read_peak()
     written.clear()
     signal.signal(signal.SIGALRM, _give_up)
     try:
@@ -55,22 +55,22 @@ def judged(reader: Reader, folder: Path) -> Verdict:
         reader.read(folder)
         verdict = READ, ""
     except TactileLocError as error:
-        verdict = _of_sentence(error, folder, reader.names_file)
-    except (Exception, TooLongError) as error:  # noqa: BLE001 - whatever a reader lets through is a finding
+        verdict = _judge_refusal(error, folder, reader.names_file)
+    except (Exception, TooLongError) as error:  # noqa: BLE001 - any other exception is a finding
         ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "/tactile_loc" in frame.filename]
         where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
         verdict = f"{type(error).__name__}{where}", traceback.format_exc()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-    if _peak() - peak > MOST_TAKEN:
-        verdict = "memory", f"{(_peak() - peak) / 2**30:.2f} GiB more than ever before"
-    strange = _listing(folder) ^ outside
+    if _read_peak() - peak > MOST_TAKEN:
+        verdict = "memory", f"{(_read_peak() - peak) / 2**30:.2f} GiB more than before"
+    strange = _list_beside(folder) ^ outside
     strange |= {path for path in written if not path.startswith(str(folder)) and not CACHES.search(path)}
     return ("writes elsewhere", str(sorted(strange))) if strange else verdict
 
 
-def _of_sentence(error: TactileLocError, folder: Path, names_file: bool) -> Verdict:
-    """Judge a refusal: one sentence that names a file, and not due to memory that was asked for."""
+def _judge_refusal(error: TactileLocError, folder: Path, names_file: bool) -> Verdict:
+    """Judge a refusal, which must be one sentence that names a file, and must not come from a lack of memory."""
     text, cause = str(error), error
     while cause is not None:
         if isinstance(cause, MemoryError):
@@ -83,13 +83,13 @@ def _of_sentence(error: TactileLocError, folder: Path, names_file: bool) -> Verd
     return (REFUSED, text) if says_where else ("says not where", text)
 
 
-def _peak() -> int:
-    """Return the most bytes of memory that this process ever took."""
+def _read_peak() -> int:
+    """Return the peak of the memory of this process, bytes."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _listing(folder: Path) -> set[str]:
-    """Return all that lies beside a folder."""
+def _list_beside(folder: Path) -> set[str]:
+    """Return the paths beside a folder."""
     return {str(path) for path in folder.parent.rglob("*") if folder not in (path, *path.parents)}
 
 
@@ -98,7 +98,7 @@ def _give_up(*_: object) -> None:
 
 
 def watch_writes() -> None:
-    """Note in `written`, from now on, each file that Python opens for writing, moves or removes."""
+    """From now on, add each file that Python opens for writing, moves or removes to `written`."""
 
     def note(event: str, values: tuple[object, ...]) -> None:
         if event == "open" and isinstance(values[0], (str, bytes)):
@@ -106,17 +106,17 @@ def watch_writes() -> None:
             if WRITES.search(mode) if isinstance(mode, str) else isinstance(flags, int) and flags & 3:
                 written.append(os.path.abspath(os.fsdecode(values[0])))
         elif event in MOVES and not any(isinstance(value, int) and value >= 0 for value in values[MOVES[event] :]):
-            written.append(os.path.abspath(str(values[0])))  # a name relative to a folder lies within it
+            written.append(os.path.abspath(str(values[0])))  # a name in an open folder lies within it
 
     sys.addaudithook(note)
 
 
 def read_all(jobs: list[Job], seed: int, whole: Path, folder: Path, said: Connection) -> None:
-    """Read one input after another, each in `folder`, and send the verdicts; the process may die of one.
+    """Read one input after another in `folder`, and send the verdicts.
 
-    Those without damage come first: they import and compile.
+    Correct files come first: they import and compile before the memory is limited.
     """
-    nowhere = os.open(os.devnull, os.O_WRONLY)  # where libraries print to
+    nowhere = os.open(os.devnull, os.O_WRONLY)  # for output of libraries
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
     logging.disable()
@@ -132,5 +132,5 @@ def read_all(jobs: list[Job], seed: int, whole: Path, folder: Path, said: Connec
                 resource.setrlimit(resource.RLIMIT_AS, (taken + MOST_BYTES,) * 2)
                 is_limited = True
             make_input(READERS[name], whole / name, folder, seed, number)
-        said.send(judged(READERS[name], folder))
+        said.send(judge(READERS[name], folder))
         shutil.rmtree(folder)

@@ -1,1 +1,1 @@
-"""The killer of commands: which commands, when they are killed and starved, and what must hold of what they leave."""
+"""Commands that are killed and starved, the trials, and the checks of the files that they leave."""

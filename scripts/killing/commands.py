@@ -1,4 +1,4 @@
-"""The commands that are killed and starved, the places where they run, and the moments at which they are killed."""
+"""The commands that are killed and starved, their folders, and the moments of the kills."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from record import OURS, PROGRAM, Done
 FLAT = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 SMALL = 'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
 GRID = "--sensor flat.toml --grid face -o grid.spacing_mm=8"
-SURE = "-o temperature=0.001"  # no temperature is fitted then
+SURE = "-o temperature=0.001"  # instead of a fitted temperature
 MOCO = "--encoder moco -o encoder.epochs=4 -o encoder.queries=64 -o encoder.batch=32 -o encoder.channels=4"
 COMMANDS = {
     "build": f"build --object pin {GRID}",
@@ -39,13 +40,13 @@ INPUTS = (
 )
 HANGS_S = 900
 GLANCE_S = 0.003  # between two looks at the disk
-AFTER_S = 0.02  # at most, between a change that was seen and the kill
+AFTER_S = 0.02  # at most, between a change and the kill
 GONE_S = 10.0  # at most, until a killed group is gone
 
 
 @dataclass(frozen=True)
 class Life:
-    """An undisturbed run: when its first change is seen, when it ends, and how often the disk changes."""
+    """An undisturbed run: the times of its first change and of its end, and the number of changes on the disk."""
 
     first_s: float
     whole_s: float
@@ -54,94 +55,86 @@ class Life:
 
 @dataclass(frozen=True)
 class Moment:
-    """When to kill: after so many seen changes, and then so many seconds."""
+    """When to kill: after a number of changes on the disk, and then a number of seconds."""
 
     seconds: float
     changes: int = 0
 
     @classmethod
-    def drawn(cls, life: Life, draw: np.random.Generator) -> Moment:
+    def draw(cls, life: Life, generator: np.random.Generator) -> Moment:
         """Draw a moment of a life: half of them by the time, half of them just after a change of the disk."""
-        if draw.random() < 0.5:
-            return cls(float(draw.uniform(0.8 * life.first_s, life.whole_s)))
-        return cls(float(draw.uniform(0, AFTER_S)), 1 + int(life.changes * draw.random() ** 2))
+        if generator.random() < 0.5:
+            return cls(float(generator.uniform(0.8 * life.first_s, life.whole_s)))
+        return cls(float(generator.uniform(0, AFTER_S)), 1 + int(life.changes * generator.random() ** 2))
 
 
 class Place:
-    """Where a command runs: its folder, its store, its temporary files, and the folder of its output."""
+    """The folders of a command: its working folder, its store, its temporary files, and its output."""
 
-    def __init__(self, root: Path, store: Path | None = None, said: Path | None = None) -> None:
-        self.root, self.work, self.temporary = root, root / "work", root / "tmp"
-        self.store, self.said = store or root / "store", said or root
+    def __init__(self, root: Path, store: Path | None = None, output: Path | None = None) -> None:
+        self.root, self.work, self.temporary, self.store = root, root / "work", root / "tmp", store or root / "store"
+        self.out, self.err = (output or root) / "out.txt", (output or root) / "err.txt"
 
-    def make(self, inputs: Path) -> Place:
-        """Make it anew, with nothing but the inputs in it, and return it."""
+    def reset(self, inputs: Path) -> Place:
+        """Delete all files, copy the inputs, and return the place."""
         for folder in (self.work, self.store, self.temporary):
             shutil.rmtree(folder, ignore_errors=True)
-        for folder in (self.root, self.said):
+        for folder in (self.root, self.out.parent):
             folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(inputs, self.work)
         self.temporary.mkdir()
         return self
 
-    def renew_work(self, inputs: Path) -> None:
-        """Make the folder of the command anew, and keep the store."""
-        shutil.rmtree(self.work)
-        shutil.copytree(inputs, self.work)
+    def count_bytes(self) -> int:
+        """Return the number of bytes that the files take on the disk."""
+        return sum(512 * path.lstat().st_blocks for path in self.root.rglob("*") if path.is_file())
 
-    def outputs(self) -> tuple[Path, Path]:
-        """Return the files of the command's output and of its errors."""
-        return self.said / "out.txt", self.said / "err.txt"
-
-    def begin(self, line: str) -> subprocess.Popen[str]:
-        """Start a command in a group of processes of its own."""
+    def start(self, line: str) -> subprocess.Popen[str]:
+        """Start a command in its own group of processes."""
         own = {"TACTILE_LOC_STORE": str(self.store), "TMPDIR": str(self.temporary)}
-        said, complained = self.outputs()
-        with said.open("w") as out, complained.open("w") as err:
+        with self.out.open("w") as out, self.err.open("w") as err:
             return subprocess.Popen(
                 [*PROGRAM, *line.split()], cwd=self.work, env={**os.environ, **OURS, **own},
                 stdout=out, stderr=err, text=True, start_new_session=True,
             )  # fmt: skip
 
-    def ended(self, process: subprocess.Popen[str]) -> Done:
-        """Wait for a command of this place."""
+    def wait_for(self, process: subprocess.Popen[str]) -> Done:
+        """Wait until a command of this place ends."""
         code = process.wait(timeout=HANGS_S)
-        return Done(code, *(path.read_text(encoding="utf-8", errors="replace") for path in self.outputs()))
+        return Done(code, *(path.read_text(encoding="utf-8", errors="replace") for path in (self.out, self.err)))
 
-    def whole(self, line: str) -> Done:
+    def run(self, line: str) -> Done:
         """Run a command to its end."""
-        return self.ended(self.begin(line))
+        return self.wait_for(self.start(line))
 
-    def lived(self, line: str) -> tuple[Done, Life]:
-        """Run a command to its end, and watch it."""
+    def watch(self, line: str) -> tuple[Done, Life]:
+        """Run a command to its end, and watch its files."""
         start_s = time.monotonic()
-        process = self.begin(line)
-        seen = [time.monotonic() - start_s for _ in self._changes(process)]
-        done, whole_s = self.ended(process), time.monotonic() - start_s
+        process = self.start(line)
+        seen = [time.monotonic() - start_s for _ in self._find_changes(process)]
+        done, whole_s = self.wait_for(process), time.monotonic() - start_s
         return done, Life(seen[0] if seen else whole_s, whole_s, len(seen))
 
-    def killed(self, line: str, moment: Moment) -> Done:
-        """Run a command and kill its group of processes at a moment, unless it has ended before."""
-        process = self.begin(line)
+    def run_and_kill(self, line: str, moment: Moment) -> Done:
+        """Run a command and kill its group of processes at a moment, unless it ends before."""
+        process = self.start(line)
         if moment.changes:
-            for number, _ in enumerate(self._changes(process), start=1):
-                if number == moment.changes:
-                    break
+            next(islice(self._find_changes(process), moment.changes - 1, None), None)
         with suppress(subprocess.TimeoutExpired):
             process.wait(timeout=moment.seconds)
-        end_group(process)
-        return self.ended(process)
+        kill_group(process)
+        return self.wait_for(process)
 
-    def _changes(self, process: subprocess.Popen[str]) -> Iterator[None]:
-        """Yield whenever the folders have changed since the last look, as long as the process runs."""
-        before = self._state()
+    def _find_changes(self, process: subprocess.Popen[str]) -> Iterator[None]:
+        """Yield at each change of the files while the process runs."""
+        before = self._list_files()
         while process.poll() is None:
             time.sleep(GLANCE_S)
-            if (state := self._state()) != before:
+            if (state := self._list_files()) != before:
                 before = state
                 yield
 
-    def _state(self) -> set[tuple[str, int, int]]:
+    def _list_files(self) -> set[tuple[str, int, int]]:
         found = set()
         for folder, folders, files in (step for root in (self.work, self.store) for step in os.walk(root)):
             for name in folders + files:
@@ -151,17 +144,17 @@ class Place:
         return found
 
 
-def end_group(process: subprocess.Popen[str]) -> None:
-    """Kill a command with all that it has started, and wait until all of it is gone."""
+def kill_group(process: subprocess.Popen[str]) -> None:
+    """Kill a command with all the processes that it has started, and wait until they are gone."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     end_s = time.monotonic() + GONE_S
-    while _alive(process.pid) and time.monotonic() < end_s:
+    while _is_alive(process.pid) and time.monotonic() < end_s:
         time.sleep(0.01)
 
 
-def _alive(group: int) -> bool:
+def _is_alive(group: int) -> bool:
     """Whether a process of a group lives; zombies do not count."""
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):
@@ -172,18 +165,18 @@ def _alive(group: int) -> bool:
 
 
 def make_inputs(folder: Path) -> Path:
-    """Write, once, the sensors, touches and recording that the commands read. Return their folder."""
+    """Write the sensors, touches and recording that the commands read, unless they exist. Return their folder."""
     if not folder.is_dir():
-        making, empty = Place(folder.with_name(f".{folder.name}")), folder.with_name(".empty")
-        empty.mkdir(parents=True, exist_ok=True)
-        making.make(empty)
+        making = Place(folder.with_name(f".{folder.name}"))
+        shutil.rmtree(making.root, ignore_errors=True)
+        for path in (making.work, making.store, making.temporary):
+            path.mkdir(parents=True)
         for name, text in (("flat.toml", FLAT), ("small.toml", SMALL)):
             (making.work / name).write_text(text, encoding="utf-8")
         for line in INPUTS:
-            if (done := making.whole(line)).code:
+            if (done := making.run(line)).code:
                 sys.exit(f"{line} does not work: {done.err}")
         (making.work / "touches" / "touches.png").unlink()
         making.work.rename(folder)
         shutil.rmtree(making.root)
-        empty.rmdir()
     return folder

@@ -1,4 +1,4 @@
-"""What a command leaves: what is broken, what is finished, what should not be there, and what the answer is."""
+"""Checks of the files that a command leaves: broken files, finished work, leftovers, and the answer."""
 
 from __future__ import annotations
 
@@ -20,65 +20,72 @@ from tactile_loc.core.errors import TactileLocError
 from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
-from tactile_loc.store.store import Entry, StageStore
+from tactile_loc.store.store import StageStore
 
-STAGE = "store: "  # before the names of stages in an answer
-BESIDE = ".tmp-"  # before the names of files that are written beside their place
+STAGE = "store: "  # prefix of stages in an answer
+BESIDE = ".tmp-"  # prefix of files that are not yet in their place
 LINES = (".jsonl", ".journal")
 UNREADABLE = (OSError, ValueError, LookupError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error, TactileLocError)
 CLOCKED = re.compile(
     r"result_sha256|seconds|created|versions|duration|time_s|^built$|_ms$|^time_|_s$|distributions|^(key|source|path)$"
-)  # what depends on the clock, on how often a command was begun, or on the folder it was begun in
-DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # pictures and pages, and the contents of rows again
+)  # keys and files that depend on the clock, the number of starts, or the folder
+DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # pictures and pages, and copies of the rows
 
 
-def broken(place: Place, ended: bool) -> list[str]:
-    """Return what cannot be read. Of a command that `ended`, half lines are broken, too."""
-    found = [
-        f"artifact {entry.stage}: {error}" for entry in StageStore(place.store).entries() if (error := _damage(entry))
-    ]
-    for path in _files(place):
+def find_broken(place: Place, ended: bool) -> list[str]:
+    """Return a finding for each unreadable file. Incomplete lines are a fault only if the command `ended`."""
+    found = []
+    for entry in StageStore(place.store).entries():
         try:
-            _content(path, ended)
+            if entry.complete:
+                artifact = read_artifact(entry.path)
+                artifact.read_signature()
+                artifact.verify()
+        except TactileLocError as error:
+            found.append(f"artifact {entry.stage}: {error}")
+    for path in _list_files(place):
+        try:
+            _read_timeless(path, ended)
         except UNREADABLE as error:
             found.append(f"{path.relative_to(place.root)}: {type(error).__name__}: {error}")
     return found
 
 
-def finished(place: Place) -> set[str]:
-    """Return what is finished, each with what would change if it was done again."""
+def list_finished(place: Place) -> set[str]:
+    """Return the finished artifacts, pieces, lines and rows; doing one again changes its text."""
     found = set()
     for entry in StageStore(place.store).entries():
         manifest = entry.path / MANIFEST
-        if manifest.is_file():  # even of an artifact that lacks only its name
+        if manifest.is_file():  # also before the folder is renamed
             found.add(f"artifact {entry.stage}/{entry.digest} of {manifest.stat().st_mtime_ns}")
-        elif (entry.path / ".pieces.json").is_file():  # of which the next build takes those that are whole
-            for name, sums in json.loads((entry.path / ".pieces.json").read_text(encoding="utf-8")).items():
+        elif (pieces := entry.path / ".pieces.json").is_file():  # the next build takes the whole ones
+            for name, sums in json.loads(pieces.read_text(encoding="utf-8")).items():
                 if (entry.path / name).is_file() and hash_file(entry.path / name) in sums:
                     found.add(f"piece {entry.stage}/{entry.digest}/{name}")
-    for path in _files(place):
+    for path in _list_files(place):
         if path.suffix in LINES:
-            found |= {f"line {path.name} {number} {_digest(line)}" for number, line in enumerate(_lines(path))}
+            found |= {f"line {path.name} {number} {_digest(line)}" for number, line in enumerate(_read_lines(path))}
         elif path.parent.name == "rows" and not json.loads(path.read_text(encoding="utf-8"))["error"]:
             found.add(f"row {path.stem} of {path.stat().st_mtime_ns}")
     return found
 
 
-def lost(before: set[str], after: set[str], place: Place) -> list[str]:
-    """Return what was finished `before` and is gone, unless something that was made of it has taken its place."""
+def find_lost(before: set[str], after: set[str], place: Place) -> list[str]:
+    """Return the work that was finished `before` and is gone, unless a finished file has replaced it."""
     artifacts = {word.split()[1] for word in after if word.startswith("artifact ")}
-
-    def served(word: str) -> bool:
-        kind, name, *_ = word.split()
-        if kind == "piece":
-            return name.rsplit("/", 1)[0] in artifacts
-        return kind == "line" and name.endswith(".journal") and (place.work / name.removesuffix(".journal")).exists()
-
-    return sorted(word for word in before - after if not served(word))
+    return sorted(word for word in before - after if not _is_replaced(word, artifacts, place))
 
 
-def leftovers(place: Place) -> list[str]:
-    """Return what is there for no reason after a command has ended well, without the random parts of names."""
+def _is_replaced(word: str, artifacts: set[str], place: Place) -> bool:
+    """Whether the artifact of a piece exists, or the file of a journal."""
+    kind, name, *_ = word.split()
+    if kind == "piece":
+        return name.rsplit("/", 1)[0] in artifacts
+    return kind == "line" and name.endswith(".journal") and (place.work / name.removesuffix(".journal")).exists()
+
+
+def list_leftovers(place: Place) -> list[str]:
+    """Return the files and folders that a finished command should have deleted, with HEX for random names."""
     found = []
     for root in (place.work, place.store):
         left = [path.relative_to(root) for path in root.rglob("*") if _is_left(path)]
@@ -89,44 +96,32 @@ def leftovers(place: Place) -> list[str]:
     return sorted(re.sub(r"[0-9a-f]{16,}", "HEX", name) for name in found)
 
 
-def locks(place: Place) -> int:
-    """Return how many lock files there are."""
+def count_locks(place: Place) -> int:
+    """Return the number of lock files."""
     return len(list(place.store.glob("*/*.lock")))
 
 
-def answer(place: Place) -> dict[str, str]:
-    """Return a digest of each result by its name, without what depends on the clock."""
+def digest_answer(place: Place) -> dict[str, str]:
+    """Return a digest of each result by its name; times do not count."""
     found = {}
     for entry in StageStore(place.store).entries():
         if entry.complete:
             records = read_artifact(entry.path).files.items()
             kept = sorted((name, one.sha256) for name, one in records if not CLOCKED.search(name.partition(".")[0]))
             found[f"{STAGE}{entry.stage}/{entry.digest}"] = _digest(json.dumps(kept))
-    for path in _files(place):
+    for path in _list_files(place):
         if path.suffix not in DRAWN and path.parent.name != "rows" and place.store not in path.parents:
-            found[str(path.relative_to(place.work))] = _digest(_content(path))
+            found[str(path.relative_to(place.work))] = _digest(_read_timeless(path))
     return found
 
 
 def _is_left(path: Path) -> bool:
-    """Whether the name says that it serves only a command that goes on."""
+    """Whether a file or folder serves only an unfinished command."""
     return path.name.startswith(BESIDE) or path.suffix in (".partial", ".journal")
 
 
-def _damage(entry: Entry) -> str:
-    """Return what is wrong with an artifact that counts as complete."""
-    try:
-        if entry.complete:
-            artifact = read_artifact(entry.path)
-            artifact.read_signature()
-            artifact.verify()
-    except TactileLocError as error:
-        return str(error)
-    return ""
-
-
-def _files(place: Place) -> Iterator[Path]:
-    """Yield the files in their place: of the folder and of the store."""
+def _list_files(place: Place) -> Iterator[Path]:
+    """Yield the files of the working folder and of the store; not locks, nor files written beside their place."""
     for root in (place.work, place.store):
         for path in sorted(root.rglob("*")):
             beside = any(part.startswith(BESIDE) for part in path.relative_to(root).parts)
@@ -134,26 +129,26 @@ def _files(place: Place) -> Iterator[Path]:
                 yield path
 
 
-def _lines(path: Path) -> list[bytes]:
-    """Return the whole lines of a file."""
+def _read_lines(path: Path) -> list[bytes]:
+    """Return the complete lines of a file."""
     return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
-def _content(path: Path, ended: bool = True) -> str:
-    """Return what a file says, without what depends on the clock. Raises ValueError and others if it is not whole."""
+def _read_timeless(path: Path, ended: bool = True) -> str:
+    """Return the content of a file without times. Raises one of UNREADABLE if it is incomplete."""
     text = path.read_bytes()
     if path.suffix in (".csv", ".md", ".html", *(LINES if ended else ())) and not (b"\n" + text).endswith(b"\n"):
         raise ValueError("ends in half a line")
     if path.suffix == ".json":
-        return json.dumps(_timeless(json.loads(text)))
-    if path.suffix in LINES:  # each run appends to .jsonl; the last line of a frame counts
-        records = [_timeless(json.loads(line)) for line in _lines(path)]
+        return json.dumps(_drop_times(json.loads(text)))
+    if path.suffix in LINES:  # each run appends to a .jsonl file; the last line of a name counts
+        records = [_drop_times(json.loads(line)) for line in _read_lines(path)]
         return json.dumps({record["name"]: record for record in records} if path.suffix == ".jsonl" else records)
     if path.suffix == ".csv":
-        return json.dumps(_timeless(list(csv.DictReader(text.decode().splitlines()))))
+        return json.dumps(_drop_times(list(csv.DictReader(text.decode().splitlines()))))
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
-            return json.dumps(_timeless({name: _digest(file[name].tobytes()) for name in sorted(file)}))
+            return json.dumps(_drop_times({name: _digest(file[name].tobytes()) for name in sorted(file)}))
     if path.suffix == ".npy":
         np.load(path, allow_pickle=False)
     elif path.suffix == ".png":
@@ -163,10 +158,10 @@ def _content(path: Path, ended: bool = True) -> str:
     return text.hex()
 
 
-def _timeless(value: Any) -> Any:
+def _drop_times(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _timeless(item) for key, item in value.items() if not CLOCKED.search(key)}
-    return [_timeless(item) for item in value] if isinstance(value, list) else value
+        return {key: _drop_times(item) for key, item in value.items() if not CLOCKED.search(key)}
+    return [_drop_times(item) for item in value] if isinstance(value, list) else value
 
 
 def _digest(text: str | bytes) -> str:

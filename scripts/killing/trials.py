@@ -1,4 +1,4 @@
-"""Kinds of trials: commands killed, on full disks, with read-only stores, and several at once; and their judgement."""
+"""Kinds of trials: commands killed, on full disks, and several at once; and the checks after each trial."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -19,37 +19,31 @@ import numpy as np
 from record import Done, Record
 
 from killing import remains
-from killing.commands import COMMANDS, Life, Moment, Place, end_group
+from killing.commands import COMMANDS, Life, Moment, Place, kill_group
 
 KILL = -9
-FINISHED = 0.2  # the share of runs after a kill that are let finish
+FINISHED = 0.2  # share of kills after which the command may finish
 PAGE, ROOMY = 4096, 2**30  # bytes of a disk
-UNMOUNTABLE = "left out: no disk may be mounted"
-UNWRITABLE = 0.5  # the share of stages that are not stored, where some are to be built
-PROCESSES, KILLED = 8, 3  # at once, and how many of them are killed
+PROCESSES, KILLED = 8, 3  # commands at once, and how many of them are killed
+TOGETHER = [f"{name}, {how}" for name in ("build", "run") for how in ("undisturbed", "some killed", "one folder")]
 BEGINS = re.compile(r"stage (\S+ \S+) is being built(?! by)")
 
 
 @dataclass(frozen=True)
 class Calm:
-    """What a command comes to when nothing disturbs it: with nothing stored, and once more."""
+    """An undisturbed command: its run with nothing stored, its second run, and the files of both."""
 
     cold: Life
     warm: Life
     answer: dict[str, str]
     leftovers: list[str]
     locks: int
-    nbytes: int  # of the disk, without the inputs
-
-
-def taken(place: Place) -> int:
-    """Return how many bytes of the disk a place takes."""
-    return sum(512 * path.lstat().st_blocks for path in place.root.rglob("*") if path.is_file())
+    nbytes: int  # on the disk, without the inputs
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done and where: the numbers of trials by kind, of all commands together."""
+    """The trials to do, and their folder. `wanted` holds the number of trials of each kind, all commands together."""
 
     out: Path
     inputs: Path
@@ -57,31 +51,26 @@ class Plan:
     commands: Sequence[str]
     wanted: dict[str, int]
 
-    def shares(self, kind: str) -> dict[str, int]:
-        """Return how many of a kind's trials are of each command."""
-        every, more = divmod(self.wanted[kind], len(self.commands))
-        return {name: every + (k < more) for k, name in enumerate(self.commands)}
-
-    def calm(self, name: str) -> Calm:
-        """Return what a command comes to, found once and kept. Raises RuntimeError when it fails."""
+    def run_calm(self, name: str) -> Calm:
+        """Run a command undisturbed, or read its earlier outcome. Raises RuntimeError when it fails."""
         kept = self.out / "calm" / f"{name}.json"
         if kept.is_file():
             values = json.loads(kept.read_text(encoding="utf-8"))
             return Calm(**{**values, "cold": Life(**values["cold"]), "warm": Life(**values["warm"])})
-        place = Place(self.out / "calm" / name).make(self.inputs)
-        before = taken(place)
-        (done, cold), (again, warm) = place.lived(COMMANDS[name]), place.lived(COMMANDS[name])
-        if done.code or again.code or (wrong := remains.broken(place, ended=True)):
+        place = Place(self.out / "calm" / name).reset(self.inputs)
+        before = place.count_bytes()
+        (done, cold), (again, warm) = place.watch(COMMANDS[name]), place.watch(COMMANDS[name])
+        if done.code or again.code or (wrong := remains.find_broken(place, ended=True)):
             raise RuntimeError(f"{COMMANDS[name]} does not work: {done.err or again.err or wrong}")
-        nbytes = taken(place) - before
-        found = Calm(cold, warm, remains.answer(place), remains.leftovers(place), remains.locks(place), nbytes)
+        answer, leftovers = remains.digest_answer(place), remains.list_leftovers(place)
+        found = Calm(cold, warm, answer, leftovers, remains.count_locks(place), place.count_bytes() - before)
         kept.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")
         return found
 
 
 @dataclass(frozen=True)
 class Trials:
-    """The trials of one kind with one thing: how many were done, what became of them, and what was found."""
+    """The trials of one kind with one command: their number, outcomes and findings."""
 
     plan: Plan
     kind: str
@@ -89,126 +78,99 @@ class Trials:
 
     @property
     def counts(self) -> Counter[str]:
-        """What became of the trials."""
+        """The number of each outcome."""
         return self.plan.record.of(f"{self.kind} {self.name}")
 
     @property
     def number(self) -> int:
-        """The number of the present trial: how many were done before."""
+        """The number of the present trial, from 0."""
         return self.counts["trials"]
 
     @property
     def folder(self) -> Path:
-        """Where the trials are done."""
+        """The folder of the trials."""
         return self.plan.out / self.kind / re.sub(r"\W+", "-", self.name)
 
-    def draw(self) -> np.random.Generator:
-        """Return the randomness of the present trial."""
-        return np.random.default_rng(
-            [self.plan.record.seed, zlib.crc32(f"{self.kind} {self.name}".encode()), self.number]
-        )
+    def make_generator(self) -> np.random.Generator:
+        """Return the random generator of the present trial."""
+        name = zlib.crc32(f"{self.kind} {self.name}".encode())
+        return np.random.default_rng([self.plan.record.seed, name, self.number])
 
-    def count(self, what: str) -> None:
-        """End the trial: count it, and what became of it."""
-        self.counts.update(("trials", what))
+    def count(self, outcome: str) -> None:
+        """End the trial, and count its outcome."""
+        self.counts.update(("trials", outcome))
         self.plan.record.save()
 
-    def find(self, *what: str) -> None:
+    def add_findings(self, *findings: str) -> None:
         """Note findings of the present trial."""
-        told = {"kind": self.kind, "name": self.name, "number": self.number}
-        self.plan.record.findings += [{**told, "what": one} for one in what]
+        trial = {"kind": self.kind, "name": self.name, "number": self.number}
+        self.plan.record.findings += [{**trial, "what": one} for one in findings]
 
-    def expect(self, holds: bool, what: str, done: Done | None = None) -> bool:
-        """Note a finding unless something holds, with the output of a command. Return whether it holds."""
+    def expect(self, holds: bool, finding: str, done: Done | None = None) -> bool:
+        """Note a finding, with the output of a command, unless `holds`. Return `holds`."""
         if not holds:
-            self.find(what if done is None else f"{what}: exit code {done.code}, {done.err[-1500:]!r}")
+            self.add_findings(finding if done is None else f"{finding}: exit code {done.code}, {done.err[-1500:]!r}")
         return holds
 
     def find_lost(self, before: set[str], place: Place) -> set[str]:
-        """Note what was finished before and is lost. Return what is finished now."""
-        after = remains.finished(place)
-        self.find(*(f"lost: {one}" for one in remains.lost(before, after, place)))
+        """Note work that was finished before and is lost. Return the work that is finished now."""
+        after = remains.list_finished(place)
+        self.add_findings(*(f"lost: {one}" for one in remains.find_lost(before, after, place)))
         return after
 
-    def go_on(self, name: str, place: Place, before: set[str] | None = None) -> None:
-        """Run a command to its end, and judge it; nothing of what was finished before may be lost."""
-        done = place.whole(COMMANDS[name])
-        self.find_lost(before or set(), place)
-        self.judge(done, place, name)
+    def check(self, done: Done, place: Place, name: str, stored: bool = True) -> None:
+        """Check a finished command: it gives the answer of an undisturbed run, and leaves no other files.
 
-    def judge(self, done: Done, place: Place, name: str, stored: bool = True) -> None:
-        """Judge a command that was let finish: same answer as undisturbed, and nothing beside it.
-
-        Stages of the answer may be missing unless all had to be `stored`: results that were there need no stage.
+        `stored` is false after the store was deleted and old results were kept. Then stages may be missing.
         """
-        if not self.expect(done.code == 0, "it does not go on", done):
+        if not self.expect(done.code == 0, "it does not continue", done):
             return
-        self.find(*remains.broken(place, ended=True))
-        calm, answer = self.plan.calm(name), remains.answer(place)
+        self.add_findings(*remains.find_broken(place, ended=True))
+        calm, answer = self.plan.run_calm(name), remains.digest_answer(place)
         asked = {
             key: one for key, one in calm.answer.items() if stored or key in answer or not key.startswith(remains.STAGE)
         }
         other = sorted(key for key in asked.keys() | answer if asked.get(key) != answer.get(key))
         self.expect(not other, f"another answer: {', '.join(other)}")
-        left = [name for name in remains.leftovers(place) if name not in calm.leftovers]
+        left = [name for name in remains.list_leftovers(place) if name not in calm.leftovers]
         self.expect(not left, f"left behind: {', '.join(left)}")
-        self.expect(remains.locks(place) <= calm.locks, "more locks than stages")
+        self.expect(remains.count_locks(place) <= calm.locks, "more locks than stages")
 
 
-def repeat(
-    plan: Plan, kind: str, shares: Mapping[str, int], once: Callable[[Trials], str], counted: str = "trials"
-) -> Iterator[int]:
-    """Do so many trials of each name. Yield how many of what is `counted` were done since it was asked last.
-
-    A trial is done by `once`, which returns what became of it.
-    """
-    for name, wanted in shares.items():
-        trials, before = Trials(plan, kind, name), 0
-        while trials.counts[counted] < wanted:
-            yield trials.counts[counted] - before
-            before = trials.counts[counted]
-            trials.count(once(trials))
-        yield trials.counts[counted] - before
-
-
-def kill(plan: Plan) -> Iterator[int]:
-    """Kill each command and begin it again, judge what it leaves, and now and then let it finish."""
-    return repeat(plan, "kill", plan.shares("kill"), _kill, "killed")
-
-
-def _kill(trials: Trials) -> str:
-    """Kill a command once or several times, with what it has left each time, until it is let finish or is faster."""
-    draw, place, line = trials.draw(), Place(trials.folder), COMMANDS[trials.name]
-    calm, stored, before = trials.plan.calm(trials.name), _begin_anew(place, trials.plan.inputs, draw), set[str]()
+def _kill_once(trials: Trials) -> str:
+    """Kill a command again and again, with the files that it left, until it may finish or ends before the kill."""
+    draw, place, line = trials.make_generator(), Place(trials.folder), COMMANDS[trials.name]
+    calm, stored, before = trials.plan.run_calm(trials.name), _begin_anew(place, trials.plan.inputs, draw), set[str]()
     while True:
         life = calm.cold if draw.random() < 0.7 else calm.warm
-        done = place.killed(line, Moment.drawn(life, draw))
-        before, came = trials.find_lost(before, place), "faster"
-        beside = len(remains.leftovers(place)) - len(calm.leftovers)
+        done = place.run_and_kill(line, Moment.draw(life, draw))
+        before, outcome = trials.find_lost(before, place), "faster"
+        beside = len(remains.list_leftovers(place)) - len(calm.leftovers)
         trials.counts["most left beside"] = max(trials.counts["most left beside"], beside)
         if done.code == KILL:
-            trials.find(*remains.broken(place, ended=False))
+            trials.add_findings(*remains.find_broken(place, ended=False))
             trials.counts["killed"] += 1
             if draw.random() > FINISHED:
                 continue
-            done, came = place.whole(line), "let finish"
+            done, outcome = place.run(line), "let finish"
             trials.find_lost(before, place)
-        trials.judge(done, place, trials.name, stored)
-        return came
+        trials.check(done, place, trials.name, stored)
+        return outcome
 
 
 def _begin_anew(place: Place, inputs: Path, draw: np.random.Generator) -> bool:
-    """Keep nothing, the old results alone, or the store alone. Return whether all is to be stored."""
-    what = draw.integers(3) if place.work.is_dir() else 0
-    if what == 0:
-        place.make(inputs)
-    elif what == 1:
+    """Delete all files, the store, or the results. Return whether a run will store all its stages."""
+    kept = draw.integers(3) if place.work.is_dir() else 0
+    if kept == 0:
+        place.reset(inputs)
+    elif kept == 1:
         shutil.rmtree(place.store, ignore_errors=True)
     else:
-        place.renew_work(inputs)
+        shutil.rmtree(place.work)
+        shutil.copytree(inputs, place.work)
     shutil.rmtree(place.temporary)
     place.temporary.mkdir()
-    return bool(what != 1)
+    return bool(kept != 1)
 
 
 @cache
@@ -219,7 +181,7 @@ def can_mount() -> bool:
 
 
 @contextmanager
-def mounted(folder: Path) -> Iterator[Path]:
+def mount_disk(folder: Path) -> Iterator[Path]:
     """Mount a disk in memory at a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={ROOMY}", "none", str(folder)], check=True)
@@ -229,110 +191,69 @@ def mounted(folder: Path) -> Iterator[Path]:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def remount(disk: Path, option: str) -> None:
-    """Change an option of a mounted disk, as "ro" or "size=1000000"."""
-    subprocess.run(["mount", "-o", f"remount,{option}", str(disk)], check=True)
-
-
-def full(plan: Plan) -> Iterator[int]:
-    """Run each command on a disk with too little room, then with enough."""
-    return repeat(plan, "full", plan.shares("full"), _starve)
+def _resize(disk: Path, nbytes: int) -> None:
+    subprocess.run(["mount", "-o", f"remount,size={nbytes}", str(disk)], check=True)
 
 
 def _starve(trials: Trials) -> str:
-    """Run a command on a disk that holds the inputs and a random share of what it needs."""
+    """Run a command on a disk that holds the inputs and a random share of the space that it needs."""
     if not can_mount():
-        return UNMOUNTABLE
-    line, share, folder = COMMANDS[trials.name], float(trials.draw().uniform(0.01, 1)), trials.folder
-    need = share * trials.plan.calm(trials.name).nbytes
-    with mounted(folder / "disk") as disk:
-        place = Place(disk, said=folder).make(trials.plan.inputs)
-        remount(disk, f"size={-(-(taken(place) + int(need)) // PAGE) * PAGE}")
-        done = place.whole(line)
-        trials.expect(_is_refused(trials.name, done) or done.code == 0, "no sentence", done)
-        trials.find(*remains.broken(place, ended=True))
-        before = remains.finished(place)
-        remount(disk, f"size={ROOMY}")
-        trials.go_on(trials.name, place, before)
-    return "refused" if done.code else "had room"
+        return "left out: no disk may be mounted"
+    line, share = COMMANDS[trials.name], float(trials.make_generator().uniform(0.01, 1))
+    need = share * trials.plan.run_calm(trials.name).nbytes
+    with mount_disk(trials.folder / "disk") as disk:
+        place = Place(disk, output=trials.folder).reset(trials.plan.inputs)
+        _resize(disk, -(-(place.count_bytes() + int(need)) // PAGE) * PAGE)
+        done = place.run(line)
+        # A sweep reports the number of its failed rows instead.
+        in_rows = trials.name == "sweep" and done.code == 1 and done.err.splitlines()[-1].startswith("failed: ")
+        trials.expect(done.is_refusal or in_rows or done.code == 0, "not refused in one sentence", done)
+        trials.add_findings(*remains.find_broken(place, ended=True))
+        before = remains.list_finished(place)
+        _resize(disk, ROOMY)
+        again = place.run(line)
+        trials.find_lost(before, place)
+        trials.check(again, place, trials.name)
+    return "refused" if done.code else "had space"
 
 
-def _is_refused(name: str, done: Done) -> bool:
-    """Whether a command ended with one sentence, or a sweep with the number of its failed rows."""
-    in_rows = name == "sweep" and done.code == 1 and done.err.splitlines()[-1].startswith("failed: ")
-    return done.is_refusal or in_rows
-
-
-def read_only(plan: Plan) -> Iterator[int]:
-    """Run commands with a store that can only be read: with all that they need, with half of it, and on the store."""
-    return repeat(plan, "read-only", {"stores": plan.wanted["read-only"]}, _lock_store)
-
-
-def _lock_store(trials: Trials) -> str:
-    if not can_mount():
-        return UNMOUNTABLE
-    names = sorted(trials.plan.commands)
-    draw, (round_, which) = trials.draw(), divmod(trials.number, len(names))
-    shutil.rmtree(trials.folder, ignore_errors=True)
-    with mounted(trials.folder / "disk") as disk:
-        place = Place(trials.folder, disk / "store").make(trials.plan.inputs)
-        place.whole(COMMANDS[names[which]])
-        for path in sorted(place.store.glob("*/*")) if round_ == 1 else []:
-            if path.is_dir() and draw.random() < UNWRITABLE:
-                shutil.rmtree(path)
-        before = remains.finished(Place(disk))
-        remount(disk, "ro")
-        came = _on_the_store(place, trials) if round_ > 1 else _with_the_store(names[which], round_, place, trials)
-        trials.expect(before == remains.finished(Place(disk)), "the store has changed")
-    return came
-
-
-def _with_the_store(name: str, round_: int, place: Place, trials: Trials) -> str:
-    place.renew_work(trials.plan.inputs)
-    done = place.whole(COMMANDS[name])
-    if round_ == 0 and done.code == 0:
-        trials.judge(done, place, name)
-        return "works"
-    refused = done.is_refusal if round_ == 0 else _is_refused(name, done)
-    trials.expect(refused or done.code == 0, "no sentence", done)
-    trials.find(*(remains.broken(place, ended=True) if round_ else ()))
-    return "works" if done.code == 0 else "refused"
-
-
-def _on_the_store(place: Place, trials: Trials) -> str:
-    for line in ("store list", "store size"):
-        done = place.whole(line)
-        trials.expect(done.code == 0 and not done.err, f"{line} fails", done)
-    done = place.whole("store prune --all --yes")
-    trials.expect(done.is_refusal, "no sentence of store prune", done)
-    return "works"
-
-
-def at_once(plan: Plan) -> Iterator[int]:
-    """Run a command several times at once: undisturbed, with some of them killed, and all into one folder."""
-    names = [f"{name}, {how}" for name in ("build", "run") for how in ("undisturbed", "some killed", "one folder")]
-    return repeat(plan, "at-once", dict.fromkeys(names, plan.wanted["at-once"] // len(names)), _begin_together)
-
-
-def _begin_together(trials: Trials) -> str:
+def _run_together(trials: Trials) -> str:
+    """Run a command several times at once on one store, undisturbed, with some killed, or all into one folder."""
     name, _, how = trials.name.partition(", ")
-    draw, folder, left = trials.draw(), trials.folder, list(range(PROCESSES))
+    draw, folder, left = trials.make_generator(), trials.folder, list(range(PROCESSES))
     roots = [folder / f"{0 if how == 'one folder' else k}" for k in left]
-    places = [Place(roots[k], folder / "store", folder / f"said-{k}").make(trials.plan.inputs) for k in left]
-    processes = [place.begin(f"{COMMANDS[name]} -v") for place in places]
+    places = [Place(roots[k], folder / "store", folder / f"said-{k}").reset(trials.plan.inputs) for k in left]
+    processes = [place.start(f"{COMMANDS[name]} -v") for place in places]
     if how == "some killed":
         order = [int(k) for k in draw.permutation(PROCESSES)]
         left = order[KILLED:]
         for k in order[:KILLED]:
             with suppress(subprocess.TimeoutExpired):
-                processes[k].wait(timeout=float(draw.uniform(0, trials.plan.calm(name).cold.whole_s)))
-            end_group(processes[k])
-    done = {k: places[k].ended(processes[k]) for k in left}
-    for k, came in done.items():
-        trials.judge(came, places[k], name)
+                processes[k].wait(timeout=float(draw.uniform(0, trials.plan.run_calm(name).cold.whole_s)))
+            kill_group(processes[k])
+    done = {k: places[k].wait_for(processes[k]) for k in left}
+    for k, one in done.items():
+        trials.check(one, places[k], name)
     if how != "some killed":
         begun = Counter(stage for one in done.values() for stage in BEGINS.findall(one.err))
-        trials.expect(bool(begun), "nobody built anything")
+        trials.expect(bool(begun), "no stage was built")
         twice = [stage for stage, count in begun.items() if count > 1]
         trials.expect(not twice, f"built more than once: {', '.join(twice)}")
     return "done"
+
+
+KINDS = {"kill": _kill_once, "full": _starve, "at-once": _run_together}
+
+
+def run_trials(plan: Plan, kind: str) -> Iterator[int]:
+    """Do the trials of a kind that are still missing; yield the number of trials, or kills, of each step."""
+    names = TOGETHER if kind == "at-once" else plan.commands
+    every, more = divmod(plan.wanted[kind], len(names))
+    counted = "killed" if kind == "kill" else "trials"
+    for k, name in enumerate(names):
+        trials, before = Trials(plan, kind, name), 0
+        while trials.counts[counted] < every + (k < more):
+            yield trials.counts[counted] - before
+            before = trials.counts[counted]
+            trials.count(KINDS[kind](trials))
+        yield trials.counts[counted] - before

@@ -59,10 +59,11 @@ def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
     """Depths (H * W,) of the nearest triangles; parts of RAYS rays keep the products in the cache."""
     rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
     low, high = _measure_outlines(triangles_m, geometry.is_pinhole)
+    products = _multiply_edges(triangles_m, geometry.is_pinhole)
     depths = []
     for part in np.split(rays, range(RAYS, len(rays), RAYS)):
         before = ((low <= part.max(axis=0) + _ROUNDING) & (high >= part.min(axis=0) - _ROUNDING)).all(axis=1)
-        depths.append(_intersect(part, triangles_m[before], geometry.is_pinhole))
+        depths.append(_intersect(part, [product[before] for product in products], geometry.is_pinhole))
     return np.concatenate(depths)
 
 
@@ -76,22 +77,29 @@ def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Arra
     return np.where(everywhere, -np.inf, seen.min(axis=1)), np.where(everywhere, np.inf, seen.max(axis=1))
 
 
-def _intersect(rays: Array, triangles_m: Array, is_pinhole: bool) -> Array:
+def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
+    """The parts of `_intersect` that do not depend on the rays: vectors (F, 3) and numbers (F,)."""
+    a, e1, e2 = triangles_m[:, 0], triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0]
+    if is_pinhole:
+        back = np.cross(-a, e1)
+        return [np.cross(e2, -a), back, np.cross(e2, e1), np.einsum("fk,fk->f", e2, back)]
+    forward = np.array([0.0, 0.0, 1.0])
+    across = [np.cross(forward, e2), np.cross(e1, forward), np.cross(e1, e2)]
+    return [*across, *(np.einsum("fk,fk->f", a, w) for w in across), np.cross(e2, e1)[:, 2]]
+
+
+def _intersect(rays: Array, products: list[Array], is_pinhole: bool) -> Array:
     """Depths (K,) of rays (K, 2) by Cramer's rule (Moeller and Trumbore): u, v and z are quotients of triple products.
 
-    A ray is (x/z, y/z) of a pinhole, or (x, y) of a parallel projection.
+    A ray is (x/z, y/z) of a pinhole, or (x, y) of a parallel projection. `products` are those of `_multiply_edges`.
     """
-    a, e1, e2 = triangles_m[:, 0], triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0]
     x, y = rays.T
     if is_pinhole:
-        d = np.stack([x, y, np.ones_like(x)], -1)
-        u, v, det = d @ np.cross(e2, -a).T, d @ np.cross(-a, e1).T, d @ np.cross(e2, e1).T
-        z = np.einsum("fk,fk->f", e2, np.cross(-a, e1))[None]
+        d, (*across, z) = np.stack([x, y, np.ones_like(x)], -1), products
+        u, v, det = (d @ w.T for w in across)
     else:
-        o, forward = np.stack([x, y, np.zeros_like(x)], -1), np.array([0.0, 0.0, 1.0])
-        across = (np.cross(forward, e2), np.cross(e1, forward), np.cross(e1, e2))
-        u, v, z = (o @ w.T - np.einsum("fk,fk->f", a, w) for w in across)
-        det = np.cross(e2, e1)[None, :, 2]
+        o, across, starts, det = np.stack([x, y, np.zeros_like(x)], -1), products[:3], products[3:6], products[6]
+        u, v, z = (o @ w.T - start for w, start in zip(across, starts, strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v, z = u / det, v / det, z / det
         inside = (u >= -_ROUNDING) & (v >= -_ROUNDING) & (u + v <= 1 + _ROUNDING) & (z > 0)

@@ -28,7 +28,7 @@ FOLDER = TemporaryDirectory()
 OPTIONS = {
     ("sensor", "calibrated"): {"path": str(write_calibrated(Path(FOLDER.name)))},
     ("sensor", "file"): {"path": str(ROOT / "examples" / "my_sensor.toml")},
-    ("encoder", "moco"): {"epochs": 1, "queries": 64, "batch": 32, "channels": 4, "noise": "none"},
+    ("encoder", "moco"): {"epochs": 2, "queries": 64, "batch": 32, "channels": 4, "noise": "none"},
 }
 VARIANTS = [
     FaissMatcher(FaissMatcher.Options(kind="hnsw", top_k=50)),
