@@ -26,7 +26,7 @@ FINISHED = 0.2  # share of kills after which the command may finish
 PAGE, ROOMY = 4096, 2**30  # bytes of a disk
 PROCESSES, KILLED = 8, 3  # commands at once, and how many of them are killed
 TOGETHER = [f"{name}, {how}" for name in ("build", "run") for how in ("undisturbed", "some killed", "one folder")]
-BEGINS = re.compile(r"Stage (\S+ \S+) is being built\.")
+BEGINS = re.compile(r"stage (\S+ \S+) is being built(?! by)")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""Small demo objects, so that everything can be tried without a CAD file of one's own.
+"""Small demo objects, to try everything without your own CAD file.
 
-The meshes are watertight, in metres, made by `scripts/demo_meshes.py`, whose functions describe each one's frame.
+The meshes are watertight, in metres. The functions of `scripts/demo_meshes.py` make them and describe their frames.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ _FOLDER = Path(__file__).parent / "objects"
 class DemoObject:
     """One shipped object.
 
-    `path` is its mesh (binary PLY, metres). `symmetry` declares its rotations onto itself: terms joined with `*`, each
-    an axis through the origin and an order (`z2`, `x2`, `zinf`), or `none`.
+    `path` is its mesh (binary PLY, metres). `symmetry` declares its rotational symmetry: `none`, or terms joined with
+    `*`, each an axis through the origin and an order (`z2`, `x2`, `zinf`).
     """
 
     name: str

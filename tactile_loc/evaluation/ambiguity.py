@@ -1,16 +1,15 @@
-"""Is a touch ambiguous: does a distant pose make a contact that noise hides the difference of?
+"""Ambiguity of a touch: noise hides the difference between its contact and that of a distant pose.
 
-Let C be the true pose's contact depths and C' those of another pose, both drawn cleanly at the touch's own press, and
-N1, N2 two noisy measurements of the true pose, over the observed pixels and blurred by 0.3 mm. With the direction
-u = (C' - C) / |C' - C|,
+Let C be the true pose's contact depths and C' those of another pose, both drawn without noise at the touch's press. Let
+N1, N2 be two noisy measurements of the true pose. All are over the observed pixels and blurred by 0.3 mm. With the
+direction u = (C' - C) / |C' - C|,
 
     ratio  =  |C' - C|  /  sqrt( mean of ( u . (N1 - N2) )^2 ),      unitless
 
-is how far the shapes are apart beside how far noise alone moves a measurement along the line between them. It is a
-likelihood ratio's: were the noise Gaussian, whoever knows both shapes and what noise makes of them on average would
-take the wrong one with probability Phi(-ratio / sqrt 2), one time in four at a ratio of 1. A touch's ratio is the least
-over all distant poses, and the touch is ambiguous if it is below 1: that a method then names a wrong pose is no fault
-of its own. Noise off that line is left out: it is most of it, and confuses nobody who looks for this difference.
+compares the distance of the two shapes with the effect of noise along the line between them. With Gaussian noise, the
+best test between the two known shapes errs with probability Phi(-ratio / sqrt 2), about 1/4 at a ratio of 1. A touch's
+ratio is the least over all distant poses. Below 1 the touch is ambiguous, and no method can be blamed for a wrong pose.
+Noise off that line, which is most of the noise, is left out: it does not affect this test.
 """
 
 from __future__ import annotations
@@ -38,45 +37,44 @@ from tactile_loc.locate.localizer import Localizer
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-AMBIGUOUS = 1.0  # ratios below
-DISTANT_M = 5e-3  # of surface, root mean square: poses nearer to the truth are the same answer
-RIVALS = 6  # distant poses that are refined
+AMBIGUOUS = 1.0  # touches with a lower ratio are ambiguous
+DISTANT_M = 5e-3  # root mean square surface distance; nearer poses count as the true pose
+RIVALS = 6  # distant poses to refine
 MEASUREMENTS = 12  # of the true pose, with noise
-EVERY = 3  # of the observed pixels, in looking for rivals
-BLUR_M = 3e-4  # of all contacts that are compared: single pixels of an outline are nobody's evidence
-REFINER = "filterreg"  # always the same: which touches are ambiguous does not depend on the method that is evaluated
+EVERY = 3  # step through the observed pixels, in the search for rivals
+BLUR_M = 3e-4  # of all compared contacts: single pixels of an outline are no evidence
+REFINER = "filterreg"  # always the same, so that ambiguity does not depend on the evaluated method
 
 
 def choose_judging_noise(noise: str) -> str:
-    """Return the noise that touches of a noise are judged against: their own, or mild for clean ones."""
+    """Return the noise for the ambiguity of touches with this noise: the same, or mild for clean touches."""
     return "mild" if NOISE[noise] == TouchNoise() else noise
 
 
 def measure_ambiguity(
     localizer: Localizer, touches: Sequence[Touch], noise: TouchNoise, rngs: Sequence[np.random.Generator]
 ) -> Float64:
-    """Return the ratio (T,) of each touch, unitless; infinite where no distant pose is in the grid.
+    """Return the ratio (T,) of each touch, unitless; infinite without a distant pose in the grid.
 
-    Each touch's `rng` draws measurements of its true pose with `noise`. Raises TouchError for a touch whose true pose
-    is not known.
+    Each touch's `rng` draws measurements of its true pose with `noise`. Raises TouchError for a touch without a true
+    pose.
     """
     truths = np.stack([require_true_pose(touch) for touch in touches])
     distances = _measure_shape_distances(localizer, touches, truths)
     refiner: Refiner = registry().create("refiner", REFINER, {})
     apart_m = localizer.sampler.options.spacing_mm * 1e-3
+    judge = _Judge(localizer.scene.use_pressed_drawing(), refiner, noise)
     ratios = []
     for touch, T_true, apart, rng in zip(touches, truths, distances, rngs, strict=True):
         rivals = find_rivals(localizer.listed.press_grid(touch), T_true, apart, apart_m)
-        ratios.append(
-            _Judge(localizer.scene.use_pressed_drawing(), refiner, noise).find_ratio(touch, T_true, rivals, rng)
-        )
+        ratios.append(judge.find_ratio(touch, T_true, rivals, rng))
     return np.array(ratios)
 
 
 def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:
     """Return the distant grid poses (R, 4, 4), metres, with the least of `apart` (N,), none within a radius of another.
 
-    Distant is farther than DISTANT_M from the true pose (4, 4), symmetry regarded; R is at most RIVALS.
+    Distant poses are farther than DISTANT_M from the true pose (4, 4) and its symmetric poses. R is at most RIVALS.
     """
     left = np.where(grid.distances(T_true) > DISTANT_M, apart, np.inf)
     chosen: list[int] = []
@@ -87,9 +85,9 @@ def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) 
 
 
 def compute_noise_ratio(true: Float64, others: Float64, measured: Float64) -> Float64:
-    """Return the module's ratio (R,) of contact depths `others` (R, P) beside the true ones (P,), metres.
+    """Return the ratios (R,) between contact depths `others` (R, P) and the true ones (P,), metres.
 
-    `measured` (K, P) are noisy measurements of the true pose. A shape that does not differ has ratio 0.
+    `measured` (K, P) are noisy measurements of the true pose. A shape without difference has ratio 0.
     """
     difference = others - true
     length = np.linalg.norm(difference, axis=1)
@@ -100,14 +98,14 @@ def compute_noise_ratio(true: Float64, others: Float64, measured: Float64) -> Fl
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Judge:
-    """Compares a touch's true pose with its rivals in a scene where nothing is pressed yet."""
+    """Compares a touch's true pose with its rivals, in a scene at rest."""
 
     scene: Scene
     refiner: Refiner
     noise: TouchNoise
 
     def find_ratio(self, touch: Touch, T_true: Poses, rivals: Poses, rng: np.random.Generator) -> float:
-        """The least ratio of the rivals (R, 4, 4), as they are and refined; infinite without any."""
+        """Return the least ratio of the rivals (R, 4, 4), refined or not; infinite without rivals."""
         pressed = self.scene.match_touch(touch)
         truth = pressed.bring_to_contact(T_true[None])[0][0]
         clean = ContactShape(pressed.render_contact_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
@@ -122,29 +120,29 @@ class _Judge:
         return float(compute_noise_ratio(true[0], others, noisy).min())
 
     def _keep_distant(self, pressed: Scene, truth: Poses, poses: Poses) -> Poses:
-        """Those of poses (R, 4, 4), metres, that touch far from the truth (4, 4), in contact."""
+        """Return those of the poses (R, 4, 4), metres, that have contact and are far from the truth (4, 4)."""
         poses, touching = pressed.bring_to_contact(poses)
         away_m = PoseMetric(pressed.object).symmetric_distance(np.broadcast_to(truth, poses.shape), poses)
         return poses[touching & (away_m > DISTANT_M)]
 
     def _refine(self, touch: Touch, clean: ContactShape, rivals: Poses) -> Poses:
-        """The rivals (R, 4, 4) refined against the clean shape, so that the grid's steps hide nothing."""
+        """Return the rivals (R, 4, 4) refined against the clean shape, to remove the error of the grid's spacing."""
         try:
             target = dataclasses.replace(touch, contact_shape=clean)
-        except TouchError:  # clean, it is nothing but a flat face
+        except TouchError:  # without noise, it shows only a flat face
             return rivals
         candidates = [Candidate(T, k, 0.0) for k, T in enumerate(rivals)]
         refined = self.refiner.refine_many(target, candidates, self.scene.match_touch(target))
         return np.array([pose.T_sensor_object for pose in refined]).reshape(-1, 4, 4)
 
     def _measure(self, touch: Touch, T_true: Poses, rng: np.random.Generator) -> Float32:
-        """Noisy measurements (K, H, W) of the touch's true pose and press, cut at its press depth; metres."""
+        """Return noisy measurements (K, H, W) of the touch's true pose and press, cut at its press depth; metres."""
         press = PressNoise(self.noise, self.scene, touch.indentation_m, rng)
         T, _ = self.scene.bring_to_contact(np.repeat(T_true[None], MEASUREMENTS, axis=0))
         cut_m = np.float32(touch.press_depth_m)
         measured = np.full((MEASUREMENTS, *touch.geometry.shape), cut_m)
         for depth, shape in zip(measured, press.press(T, 0.0)[1], strict=True):
-            if shape is not None:  # else noise left no contact
+            if shape is not None:  # None if noise leaves no contact
                 np.minimum(depth, shape.depth_m, out=depth, where=shape.contact)
         return measured
 
@@ -157,9 +155,9 @@ def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
 
 
 def _measure_shape_distances(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
-    """Squared distances (T, N) between the grid's contact shapes and those of true poses (T, 4, 4), square metres.
+    """Return squared distances (T, N), m^2, between the contact shapes of the grid and of true poses (T, 4, 4).
 
-    Both are clean, cut at the touch's press depth, at the grid's resolution, over every EVERY-th observed pixel.
+    Both are without noise, cut at the touch's press depth, at the grid's resolution, over each EVERY-th observed pixel.
     """
     pixels = np.flatnonzero(localizer.coarse_scene.geometry.observed_mask)[::EVERY]
     press = np.array([touch.press_depth_m for touch in touches], np.float32)
@@ -173,7 +171,7 @@ def _measure_shape_distances(localizer: Localizer, touches: Sequence[Touch], tru
 
 
 def _draw_true_shapes(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
-    """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
+    """Return clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
     shapes = []
     for touch, T in zip(touches, truths, strict=True):
         pressed = localizer.coarse_scene.press(touch.indentation_m, touch.press_depth_m)

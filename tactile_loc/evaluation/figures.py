@@ -1,4 +1,4 @@
-"""Pictures of evaluations: violins of errors, best and worst touches, credible sets, errors by number of touches."""
+"""Figures of evaluations: violins of errors, best and worst touches, credible sets, errors by number of touches."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 DRAWN = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10")
 COLOURS = ("#2b6cb0", "#dd6b20", "#2f855a", "#6b46c1", "#b83280", "#4a5568")
 RANDOM, CLOSEST = "#c53030", "#1a202c"
-FLOOR = 1e-4  # errors below this share of a random pose's are drawn here
-ROOM = 0.82  # of the distance between lines, for their violins
+FLOOR = 1e-4  # smaller errors, as shares of a random pose's, are drawn here
+ROOM = 0.82  # share of the distance between lines for their violins
 GALLERY_LINE = "reg-1"
 EACH = 2  # touches of each kind in a gallery
 MARKERS = "os^Dv<>pP*X"
-LEAST_MM = 1e-2  # errors below are drawn here: the axis is logarithmic
-FUSION_FLOOR = 1e-3  # errors below this share of a random pose's are drawn here: the axis is logarithmic
+LEAST_MM = 1e-2  # smaller errors are drawn here, since the axis is logarithmic
+FUSION_FLOOR = 1e-3  # smaller errors, as shares of a random pose's, are drawn here
 KINEMATIC = "#718096"
 TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 
 
 def draw_violins(runs: Sequence[Run], title: str) -> Figure:
-    """Draw a panel for each object: the distribution of the normalised ADD of each line, a colour for each encoder.
+    """Draw a panel for each object: the distribution of each line's normalised ADD, with a colour for each encoder.
 
-    The error axis is logarithmic. Dashed lines are the medians of a random pose and of the grid pose nearest to the
-    truth, white dots medians, thick bars quartiles.
+    The error axis is logarithmic. White dots are medians, thick bars quartiles. Dashed lines are the medians of a
+    random pose and of the grid pose nearest to the truth.
     """
     figure, panels, colours = _make_object_panels(runs, title, 4.9, 3.6, 0.5)
     for name, axes in panels.items():
@@ -57,7 +57,7 @@ def draw_violins(runs: Sequence[Run], title: str) -> Figure:
 def _make_object_panels(
     runs: Sequence[EvaluatedObject], title: str, width: float, height: float, wider: float = 0.0
 ) -> tuple[Figure, dict[str, Axes], dict[str, str]]:
-    """Make a figure with a panel, `width` by `height` inches, for each object, and choose a colour for each encoder."""
+    """Make a figure with a panel, `width` by `height` inches, for each object; choose a colour for each encoder."""
     objects, encoders = (dict.fromkeys(names) for names in zip(*((r.object, r.encoder) for r in runs), strict=True))
     columns = min(3, len(objects))
     rows = -(-len(objects) // columns)
@@ -71,9 +71,10 @@ def _make_object_panels(
 
 
 def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: SimulatedTouches, title: str) -> Figure:
-    """Draw the best, median and worst touches of an evaluation by the most probable pose, refined.
+    """Draw the best, median and worst touches of an evaluation, by the error of the refined most probable pose.
 
-    Above the observed contact shapes, below the clean ones of the estimated poses with the observed outline.
+    The upper row shows the observed contact shapes, the lower row those of the estimated poses without noise, with the
+    observed outline.
     """
     errors_m = evaluation.select_errors(GALLERY_LINE)
     chosen = _choose_touches(errors_m)
@@ -115,14 +116,14 @@ def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> No
 
 
 def _draw_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
-    """Draw a grid behind everything, and no frame at the top and on the right."""
+    """Draw a grid behind everything, without a frame at the top and on the right."""
     axes.set_axisbelow(True)
     axes.grid(axis=axis, color="#e2e8f0", lw=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def _scale_errors(axes: Axes, lowest: float) -> None:
-    """Tick the shared error axis, whose values are decimal logarithms, down to `lowest`."""
+    """Draw ticks on the shared error axis, whose values are decimal logarithms, down to `lowest`."""
     bottom, top = float(np.floor(lowest)), 0.5
     axes.set_ylim(bottom, top)
     decades = np.arange(bottom, 1)
@@ -132,9 +133,9 @@ def _scale_errors(axes: Axes, lowest: float) -> None:
 
 
 def _draw_violin(axes: Axes, place: float, width: float, values: NDArray[np.float64], colour: str) -> None:
-    """The distribution of values (T,) on an axis of logarithms, its quartiles as a bar, its median as a dot."""
+    """Draw the distribution of values (T,) on a logarithmic axis, its quartiles as a bar, its median as a dot."""
     logarithms = _take_logarithm(values)
-    if np.ptp(logarithms) > 1e-9:  # a density needs values that differ
+    if np.ptp(logarithms) > 1e-9:  # a density needs different values
         parts: Any = axes.violinplot([logarithms], [place], widths=0.92 * width, showextrema=False, points=200)
         parts["bodies"][0].set(facecolor=colour, edgecolor=colour, alpha=0.45, linewidth=0.8, zorder=2)
     low, median, high = _take_logarithm(np.quantile(values, (0.25, 0.5, 0.75)))
@@ -160,7 +161,7 @@ def _take_logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[n
 
 
 def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
-    """Up to EACH touches of each kind, by rising error, none twice."""
+    """Return up to EACH touches of each kind, by rising error, none twice."""
     order = np.argsort(errors_m, kind="stable")
     each = min(EACH, max(1, len(order) // 3))
     middle = (len(order) - each) // 2
@@ -173,8 +174,8 @@ def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
 
 
 def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
-    """Draw, a curve for each run, how often the truth lies in credible sets against how often it should; and the error
-    of the most probable pose, refined, against the posterior's entropy, a dot a touch.
+    """Draw the coverage of credible sets against their probability, a curve for each run; and the error of the refined
+    most probable pose against the posterior's entropy, a dot for each touch.
     """
     figure = make_figure(11.5, 5.4, constrained=True)
     figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
@@ -185,7 +186,7 @@ def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
         posterior_metrics = run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("entropy")]
         errors_mm = np.maximum(1e3 * run.evaluation.select_errors("reg-1"), LEAST_MM)
         entropy.plot(posterior_metrics, errors_mm, marker, ms=4, alpha=0.6, color=colour, mec="none")
-    coverage.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)), label="as it should be")
+    coverage.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)), label="ideal")
     coverage.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
     coverage.set_xlabel("probability of the credible set (%)")
     coverage.set_ylabel("touches whose true pose is in it (%)")
@@ -209,7 +210,7 @@ def _draw_coverage(axes: Axes, run: Run, colour: str, marker: str) -> None:
 def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
     """Draw a panel for each object: median and quartiles of the normalised error against the number of contacts.
 
-    Best-1 of each encoder, and kinematic, of the first one; logarithmic, with mm on the right.
+    The lines are best-1 of each encoder, and kinematic of the first. The axis is logarithmic, with mm on the right.
     """
     figure, panels, colours = _make_object_panels(runs, title, 4.4, 3.4)
     for name, axes in panels.items():
@@ -243,7 +244,7 @@ def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str,
 
 
 def _draw_line(axes: Axes, run: FusionRun, line: str, colour: str, marker: str, label: str) -> None:
-    """Medians as a line, the quartiles as a band."""
+    """Draw medians as a line, quartiles as a band."""
     contacts = run.evaluation.contacts
     found = [run.summarise(line, n, normalised=True) for n in contacts]
     low, median, high = np.maximum([(s.q25, s.median, s.q75) for s in found], FUSION_FLOOR).T

@@ -1,4 +1,4 @@
-"""The paper's protocol for several touches of one object, on simulated ones: what each further contact is worth."""
+"""The paper's protocol for several simulated touches of one object: the error by number of contacts."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-FUSION_VERSION = 2  # raised when the same localizer would get other numbers
+FUSION_VERSION = 2  # increased when the same localizer would get other numbers
 FUSION_LINES = ("best-1", "kinematic", "random")
 FUSED_LINES = FUSION_LINES[:2]
 MOST_FUSED = 20
-SHARD = 10  # examples located, saved and resumed at once
+SHARD = 10  # examples located and saved at once
 ARRAYS = ("errors_m", "alone", "refused")
 
 
 @dataclass(frozen=True, eq=False)
 class FusionEvaluation:
-    """How far off E examples were located from each of C numbers of contacts.
+    """Errors of E examples located from each of C numbers of contacts.
 
-    `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, symmetry regarded; `alone` (E, C, 2) says
-    where a line of FUSED_LINES found no pose common to all contacts, and its pose is that of the first contact alone;
-    `refused` (E,) how many presses of an example showed no touch, and do not count.
+    `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, with symmetric poses equal. `alone`
+    (E, C, 2) marks where a line of FUSED_LINES found no pose common to all contacts, and used the first contact only.
+    `refused` (E,) is the number of presses that showed no touch; they do not count.
     """
 
     contacts: tuple[int, ...]
@@ -46,7 +45,7 @@ class FusionEvaluation:
     refused: NDArray[np.int64]
 
     def select_errors(self, line: str, contacts: int) -> NDArray[np.float64]:
-        """Return the errors (E,) of a line with so many contacts, metres."""
+        """Return the errors (E,) of a line with this number of contacts, metres."""
         return self.errors_m[:, self.contacts.index(contacts), FUSION_LINES.index(line)]
 
     def compute_scale_m(self) -> float:
@@ -58,19 +57,19 @@ class FusionEvaluation:
         return self.select_errors(line, contacts) / self.compute_scale_m()
 
     def count_without_common(self, line: str, contacts: int) -> int:
-        """Return in how many examples a line of FUSED_LINES found no pose that touches all so many sensors."""
+        """Return the number of examples in which a line of FUSED_LINES found no pose that touches all sensors."""
         return int(self.alone[:, self.contacts.index(contacts), FUSED_LINES.index(line)].sum())
 
 
 def evaluate_fusion(
     localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
 ) -> FusionEvaluation:
-    """Locate `count` examples from each number of `contacts` by the localizer's fuser and by the kinematic one.
+    """Locate `count` examples from each number of `contacts`, by the localizer's fuser and by the kinematic one.
 
     Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of the source, so that more contacts only add
-    touches; the object lies still, each sensor where its touch's true pose has it. The result is kept in the
-    localizer's store, by shards of SHARD examples, and an interrupted evaluation resumes. Raises ConfigError for no
-    number of contacts or one that is not from 1 to MOST_FUSED, TactileLocError when a touch cannot be located.
+    touches. The object is at rest, and the touches' true poses give the sensor poses. The result is kept in the
+    localizer's store, in shards of SHARD examples, and an interrupted evaluation resumes. Raises ConfigError unless
+    all numbers of contacts are from 1 to MOST_FUSED, and TactileLocError when a touch cannot be located.
     """
     numbers = tuple(sorted(set(contacts)))
     if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
@@ -80,43 +79,44 @@ def evaluate_fusion(
         examples = _Examples(localizer, numbers, touches)
         save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
 
-    return _read(numbers, localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run))
+    artifact = localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run)
+    return FusionEvaluation(numbers, *(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
-    """Return the key under which an evaluation is stored: everything that decides its errors."""
+    """Return the store's key of an evaluation: everything that its errors depend on."""
     own: dict[str, Any] = {"kinematic": _make_kinematic().describe(), "contacts": list(contacts)}
     return StageKey("contact-evaluation", FUSION_VERSION, {**describe_located(localizer, touches, count), **own})
 
 
 @dataclass(frozen=True, eq=False)
 class _Examples:
-    """Locates examples from their touches and knows their truth."""
+    """Locates examples from their touches, whose true poses are known."""
 
     localizer: Localizer
     contacts: tuple[int, ...]
     source: SimulatedTouches
 
     def locate(self, numbers: range) -> list[NDArray[Any]]:
-        """Errors (E, C, L) in metres, where a fuser found no common pose (E, C, 2), and presses refused (E,)."""
+        """Return the ARRAYS of some examples."""
         name = self.localizer.object.name
         task = f"locating {name} by contacts, examples {numbers[0] + 1} to {numbers[-1] + 1}"
         with self.localizer.progress.task(task, len(numbers)) as advance:
             posteriors, poses, refused = self._locate_touches(numbers)
             rows = []
-            for number, own, truths in zip(numbers, posteriors, poses, strict=True):
-                rows.append(self._locate_example(number, own, truths))
+            for example in zip(numbers, posteriors, poses, strict=True):
+                rows.append(self._locate_example(*example))
                 advance(1)
         return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
     def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
-        """What each touch of each example says alone, their true poses (M, 4, 4), metres, and presses refused (E,)."""
+        """Return each example's posteriors and true poses (M, 4, 4), metres, by touch, and refused presses (E,)."""
         most = self.contacts[-1]
         drawn = [self.source.draw_counted(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
         touches = [touch for touch, _ in drawn]
         refused = np.array([count for _, count in drawn]).reshape(len(numbers), most).sum(axis=1)
         found: dict[int, PosePosterior] = {}
-        for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # those of one bank together
+        for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # one bank after the other
             found[i] = self.localizer.posteriors([touches[i]])[0]
         starts = range(0, len(touches), most)
         poses = [np.stack([require_true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
@@ -125,7 +125,7 @@ class _Examples:
     def _locate_example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Errors (C, L) in metres and (C, 2) where a fuser found no common pose, of one example."""
+        """Return one example's errors (C, L) in metres, and where a fuser found no common pose (C, 2)."""
         grid = posteriors[0].grid
         rng = np.random.default_rng(self.source.seed_touch(MOST_FUSED * number, 1))
         guesses = rng.integers(len(grid), size=MOST_FUSED)
@@ -154,7 +154,7 @@ def _make_kinematic() -> Fuser:
 
 
 def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Poses) -> tuple[PosePosterior, bool]:
-    """What a fuser makes of the touches, by sensors at (M, 4, 4), metres; of the first alone, and True, if nothing."""
+    """Fuse touches of sensors at (M, 4, 4), metres; without a common pose, return the first only, and True."""
     try:
         return fuser.fuse(posteriors, list(T_base_sensor)), False
     except GridError:
@@ -162,10 +162,6 @@ def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Pose
 
 
 def _draw(posterior: PosePosterior, lot: float) -> int:
-    """The index of the most probable pose; of several that are, the one that the lot (0 to below 1) falls on."""
+    """Return the index of the most probable pose; of several, the one chosen by the lot (0 to below 1)."""
     most = np.flatnonzero(posterior.log_p == posterior.log_p.max())
     return int(most[int(lot * len(most))])
-
-
-def _read(contacts: tuple[int, ...], artifact: Artifact) -> FusionEvaluation:
-    return FusionEvaluation(contacts, *(artifact.load_array(name, mmap=False) for name in ARRAYS))

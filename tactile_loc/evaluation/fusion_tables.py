@@ -1,10 +1,10 @@
-"""Evaluations of several contacts as tables: Markdown and CSV for people, in mm, and JSON in SI units."""
+"""Tables of evaluations of several contacts: Markdown and CSV in mm, and JSON in SI units."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,9 @@ from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERS
 
 SCHEMA_VERSION = 1
 NOTE = (
-    "ADD of the most probable pose in mm and, in brackets, divided by the mean error of a random pose; symmetry "
-    "regarded. `kinematic` knows of contact only, and takes one of the poses that touch all sensors. Without common "
-    "pose: examples in which no pose of the grid touches all sensors, located from the first contact alone."
+    "ADD of the most probable pose in mm and, in brackets, divided by the mean error of a random pose. Symmetric poses "
+    "count as equal. `kinematic` uses contact only, and takes one of the poses that touch all sensors. Without common "
+    "pose: examples in which no grid pose touches all sensors; they are located from the first contact only."
 )
 
 
@@ -28,9 +28,9 @@ class FusionRun(tabular.EvaluatedObject):
 
 
 def tabulate_medians(runs: Sequence[FusionRun], normalised: bool = False) -> tabular.Table:
-    """Return a row for each run and line of FUSED_LINES: the median error by number of contacts, the same for all runs.
+    """Return a row for each run and line of FUSED_LINES: the median error by number of contacts.
 
-    In mm, or as a share of a random pose's mean error if `normalised`.
+    It is in mm, or a share of a random pose's mean error if `normalised`. All runs have the same numbers of contacts.
     """
     contacts, write = runs[0].evaluation.contacts, "{:.3f}".format if normalised else format_mm
     rows = []
@@ -41,15 +41,15 @@ def tabulate_medians(runs: Sequence[FusionRun], normalised: bool = False) -> tab
 
 
 def format_markdown(runs: Sequence[FusionRun], heading: str) -> str:
-    """Return all tables as Markdown, the lengths in mm."""
+    """Return all tables as Markdown, lengths in mm."""
     medians = tabular.bracket_shares(tabulate_medians(runs), tabulate_medians(runs, normalised=True), names=3)
     parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", tabular.format_markdown(medians)]
     for run in runs:
         parts.append(f"## {run.object}, {run.encoder}\n")
         parts.append(
             f"{run.grid_poses} grid poses, symmetry {run.symmetry}; "
-            f"a random pose: {format_mm(run.evaluation.compute_scale_m())} mm in the mean; "
-            f"{run.evaluation.refused.sum()} presses that showed no touch were refused\n"
+            f"mean error of a random pose {format_mm(run.evaluation.compute_scale_m())} mm; "
+            f"{run.evaluation.refused.sum()} presses without a touch were refused\n"
         )
         parts.append(tabular.format_markdown([_DETAILS, *_list_details(run)]))
     return "\n".join(parts)
@@ -68,7 +68,7 @@ def format_csv(runs: Sequence[FusionRun]) -> str:
 
 
 def record_runs(runs: Sequence[FusionRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything as JSON values in SI units; `protocol` says how many examples, which noise and seed."""
+    """Return everything as JSON values in SI units; `protocol` states the number of examples, noise and seed."""
     asked = {"version": FUSION_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol}
     return tabular.build_document(SCHEMA_VERSION, asked, [_record_run(run) for run in runs])
 
@@ -80,7 +80,7 @@ def write_fusion_tables(
     document = tabular.format_json(record_runs(runs, protocol))
     return tabular.write_texts(
         folder, "contacts", json=document, csv=format_csv(runs), md=format_markdown(runs, heading)
-    )  # fmt: skip
+    )
 
 
 def _record_run(run: FusionRun) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def _record_run(run: FusionRun) -> dict[str, Any]:
         line: [
             {
                 "contacts": n,
-                **{unit: asdict(statistics) for unit, statistics in run.compare_statistics(line, n).items()},
+                **run.record_statistics(line, n),
                 "without_common": found.count_without_common(line, n) if line in FUSED_LINES else 0,
                 "errors_m": found.select_errors(line, n).tolist(),
             }
@@ -111,11 +111,6 @@ def _list_details(run: FusionRun) -> Iterator[list[str]]:
     for line in FUSED_LINES:
         for n in run.evaluation.contacts:
             s, share = run.compare_statistics(line, n).values()
-            lengths = [
-                format_mm(s.median),
-                format_mm(s.mean),
-                format_mm(s.std),
-                f"{format_mm(s.q25)} to {format_mm(s.q75)}",
-            ]
             shares = [f"{v:.3f}" for v in (share.median, share.mean, share.std)]
-            yield [line, str(n), *lengths, *shares, str(run.evaluation.count_without_common(line, n))]
+            without_common = str(run.evaluation.count_without_common(line, n))
+            yield [line, str(n), *tabular.format_lengths(s), *shares, without_common]

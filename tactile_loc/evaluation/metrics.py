@@ -1,9 +1,9 @@
-"""How far an estimated pose is from the true one, in metres of object surface, and what a posterior knew of it.
+"""Errors of estimated poses, in metres of object surface, and metrics of posteriors.
 
-All regard symmetry: a pose is compared with every pose that looks the same as the true one. ADD is the mean distance
-of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020), ADD-S the mean
-distance to whichever surface point is nearest, which forgives all that looks alike. Of a posterior: likelihood,
-credible level, entropy, spread; coverage.
+All respect symmetry: an estimate is compared with every pose that is symmetric to the true one. ADD is the mean
+distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020). ADD-S is the
+mean distance to the nearest surface point, which ignores all differences between similar views. The metrics of a
+posterior are likelihood, credible level, entropy, spread and coverage.
 """
 
 from __future__ import annotations
@@ -20,30 +20,27 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation.rolls import find_least_largest, find_least_mean
 
-FEW_SYMMETRIES = 8  # up to which all are measured with all points
-ALIKE = 1.25  # of the least root mean square distance: symmetries within it may have the least mean distance
-TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried with few points, measured with all
+FEW_SYMMETRIES = 8  # up to this number, all are measured with all points
+ALIKE = 1.25  # times the least root mean square distance: symmetries up to here may have the least mean distance
+TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: number tried, points to try, number measured fully
 AT_ONCE = 32  # transforms applied to all points at once
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)
-STEP_M = 2e-5  # of a continuous symmetry, in finding the nearest of the poses that look the same
+STEP_M = 2e-5  # of a continuous symmetry, to find the nearest symmetric pose
 
 Points = NDArray[np.float64]
 
 
 def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-    """Mean distance (...,) in metres between object points (P, 3) at poses T1 and T2 (..., 4, 4): ADD.
-
-    Symmetry is not regarded.
-    """
+    """Mean distance (...,) in metres of object points (P, 3) at poses T1 and T2 (..., 4, 4): ADD, without symmetry."""
     return np.linalg.norm(transform_points(T1, points_m) - transform_points(T2, points_m), axis=-1).mean(axis=-1)
 
 
 def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """ADD (K,) in metres of estimates (K, 4, 4), each the least over the true poses (4, 4) that look the same.
+    """ADD (K,) in metres of estimates (K, 4, 4): the least over the poses symmetric to the true one (4, 4).
 
-    Of many symmetries, those near the least root mean square distance, which is cheap, are tried with few of the points
-    (P, 3), and the best of them measured with all; a continuous axis is searched for the best roll.
+    If there are many symmetries, those near the least root mean square distance, which is cheap, are tried with a few
+    of the points (P, 3), and the best are measured with all. For a continuous axis, the best roll is searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
@@ -58,11 +55,11 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
 
 
 def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Largest distance (K,) in metres of surface at estimates (K, 4, 4) from the true pose (4, 4): MSSD.
+    """Largest surface distance (K,) in metres between estimates (K, 4, 4) and the true pose (4, 4): MSSD.
 
-    Exact over the whole surface when `corners_m` (V, 3) are its hull's (`TriangleMesh.hull_corners_m`): the distance is
-    a convex function of the point. Symmetries are tried by rising root mean square distance, which bounds the largest
-    from below, so that none that could be better is left out; rolls about a continuous axis likewise.
+    It is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
+    function of the point. Symmetries are tried by rising root mean square distance, a lower bound of the largest, so
+    that no better one is left out. For a continuous axis, the best roll is searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
@@ -72,8 +69,8 @@ def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true
 
 
 def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
-    """Mean distance (K,) in metres from object points (P, 3) at the true pose (4, 4) to the nearest of them at the
-    estimates (K, 4, 4): ADD-S, also called ADI. The mean is over every `every`-th point, the nearest is of all."""
+    """Mean distance (K,) in metres from object points (P, 3) at the true pose (4, 4) to the nearest point at the
+    estimates (K, 4, 4): ADD-S, also called ADI. The mean is over every `every`-th point; the nearest is of all."""
     from scipy.spatial import cKDTree
 
     tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame: rigid motions keep distances
@@ -99,20 +96,20 @@ def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _measure_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
-    """How far points (P, 3) move, (D, P) metres, between poses whose matrices differ by (D, 4, 4)."""
+    """Distances (D, P), metres, of points (P, 3) between poses whose matrices differ by (D, 4, 4)."""
     moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
     return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
 
 
 def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
-    """The mean (...,) of the distances that differences of poses (..., 4, 4) move points (P, 3) by, metres."""
+    """Mean distances (...,), metres, of points (P, 3) between poses whose matrices differ by (..., 4, 4)."""
     flat = difference.reshape(-1, 4, 4)
     means = [_measure_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
     return np.concatenate(means).reshape(difference.shape[:-2])
 
 
 def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
-    """The least over differences of poses (E, 4, 4) of the largest distance they move a corner (V, 3) by, metres."""
+    """The least, over differences of poses (E, 4, 4), of the largest distance of a corner (V, 3), metres."""
     order = np.argsort(rms_m)
     least = np.inf
     for start in range(0, len(order), AT_ONCE):
@@ -124,12 +121,11 @@ def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.
 
 
 def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return the numbers (5,) of POSTERIOR_METRICS of a posterior whose true pose (4, 4), metres, is known.
+    """Return the POSTERIOR_METRICS (5,) of a posterior with a known true pose (4, 4), metres.
 
     `nll`, nats: of the grid pose nearest to the truth. `credible_level`: the probability of the smallest credible set
     that holds that pose, drawn at random within its own share. `entropy`, nats. `expected_error` and `spread`, metres:
-    the mean distance from the truth, and from the most probable pose, of poses drawn from the posterior; symmetry
-    regarded.
+    the posterior's mean distance from the truth, and from the most probable pose, with symmetric poses equal.
     """
     p = posterior.probabilities
     truth = int(posterior.grid.nearest(T_true[None])[1][0])
@@ -142,20 +138,20 @@ def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
 def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.float64], T_true: Poses) -> float:
     """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
 
-    e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the pose that looks like the
-    true one (4, 4) and is nearest. With true covariances and Gaussian errors its mean is 6 (chi-squared).
+    e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the nearest pose that is
+    symmetric to the true one (4, 4). With true covariances and Gaussian errors its mean is 6 (chi-squared).
     """
     T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
-    turned = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
-    e = np.concatenate([T[:3, 3] - T_estimate[:3, 3], turned])
+    rotation = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
+    e = np.concatenate([T[:3, 3] - T_estimate[:3, 3], rotation])
     return float(e @ np.linalg.solve(covariance, e))
 
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """The metrics of many touches' posteriors, summed up: means over touches, lengths in metres, nll in nats.
+    """Summary of many touches' posteriors: means over touches, lengths in metres, nll in nats.
 
-    `coverage` are the shares of touches whose truth is in the credible set of each of LEVELS.
+    `coverage` holds the shares of touches whose truth is in the credible set of each of LEVELS.
     """
 
     nll: float
@@ -167,7 +163,7 @@ class PosteriorSummary:
 
     @classmethod
     def of(cls, metrics: NDArray[np.float64], grid_poses: int) -> PosteriorSummary:
-        """Sum up metrics (T, 5) of posteriors over a grid of so many poses."""
+        """Summarise the metrics (T, 5) of posteriors over a grid of `grid_poses` poses."""
         nll, level, entropy, expected_error_m, spread_m = metrics.T
         coverage = tuple(float((level <= sure).mean()) for sure in LEVELS)
         means = (float(v.mean()) for v in (entropy, expected_error_m, spread_m))

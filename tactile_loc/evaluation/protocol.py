@@ -1,4 +1,4 @@
-"""The paper's protocol for one touch, on simulated touches: how far estimates are off, beside what the grid allows."""
+"""The paper's protocol for one simulated touch: errors of the estimates, and the least errors that the grid allows."""
 
 from __future__ import annotations
 
@@ -23,27 +23,26 @@ from tactile_loc.evaluation.ambiguity import AMBIGUOUS, choose_judging_noise, me
 from tactile_loc.evaluation.metrics import compute_add_s, compute_adds, compute_mssd, measure_posterior
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 
-PROTOCOL_VERSION = 3  # raised when the same localizer would get other numbers
+PROTOCOL_VERSION = 3  # increased when the same localizer would get other numbers
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
 SURFACE_POINTS = 10_000
-ASKED_EVERY = 10  # of the surface points, for ADD-S
-MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen, reg-10 and random-10 choose from
-NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
-SHARD = 25  # touches localised, saved and resumed at once
+ASKED_EVERY = 10  # step through the surface points, for ADD-S
+MOST, FEW = 50, 10  # candidates of best-50, and of best-10, chosen, reg-10 and random-10
+NEAR = 32  # nearest grid poses by root mean square distance: candidates for the nearest by ADD
+SHARD = 25  # touches located and saved at once
 MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
 ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
 def sample_surface(obj: ObjectModel) -> NDArray[np.float64]:
-    """Return the points (SURFACE_POINTS, 3) of an object, metres, over which ADD is taken: always the same."""
+    """Return the object's points (SURFACE_POINTS, 3), metres, for ADD: always the same."""
     return obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
 
@@ -59,14 +58,14 @@ class MeasuredTouch:
 
 @dataclass(frozen=True, eq=False)
 class TouchEvaluator:
-    """Localises touches of known pose on a localizer's object, and measures every line of the protocol."""
+    """Locates touches with known poses on a localizer's object, and measures every line of the protocol."""
 
     localizer: Localizer
 
     def measure(self, touch: Touch, rng: np.random.Generator) -> MeasuredTouch:
-        """Localise a touch of known pose and measure it.
+        """Locate a touch with a known pose and measure the errors.
 
-        `rng` draws the random poses. The refinement's time is that of one pose. Raises TouchError without a true pose.
+        `rng` draws the random poses. The refinement's time is for one pose. Raises TouchError without a true pose.
         """
         truth = require_true_pose(touch)
         times = StageTimes()
@@ -82,7 +81,7 @@ class TouchEvaluator:
         return MeasuredTouch(errors_m, poses, seconds, metrics)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
-        """Refine the grid poses `top` (K,), and say how long the first took, seconds."""
+        """Return the refined grid poses `top` (K,), and the first one's time, seconds."""
         start = time.perf_counter()
         (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
         seconds = time.perf_counter() - start
@@ -93,8 +92,9 @@ class TouchEvaluator:
         self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], refined: Poses,
         chosen: int,
     ) -> Poses:  # fmt: skip
-        """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
-        on_grid = np.concatenate([top, guesses, _find_near(grid, T_true)])
+        """Return the pose (L, 4, 4) of each line: the nearest to the truth, by ADD, of the line's candidates."""
+        near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
+        on_grid = np.concatenate([top, guesses, near])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
         errors = compute_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
@@ -106,13 +106,13 @@ class TouchEvaluator:
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
     def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
-        """Errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""
+        """Return the errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""
         obj = self.localizer.object
         distinct, where = np.unique(poses.reshape(len(poses), 16), axis=0, return_inverse=True)
         distinct = distinct.reshape(-1, 4, 4)
         errors = (
             compute_adds(obj, self._points_m, distinct, T_true),
-            compute_mssd(obj, self.localizer.object.mesh.hull_corners_m, distinct, T_true),
+            compute_mssd(obj, obj.mesh.hull_corners_m, distinct, T_true),
             compute_add_s(self._points_m, distinct, T_true, ASKED_EVERY),
         )
         return np.stack(errors, axis=1)[where.ravel()]
@@ -124,13 +124,13 @@ class TouchEvaluator:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """How far off T simulated touches were localised.
+    """Errors of T located simulated touches.
 
-    `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
-    pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose;
-    `posterior_metrics` (T, B) what POSTERIOR_METRICS names, of each posterior, metres and nats; `ambiguity` (T,) the
-    touches' ratios (`measure_ambiguity`), unitless; `contact_share` (T,) the share of the observed pixels that a touch
-    shows in contact, 0 to 1; `refused` (T,) how many presses before each showed no touch, and do not count.
+    `errors_m` (T, L, M): metres, of every line of LINES by every metric of METRICS. `T_sensor_object` (T, L, 4, 4):
+    the line's final pose, metres. `seconds` (T, S): of every stage of STAGES, refining one pose. `posterior_metrics`
+    (T, B): POSTERIOR_METRICS, metres and nats. `ambiguity` (T,): ratios of `measure_ambiguity`, unitless.
+    `contact_share` (T,): share of the observed pixels in contact, 0 to 1. `refused` (T,): presses before each touch
+    that showed no touch and do not count.
     """
 
     errors_m: NDArray[np.float64]
@@ -143,7 +143,7 @@ class Evaluation:
 
     @property
     def ambiguous(self) -> NDArray[np.bool_]:
-        """The touches (T,) that a distant pose explains as well as the true one, within noise."""
+        """Whether a distant pose explains a touch (T,) as well as the true one, within noise."""
         return self.ambiguity < AMBIGUOUS
 
     def select_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
@@ -159,47 +159,42 @@ class Evaluation:
         return self.select_errors(line, metric) / self.compute_scale_m(metric)
 
     def select_poses(self, line: str) -> Poses:
-        """Return the poses (T, 4, 4) that a line ended with, metres."""
+        """Return the final poses (T, 4, 4) of a line, metres."""
         return self.T_sensor_object[:, LINES.index(line)]
 
     def select_seconds(self, stage: str) -> NDArray[np.float64]:
-        """Return how long a stage took (T,), seconds."""
+        """Return the durations (T,) of a stage, seconds."""
         return self.seconds[:, STAGES.index(stage)]
 
 
 def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Evaluation:
-    """Localise the first `count` of simulated touches and measure all LINES.
+    """Locate the first `count` of simulated touches and measure all LINES.
 
-    The result is kept in the localizer's store; what an interrupted evaluation has finished, by shards of SHARD
-    touches, is not done again, and the errors are those of an uninterrupted one. All encoders are asked about the same
-    touches, beside the same random poses. Raises TactileLocError.
+    The result is kept in the localizer's store, in shards of SHARD touches. An interrupted evaluation resumes with the
+    same errors. All encoders get the same touches and the same random poses. Raises TactileLocError.
     """
 
     def run(work: Workspace) -> None:
         evaluator = TouchEvaluator(localizer)
         save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(evaluator, numbers, touches))
 
-    return _read(localizer.store.build(make_evaluation_key(localizer, count, touches), run))
+    artifact = localizer.store.build(make_evaluation_key(localizer, count, touches), run)
+    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
-    """Return the key under which an evaluation is stored: everything that decides its errors."""
+    """Return the store's key of an evaluation: everything that its errors depend on."""
     refiner = {"refiner": localizer.refinement.refiner.describe()}
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
 
-def _find_near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
-    """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
-    return np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
-
-
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
-    """The ARRAYS of some touches."""
+    """Return the ARRAYS of some touches."""
     localizer = evaluator.localizer
     touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
     for touch in touches:
-        localizer.listed.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
-    localizer.find_most_probable_pose(touches[0])  # nor is loading libraries
+        localizer.listed.matcher(touch.press_depth_m)  # built now, since a touch's time leaves it out
+    localizer.find_most_probable_pose(touches[0])  # libraries are loaded now, too
     noise = make_noise(choose_judging_noise(source.noise))
     rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
     ambiguity = measure_ambiguity(localizer, touches, noise, rngs)
@@ -215,21 +210,17 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
 
 
 def measure_contact_share(touch: Touch) -> float:
-    """Return the share of the observed pixels that a touch shows in contact, 0 to 1, unitless."""
+    """Return the share of a touch's observed pixels in contact, 0 to 1."""
     return float(touch.contact_shape.contact[touch.geometry.observed_mask].mean())
-
-
-def _read(artifact: Artifact) -> Evaluation:
-    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def save_in_shards(
     work: Workspace, names: Sequence[str], count: int, size: int, make: Callable[[range], Arrays]
 ) -> None:
-    """Save the arrays called `names`, a row for each of `count` numbers, made `size` numbers at once by `make`.
+    """Save the arrays called `names`, with a row for each of `count` numbers, made in shards of `size` by `make`.
 
-    `make` takes a range of numbers and returns an array of their rows for each name. What an interrupted run has made
-    is not made again.
+    `make` takes a range of numbers and returns an array of their rows for each name. Shards of an interrupted run are
+    not made again.
     """
     every = range(count)
     shards = [_make_shard(work, names, every[start : start + size], make) for start in every[::size]]
@@ -238,7 +229,7 @@ def save_in_shards(
 
 
 def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Callable[[range], Arrays]) -> Arrays:
-    """The arrays of some numbers: made now, or loaded if an interrupted run got that far."""
+    """Return the arrays of some numbers, loaded if an interrupted run saved them."""
     own = [f"{name}-{numbers.start:06d}" for name in names]
     found: Arrays = [array for array in (work.load(name, keep=False) for name in own) if array is not None]
     if len(found) < len(own):
@@ -249,7 +240,7 @@ def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Cal
 
 
 def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int) -> dict[str, Any]:
-    """Return what decides the posteriors of `count` simulated touches, and those fused with them, as JSON values."""
+    """Return everything that the posteriors of `count` simulated touches, also fused, depend on, as JSON values."""
     matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return {
         **localizer.describe_scores(), "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),

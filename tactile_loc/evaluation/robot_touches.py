@@ -1,7 +1,7 @@
-"""Touches as a robot makes them: from any direction, pressed in, edges and corners too, and drawn by another renderer.
+"""Simulated touches of a robot: from any direction, also of edges and corners, pressed in, with another renderer.
 
-Nothing about them is chosen by the software that has to locate them: no face, no grid, no least contact but a few
-pixels. What a sensor could not tell from no touch at all is refused, and counted.
+They are independent of the software that locates them: no face, no grid, and a least contact of only a few pixels. A
+press that a sensor cannot distinguish from no touch is refused and counted.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
 
-INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the object's lowest point is
+INSIDE = 0.8  # share of the sensing rectangle's sides, about its centre, for the object's lowest point
 MOST_DRAWS = 1000
-CLEAR_M = 0.02  # between the object's sphere and a sensor that starts
+CLEAR_M = 0.02  # between the object's bounding sphere and a sensor at its start
 NO_NOISE = TouchNoise()
 
 
 @dataclass(frozen=True, eq=False)
 class RobotTouches:
-    """Draws an object that sensors press from random directions, by a `renderer` of its own.
+    """Draws touches of an object from random directions, by its own `renderer`.
 
-    Each press is uniform between the shares `press` of the sensor's deepest; a touch has contact on at least
-    `least_percent` of the observed pixels, before `noise`. `sensor_std_m` and `sensor_std_rad` are how far off, along
-    and about each axis, the sensor poses are that come with the touches.
+    Each press is uniform between the shares `press` of the maximal depth. Before `noise`, at least `least_percent` of
+    the observed pixels are in contact. `sensor_std_m` and `sensor_std_rad` are the standard errors of the touches'
+    sensor poses, along and about each axis.
     """
 
     object: ObjectModel
@@ -47,7 +47,7 @@ class RobotTouches:
     sensor_std_rad: float = 0.0
 
     def draw_example(self, count: int, rng: np.random.Generator) -> tuple[list[Touch], int]:
-        """Return `count` touches of the object, which stands still, and how many presses showed no usable touch.
+        """Return `count` touches of the object, which is at rest, and the number of refused presses.
 
         The base frame is the object's. Raises TouchError when hardly any press shows a touch.
         """
@@ -69,8 +69,8 @@ class RobotTouches:
     ) -> Touch | None:
         """Return the touch of a sensor that moves along its z from `T_base_sensor` (4, 4) until contact, and presses.
 
-        The base frame is the object's; metres. None where it meets nothing within `travel_m`, starts inside the object,
-        or shows no usable touch.
+        The base frame is the object's; lengths are in metres. Return None without contact within `travel_m`, for a
+        start inside the object, or without a usable touch.
         """
         start = invert(T_base_sensor)
         contact, touching = bring_to_contact(self.object.mesh, start[None], self.geometry)
@@ -85,15 +85,15 @@ class RobotTouches:
     def draw_grip(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
         """Return the two touches of a gripper that closes on the object: the second sensor faces the first.
 
-        Raises TouchError when no such grip of the object shows two touches.
+        Raises TouchError when hardly any grip shows two touches.
         """
-        turned = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
+        facing = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
+        scene = Scene(self.object, self.geometry, self.renderer)
         for _ in range(MOST_DRAWS):
             T = self.draw_pose(rng)
             if T is None:
                 continue
-            scene = Scene(self.object, self.geometry, self.renderer)
-            poses, touching = scene.bring_to_contact(np.stack([T, turned @ T]))
+            poses, touching = scene.bring_to_contact(np.stack([T, facing @ T]))
             if not touching.all():
                 continue
             poses[:, 2, 3] -= press_m
@@ -101,16 +101,18 @@ class RobotTouches:
             touches = [touch for touch in found if isinstance(touch, Touch)]
             if len(touches) == len(poses):
                 return touches
-        raise TouchError(f"no grip of {self.object.name} shows a touch of both fingers")
+        raise TouchError(f"hardly any grip of {self.object.name} shows a touch at both fingers; press deeper")
 
     def draw_pose(self, rng: np.random.Generator) -> Poses | None:
-        """Draw a pose (4, 4), metres, that just touches: a random rotation, its lowest point over a random place of the
-        sensor; None if it misses."""
+        """Draw a pose (4, 4), metres, that just touches; None if it misses.
+
+        The rotation is random, and the lowest point is over a random point of the sensor.
+        """
         R = draw_rotations(1, rng)[0]
-        turned = self.object.mesh.vertices_m @ R.T
+        rotated = self.object.mesh.vertices_m @ R.T
         x0, x1, y0, y1 = self.geometry.rectangle
         place = np.array([x0 + x1, y0 + y1]) / 2 + INSIDE * (rng.random(2) - 0.5) * [x1 - x0, y1 - y0]
-        lowest = turned[turned[:, 2].argmin()]
+        lowest = rotated[rotated[:, 2].argmin()]
         T = make_transform(R, [*(place - lowest[:2]), 0.0])
         poses, touching = bring_to_contact(self.object.mesh, T[None], self.geometry)
         return poses[0] if touching[0] else None
@@ -122,7 +124,7 @@ class RobotTouches:
         return self.draw_touch(T, press_m, name, rng)
 
     def draw_touch(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
-        """Return the touch of a pressed pose (4, 4), metres; why there is none; None where the contact is too small."""
+        """Return the touch of a pressed pose (4, 4), metres, or why there is none; None if its contact is too small."""
         geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
         clean = Scene(self.object, geometry, self.renderer).render_contact_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
@@ -140,20 +142,19 @@ class RobotTouches:
         except TouchError as error:
             return error
 
-    def misplace(
-        self, T_base_sensor: NDArray[np.float64], turn: NDArray[np.float64], shift: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return a sensor's pose (4, 4), metres, that is turned and shifted by so many standard deviations, (3,) each,
-        along its axes and about those through the middle of the gel, where the touch is."""
+    def misplace(self, T_base_sensor: Poses, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Poses:
+        """Return a sensor's pose (4, 4), metres, with an error of `turn` and `shift` (3,) standard deviations.
+
+        They are about the axes through the middle of the gel, where the touch is, and along the sensor's axes.
+        """
         if self.sensor_std_m == self.sensor_std_rad == 0:
             return T_base_sensor
-        return np.asarray(
-            T_base_sensor @ move_about_gel(self.geometry, self.sensor_std_rad * turn, self.sensor_std_m * shift)
-        )
+        error = move_about_gel(self.geometry, self.sensor_std_rad * turn, self.sensor_std_m * shift)
+        return np.asarray(T_base_sensor @ error)
 
 
 def move_about_gel(geometry: SensorGeometry, turn_rad: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Poses:
-    """Return the motion (4, 4) by a rotation vector (3,) about the middle of the gel and a shift (3,), metres."""
+    """Return the motion (4, 4) by a rotation vector (3,), radians, about the gel's middle and a shift (3,), metres."""
     gel, angle_rad = np.array([0.0, 0.0, geometry.standoff_m]), float(np.linalg.norm(turn_rad))
     R = rotation_about(turn_rad, angle_rad) if angle_rad > 0 else np.eye(3)
     return make_transform(R, gel - R @ gel + shift_m)
@@ -162,7 +163,7 @@ def move_about_gel(geometry: SensorGeometry, turn_rad: NDArray[np.float64], shif
 def measure_noisily(
     noise: TouchNoise, clean_m: Float32, press_m: float, geometry: SensorGeometry, rng: np.random.Generator
 ) -> tuple[Float32, float]:
-    """Return the contact shape (H, W) and the press depth that are measured of a clean one (1, H, W), metres."""
+    """Return the measured contact shape (H, W) and press depth of a clean contact shape (1, H, W), metres."""
     press, deepest_m = np.array([press_m]), geometry.max_depth_m
     measured = noise.measure_press(press, deepest_m, rng)
     return noise.cut(noise.corrupt(clean_m, press, geometry, rng), press, measured)[0], float(measured[0])
@@ -171,9 +172,9 @@ def measure_noisily(
 def draw_approaches(
     obj: ObjectModel, geometry: SensorGeometry, count: int, press: float, rng: np.random.Generator
 ) -> list[Approach]:
-    """Return approaches from all directions, in the object's frame, that aim at random points of its surface.
+    """Return approaches from random directions, in the object's frame, aimed at random points of its surface.
 
-    Sensors start clear of the object, and press by the share `press` of the sensor's deepest.
+    Sensors start clear of the object, and press by the share `press` of the maximal depth.
     """
     centre = obj.mesh.centroid_m
     start_m = CLEAR_M + float(np.linalg.norm(obj.mesh.corners_m - centre, axis=1).max())

@@ -1,10 +1,10 @@
-"""The roll about a continuous axis of symmetry that brings two poses nearest, by mean or by largest distance.
+"""The roll about a continuous axis of symmetry that minimizes the mean or the largest distance of two poses.
 
-Rolled by theta, a surface point's squared distance is a sinusoid, a + b cos(theta) + c sin(theta). The mean of these
-squares is least in closed form. That of the distances themselves, ADD, is reached by Weiszfeld's iteration: means of
-squares, each weighted by one over the distance before. The largest, MSSD, has kinks and several minima: over an
-interval it is no less than what any one sinusoid is there at least, and intervals that could hold a better roll are
-halved until none could be better by PRECISION_M.
+As a function of the roll theta, a surface point's squared distance is a sinusoid, a + b cos(theta) + c sin(theta). The
+mean of the squares has its minimum in closed form. The mean distance, ADD, is minimized by Weiszfeld's iteration: means
+of squares, each weighted by one over the previous distance. The largest distance, MSSD, has kinks and several minima.
+In an interval of rolls its lower bound is the largest of the sinusoids' minima; intervals that could hold a better roll
+are halved until none could be better by PRECISION_M.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 
-TRIED, TRIED_POINTS = 64, 300  # rolls, and points, to choose where the least mean distance is
+TRIED, TRIED_POINTS = 64, 300  # rolls, and points, to find a start near the least mean distance
 ROUNDS_FEW, ROUNDS_ALL = 12, 3  # of Weiszfeld's iteration, with few of the points and with all
-COINCIDENT_M = 1e-9  # a distance that counts as none
-PRECISION_M, INTERVALS = 1e-7, 24  # of the largest distance; how many intervals a turn is cut into at first
+COINCIDENT_M = 1e-9  # smaller distances count as this one
+PRECISION_M, INTERVALS = 1e-7, 24  # of the largest distance; first number of intervals
 
 Array = NDArray[np.float64]
 
 
 def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
-    """Return the least mean distance, metres, of points (P, 3) at a pose (4, 4) from the true one (4, 4), rolled.
+    """Return the least mean distance, metres, of points (P, 3) between a pose (4, 4) and the rolled true pose (4, 4).
 
-    Of an object with a continuous axis of symmetry.
+    The object has a continuous axis of symmetry.
     """
     few_m = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
     few = [_fit_sinusoids(obj, few_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
@@ -40,9 +40,9 @@ def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true
 
 
 def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_true: Poses) -> float:
-    """Return the least largest distance, metres, of points (P, 3) at a pose (4, 4) from the true one (4, 4), rolled.
+    """Return the least largest distance, metres, of points (P, 3) between a pose and the rolled true pose (4, 4).
 
-    Of an object with a continuous axis of symmetry; right to PRECISION_M.
+    The object has a continuous axis of symmetry. The result is exact to PRECISION_M.
     """
     flips = [_fit_sinusoids(obj, corners_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
     best_m = min(float(_measure_distances(s, _find_lowest(s.mean(axis=0))).max()) for s in flips)
@@ -58,7 +58,7 @@ def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_
 
 
 def _list_flips(obj: ObjectModel) -> Poses:
-    """What the symmetry has beside its axis (F, 4, 4): nothing, or half a turn across it."""
+    """The symmetry's elements apart from its axis (F, 4, 4): the identity, perhaps also half a turn across the axis."""
     return obj.symmetry.list_elements(np.pi)[::2]
 
 
@@ -71,22 +71,22 @@ def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true:
     fixed = transform_points(T_estimate, points_m) - transform_points(T_true, obj.symmetry.centre_m + along)
     cosine, sine = (offset - along) @ R.T, offset @ (R @ rotation_about(axis, np.pi / 2) - R @ np.outer(axis, axis)).T
     constant = np.einsum("pi,pi->p", fixed, fixed) + np.einsum("pi,pi->p", cosine, cosine)
-    return np.column_stack([constant, *(-2 * np.einsum("pi,pi->p", fixed, turned) for turned in (cosine, sine))])
+    return np.column_stack([constant, *(-2 * np.einsum("pi,pi->p", fixed, wave) for wave in (cosine, sine))])
 
 
 def _find_lowest(sinusoids: Array) -> Array:
-    """The rolls (...,), radians, at which sinusoids (..., 3) are least."""
+    """The rolls (...,), radians, at the minima of sinusoids (..., 3)."""
     return np.asarray(np.arctan2(-sinusoids[..., 2], -sinusoids[..., 1]))
 
 
 def _measure_distances(sinusoids: Array, rolls: Array | float) -> Array:
-    """The distances (..., P), metres, of which sinusoids (P, 3) are the squares, at rolls (...,), radians."""
+    """The distances (..., P), metres, whose squares are sinusoids (P, 3), at rolls (...,), radians."""
     waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
     return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
 
 
 def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
-    """The least distances (I, P), metres, over the intervals of rolls middles (I,) - half to middles + half."""
+    """The least distances (I, P), metres, over the intervals of rolls from middles (I,) - half to middles + half."""
     ends = np.minimum(_measure_distances(sinusoids, middles - half), _measure_distances(sinusoids, middles + half))
     lowest = sinusoids[:, 0] - np.hypot(sinusoids[:, 1], sinusoids[:, 2])
     off = (_find_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi

@@ -1,7 +1,7 @@
-"""Sequences of touches: a sensor that slides and turns over an object at rest, at its camera's rate.
+"""Sequences of touches: a sensor that slides and rotates over an object at rest, at its camera's rate.
 
-The first place and direction are random, as those of `robot_touches`. From there the sensor moves with smoothly
-changing speeds and a smoothly changing press, and turns back where it would lose contact or run into a wall.
+The first pose is random, as in `robot_touches`. From there the sensor moves with smoothly changing speeds and a
+smoothly changing press, and reverses before it loses contact or hits a wall.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.touch_simulation import lower
 from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
 
-WAVES = 3  # that a smoothly changing number is the sum of
-SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # of them
-MOST_RISE_M = 2e-4  # from one frame to the next: an object that rises by more would be a wall
-INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the middle of the contact stays
+WAVES = 3  # summed up to a smoothly changing number
+SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # of the waves
+MOST_RISE_M = 2e-4  # of the object between two frames; a higher step is a wall
+INSIDE = 0.8  # share of the sensing rectangle's sides, about its centre, for the middle of the contact
 MOST_STARTS = 100
-PARTS = np.array([[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 0, 0, 0], [0, 0, 0, 0, 1]])  # all, turning, sliding, yaw
+PARTS = np.array([[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 0, 0, 0], [0, 0, 0, 0, 1]])  # all, rotation, sliding, yaw
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame, `time_s` after the first: its `touch`, None where the sensor shows none, and where the sensor was.
+    """One frame, `time_s` after the first: its `touch`, None without a touch, and its poses (4, 4), metres.
 
-    `T_base_sensor` (4, 4) is what is reported, as in the touch; `T_sensor_object` (4, 4) is true. Metres.
+    `T_base_sensor` is the reported pose, as in the touch; `T_sensor_object` is the true pose.
     """
 
     time_s: float
@@ -46,7 +46,7 @@ class Frame:
 
 
 class Slip(NamedTuple):
-    """How far an object slides along the gel, metres, and turns about the gel's middle, radians, all at once."""
+    """A sudden slide of an object along the gel, metres, and rotation about the gel's middle, radians."""
 
     shift_m: float
     turn_rad: float
@@ -54,12 +54,12 @@ class Slip(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SlidingTouches:
-    """Draws sequences of touches of an object over which a sensor slides and turns.
+    """Draws sequences of touches of an object over which a sensor slides and rotates.
 
-    `source` says what is pressed on what, how deep, drawn by which renderer, with which noise, and how far off reported
-    sensor poses are. `speed_m_s` and `turn_rad_s` are root mean squares of the speeds along the gel's two axes, and of
-    turning about the sensor's three. What noise makes of the gel is the same for `noise_s` seconds, then another; the
-    error of the sensor's pose changes smoothly in as long.
+    `source` sets object, sensor, press, renderer, noise and the error of reported sensor poses. `speed_m_s` and
+    `turn_rad_s` are root mean squares of the speeds along the gel's two axes, and of the rotation about the sensor's
+    three. The gel's noise stays the same for `noise_s` seconds; the error of the sensor's pose changes smoothly in the
+    same time.
     """
 
     source: RobotTouches
@@ -71,10 +71,9 @@ class SlidingTouches:
     def draw_example(
         self, count: int, rng: np.random.Generator, jump_at: int | None = None, slip: Slip | None = None
     ) -> list[Frame]:
-        """Return `count` frames; from frame `jump_at` on the object lies elsewhere, and nobody says so.
+        """Return `count` frames; at frame `jump_at` the object jumps to a random pose, or by a `slip`, unreported.
 
-        It lies anywhere, or, given a `slip`, where that takes it. The base frame is the object's, before it jumps.
-        Raises TouchError where hardly any start, or slip, shows a touch.
+        The base frame is the object's before it jumps. Raises TouchError when hardly any start, or slip, shows a touch.
         """
         errors = draw_correlated(count, 1 / (self.rate_hz * self.noise_s), 6, rng)
         frames: list[Frame] = []
@@ -91,7 +90,7 @@ class SlidingTouches:
     def _draw_path(
         self, count: int, rng: np.random.Generator, jump_at: int | None, slip: Slip | None
     ) -> Iterator[tuple[Poses, Touch | None]]:
-        """Where the sensor sees the object while it slides, (4, 4), metres, and its touches."""
+        """Yield the poses T_sensor_object (4, 4), metres, of a slide, and its touches."""
         dt_s = 1 / self.rate_hz
         speeds = draw_smooth(count, dt_s, 5, rng) * ([self.speed_m_s] * 2 + [self.turn_rad_s] * 3)
         presses_m = self._draw_presses(draw_smooth(count, dt_s, 1, rng)[:, 0])
@@ -107,13 +106,13 @@ class SlidingTouches:
             yield _press(T, press_m), touch
 
     def _draw_presses(self, wandering: Floats) -> Floats:
-        """Presses (N,), metres, between the source's shares of the deepest, of smooth random numbers (N,)."""
+        """Return presses (N,), metres, in the source's range, from smooth random numbers (N,)."""
         low, high = self.source.press
         share = low + (high - low) * (0.5 + 0.5 * np.tanh(wandering))
         return np.asarray(self.source.geometry.max_depth_m * share)
 
     def _start(self, random_pose: Callable[[], Poses | None], press_m: float, gel: int) -> tuple[Poses, Touch | None]:
-        """A random pose that just touches, and its touch."""
+        """Return a random pose that just touches, and its touch."""
         for _ in range(MOST_STARTS):
             T = random_pose()
             touch = None if T is None else self._draw_touch(T, press_m, gel)
@@ -122,7 +121,7 @@ class SlidingTouches:
         raise TouchError(f"hardly any press of {self.source.object.name} shows a touch; press deeper")
 
     def _slip(self, T: Poses, slip: Slip, rng: np.random.Generator) -> Poses | None:
-        """A pose that just touches, as far from T (4, 4) as a slip is, in a random direction; None without contact."""
+        """Return a pose that just touches, a slip in a random direction from T (4, 4); None without contact."""
         step = np.concatenate([slip.shift_m * _draw_direction(2, rng), slip.turn_rad * _draw_direction(3, rng)])
         moved, touching = self._follow(T, step)
         return moved if touching else None
@@ -130,10 +129,10 @@ class SlidingTouches:
     def _move(
         self, T: Poses, direction: float, step: Floats, press_m: float, gel: int
     ) -> tuple[Poses, Touch | None, float]:
-        """The pose after a step (5,), its touch, and the direction taken: back where it cannot be the same.
+        """Return the pose after a step (5,), its touch, and the direction, which reverses if the step is impossible.
 
-        If neither goes, part of the step is tried. A contact that is far out already, since the press became lighter,
-        may be so until it is not; an image that is no touch, as that of nothing but a face, is passed.
+        If both directions are impossible, parts of the step are tried. A contact may be too far out if it was so before
+        the step, because the press became lighter. A pose without a valid touch, such as on a flat face, is possible.
         """
         here = partial(self._draw_touch, T, press_m, gel)
         outside = INSIDE
@@ -151,8 +150,10 @@ class SlidingTouches:
         return T, stayed if isinstance(stayed, Touch) else None, -direction
 
     def _follow(self, T: Poses, step: Floats) -> tuple[Poses, bool]:
-        """The pose that just touches after an object at T (4, 4) slides by step[:2], metres, and turns by step[2:],
-        radians, about the gel's middle; and whether it touches."""
+        """Return the pose that just touches after a step from T (4, 4), and whether it touches.
+
+        The object slides by step[:2], metres, and rotates by step[2:], radians, about the gel's middle.
+        """
         geometry = self.source.geometry
         moved = move_about_gel(geometry, step[2:], np.array([*step[:2], 0.0])) @ T
         poses, touching = bring_to_contact(self.source.object.mesh, moved[None], geometry)
@@ -162,7 +163,7 @@ class SlidingTouches:
         return self.source.draw_touch(_press(T, press_m), press_m, "frame", np.random.default_rng(gel))
 
     def _measure_outside(self, touch: Touch | TouchError | None) -> float:
-        """How far out the middle of the contact is: 0 the middle of the sensing rectangle, 1 its border."""
+        """Return the position of the contact's middle: 0 in the middle of the sensing rectangle, 1 at its border."""
         if not isinstance(touch, Touch):
             return np.inf if touch is None else 0.0
         geometry = touch.geometry
@@ -183,9 +184,9 @@ def _press(T: Poses, press_m: float) -> Poses:
 
 
 def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:
-    """Return numbers (count, columns), every `dt_s` seconds, that change smoothly; root mean square 1.
+    """Return smoothly changing numbers (count, columns), every `dt_s` seconds, of root mean square 1.
 
-    Each column is a sum of WAVES of random frequency and phase.
+    Each column is a sum of WAVES with random frequency and phase.
     """
     t_s = dt_s * np.arange(count)[:, None, None]
     frequency = rng.uniform(SLOWEST_HZ, FASTEST_HZ, (columns, WAVES))
@@ -194,9 +195,9 @@ def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator)
 
 
 def draw_correlated(count: int, share: float, columns: int, rng: np.random.Generator) -> Floats:
-    """Return standard normal numbers (count, columns), each row's errors those of the row before but for a `share`.
+    """Return standard normal numbers (count, columns) of a first-order autoregressive process.
 
-    A first-order autoregressive process: of rows k apart the correlation is (1 - share)^k.
+    The correlation of rows k apart is (1 - share)^k.
     """
     kept = max(0.0, 1 - share)
     found = rng.normal(size=(count, columns))

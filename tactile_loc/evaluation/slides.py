@@ -1,4 +1,4 @@
-"""A slide: a sensor that is pressed on an object, slides over it and lifts off, as a recording whose truth is known."""
+"""A slide: a sensor is pressed on an object, slides over it and lifts off; a recording with known true poses."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ IMAGE_TOPIC, TRUTH_TOPIC = "/gel/image", "/object/truth"
 BASE, FLANGE, GEL = "base", "flange", "gel"
 START_NS = 1_700_000_000 * NS
 RATE_HZ = 30.0
-REACH_M, TURN_RAD = 3e-3, 0.35  # how far it slides to each side, along x and y, and turns
-PRESS = (0.5, 0.9)  # of the sensor's deepest
-LIFTED = 0.04  # of all images, at the beginning and at the end: nothing touches
+REACH_M, TURN_RAD = 3e-3, 0.35  # amplitudes of the slide along x and y, and of the rotation
+PRESS = (0.5, 0.9)  # shares of the maximal depth
+LIFTED = 0.04  # share of the images without contact, at the beginning and at the end
 LIFT_M = 2e-3
 STARTS = 12
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
@@ -51,10 +51,10 @@ Show = Callable[[NDArray[np.float32], float], tuple[NDArray[Any], str]]
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """Where a sensor saw the object, at times that are evenly spaced; every second one has an image, from the first.
+    """The true poses of an object at evenly spaced times; every second time, from the first, has an image.
 
     `stamps_ns` (2 N - 1,), `T_sensor_object` (2 N - 1, 4, 4), metres, and the presses `press_m` (2 N - 1,), metres,
-    which are not positive where nothing touches. `noise` is that of what the sensor sees, drawn with a `seed`.
+    which are negative without contact. The images have `noise`, drawn with `seed`.
     """
 
     scene: Scene
@@ -66,19 +66,16 @@ class Slide:
 
     @property
     def frames(self) -> range:
-        """The numbers of the times that have an image."""
+        """The numbers of the times with an image."""
         return range(0, len(self.stamps_ns), 2)
 
     @property
     def T_base_flange(self) -> Poses:  # noqa: N802 - the field's name
-        """Where the robot's flange was (2 N - 1, 4, 4), metres: the object stands still."""
+        """The poses of the robot's flange (2 N - 1, 4, 4), metres; the object is at rest."""
         return T_BASE_OBJECT @ invert(self.T_sensor_object) @ invert(T_FLANGE_GEL)
 
     def draw_depths_m(self, number: int) -> NDArray[np.float32]:
-        """Return the contact shape (H, W) at a time, metres: where nothing touches it is the press depth.
-
-        If that is everywhere, it is the sensor's deepest.
-        """
+        """Return the contact shape (H, W) at a time, metres; without any contact it is the maximal depth everywhere."""
         geometry, press_m = self.scene.geometry, float(self.press_m[number])
         untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
         if press_m <= 0:
@@ -93,19 +90,19 @@ class Slide:
 def draw_slide(
     scene: Scene, T_start: NDArray[np.float64], frames: int, noise: TouchNoise = NO_NOISE, seed: int = 0
 ) -> Slide:
-    """Return a slide of an object that starts at a pose (4, 4), metres: a figure of eight, pressed more and less.
+    """Return a slide of an object from a pose (4, 4), metres, along a figure of eight, with a varying press.
 
-    `scene` draws it, so its renderer should not be the one that is to locate it. Raises TouchError when the object
-    slides off the sensor.
+    `scene` draws it; its renderer should differ from the one that locates it. Raises TouchError when the object slides
+    off the sensor.
     """
     scene = dataclasses.replace(scene, drawing="pressed")
     count = 2 * frames - 1
     phase = np.linspace(0, 2 * np.pi, count)
-    moved = _turn_about_gel(scene, T_start, TURN_RAD * np.sin(phase))
+    moved = _rotate_about_gel(scene, T_start, TURN_RAD * np.sin(phase))
     moved[:, :2, 3] += REACH_M * np.stack([np.sin(phase), np.sin(2 * phase)], axis=1)
     poses, touching = scene.bring_to_contact(moved)
     if not touching.all():
-        raise TouchError(f"{scene.object.name} slides off the sensor; start where more of it is on it")
+        raise TouchError(f"{scene.object.name} slides off the sensor; start where more of the sensor is in contact")
     low, high = PRESS
     press_m = scene.geometry.max_depth_m * (low + (high - low) * 0.5 * (1 - np.cos(5 * phase)))
     lifted = 2 * round(LIFTED * frames)
@@ -114,8 +111,8 @@ def draw_slide(
     return Slide(scene, stamps, lower(poses, press_m), press_m, noise, seed)
 
 
-def _turn_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
-    """A pose (4, 4), metres, turned by angles (N,) about the middle of the gel: (N, 4, 4)."""
+def _rotate_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
+    """Return a pose (4, 4), metres, rotated by angles (N,) about the middle of the gel: (N, 4, 4)."""
     x0, x1, y0, y1 = scene.geometry.rectangle
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     R = rotation_about([0, 0, 1], angles_rad)
@@ -125,9 +122,9 @@ def _turn_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np
 def draw_random_slide(
     localizer: Localizer, frames: int, seed: int, noise: TouchNoise = NO_NOISE, renderer: Renderer | None = None
 ) -> Slide:
-    """Return a slide that starts at a simulated touch; a `renderer` draws it, by default the localizer's own.
+    """Return a slide from a simulated touch, drawn by a `renderer`, by default the localizer's.
 
-    Raises TouchError when the object slides off the sensor wherever it starts.
+    Raises TouchError when the object slides off the sensor from all of STARTS touches.
     """
     scene = dataclasses.replace(localizer.scene, renderer=renderer or localizer.scene.renderer)
     for touch in localizer.simulate(STARTS, seed):
@@ -139,7 +136,7 @@ def draw_random_slide(
 
 
 class Photos:
-    """Shows what the camera of a sensor sees, by `tactile_loc.imaging`; its noise is drawn with a `seed`."""
+    """Draws the camera images of a sensor by `tactile_loc.imaging`; their noise is drawn with a `seed`."""
 
     def __init__(self, geometry: SensorGeometry, optics: Optics, seed: int) -> None:
         self._geometry, self._optics, self._rng = geometry, optics, np.random.default_rng(seed)
@@ -151,15 +148,16 @@ class Photos:
 
 
 def show_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
-    """Show a contact shape (H, W), metres, as it is."""
+    """Return a contact shape (H, W), metres, unchanged."""
     return depth_m, "32FC1"
 
 
 def write_slide(path: Path, slide: Slide, show: Show = show_depths) -> Path:
-    """Write a slide as a recording: images, by `show` of contact shape and press, TF, and the truth. Returns the path.
+    """Write a slide as a recording, and return its path. `show` makes an image of a contact shape and a press.
 
-    `/gel/image`, in the frame `gel`; `/tf` of the flange at twice the images' rate, `/tf_static` of the gel on it; the
-    object's true pose on `/object/truth`. Raises OutputError, and MissingLibraryError without mcap and rosbags.
+    `/gel/image` has the images, in the frame `gel`; `/tf` the flange's pose at twice their rate; `/tf_static` the gel
+    on the flange; `/object/truth` the object's true pose. Raises OutputError, and MissingLibraryError without mcap and
+    rosbags.
     """
 
     def write(writer: RecordingWriter) -> None:

@@ -1,4 +1,4 @@
-"""Evaluations as tables: Markdown and CSV for people, in mm, and JSON in SI units with every touch's errors."""
+"""Tables of evaluations: Markdown and CSV in mm, and JSON in SI units with every touch's errors."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, ST
 
 SCHEMA_VERSION = 2
 SHOWN = tuple(line for line in LINES if line != "random-10")  # in the summary
-JUDGED = ("best-1", "reg-1", "chosen")  # told apart by whether the touches are ambiguous
+JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
 AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of shares of the observed pixels in contact
-AREA_LINE, WITHIN_M = "chosen", 1e-3  # what is told by contact area
+AREA_LINE, WITHIN_M = "chosen", 1e-3  # tabulated by contact area
 AREA_NOTE = (
-    "By how much of the sensor is in contact: the median ADD of `chosen` in mm, the share of touches within 1 mm, and "
-    "in brackets how many touches there are. Refused: presses that showed no touch, since noise left less contact than "
-    "the grid asks for, or nothing but a flat face; they count nowhere else:"
+    "By contact area, the share of the sensor in contact: the median ADD of `chosen` in mm, the share of touches "
+    "within 1 mm, and in brackets the number of touches. Refused presses show no touch: less contact than the grid "
+    "needs, or only a flat face. They do not count elsewhere:"
 )
 AMBIGUITY_NOTE = (
-    "Ambiguous: touches whose contact a pose more than 5 mm away makes as well, within the noise (that of the touches, "
-    "or mild for clean ones). Median ADD in mm over all touches, and over those that are not ambiguous, by which a "
-    "method is to be judged:"
+    "A touch is ambiguous if a pose more than 5 mm away makes the same contact, within the noise (that of the touches, "
+    "or mild for clean ones). Median ADD in mm over all touches, and over the unambiguous ones, which are the measure "
+    "of a method:"
 )
 COVERAGE_NOTE = (
-    "Coverage: how many true poses lie in the smallest sets of poses that hold 50, 80 "
-    "and 95 % of the probability, the mean negative log-likelihood of the grid pose nearest to the truth beside that "
-    "of knowing nothing, the entropy, and how far poses drawn from the posterior are from the truth (expected error) "
-    "and from its most probable pose (spread):"
+    "Coverage: the share of true poses in the smallest sets of poses that hold 50, 80 and 95 % of the probability. "
+    "NLL: the mean negative log-likelihood of the grid pose nearest to the truth, beside that of a uniform posterior. "
+    "Expected error and spread: the mean distance of the posterior's poses from the truth and from its most probable "
+    "pose:"
 )
 
 
@@ -59,7 +59,7 @@ class Run(tabular.EvaluatedObject):
 
 
 def tabulate_medians(runs: Sequence[Run], normalised: bool = False) -> tabular.Table:
-    """Return a row for each run: the median ADD of each line, mm, or as a share of a random pose's if `normalised`."""
+    """Return a row for each run: the median ADD of each line, mm, or a share of a random pose's if `normalised`."""
     write = "{:.3f}".format if normalised else format_mm
     return tabular.tabulate(
         runs, SHOWN, lambda run: (write(run.summarise(line, normalised=normalised).median) for line in SHOWN)
@@ -67,7 +67,7 @@ def tabulate_medians(runs: Sequence[Run], normalised: bool = False) -> tabular.T
 
 
 def tabulate_ambiguity(runs: Sequence[Run]) -> tabular.Table:
-    """Return a row for each run: the share of ambiguous touches, medians over all and over the others, mm."""
+    """Return a row for each run: the share of ambiguous touches, and medians over all and the unambiguous ones, mm."""
 
     def list_cells(run: Run) -> Iterator[str]:
         yield f"{100 * run.evaluation.ambiguous.mean():.0f} %"
@@ -90,13 +90,11 @@ def tabulate_areas(runs: Sequence[Run]) -> tabular.Table:
 
     limits = [f"{100 * share:g}" for share in AREAS]
     between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
-    return tabular.tabulate(
-        runs, ["refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"], list_cells
-    )  # fmt: skip
+    return tabular.tabulate(runs, ["refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"], list_cells)
 
 
 def tabulate_posteriors(runs: Sequence[Run]) -> tabular.Table:
-    """Return a row for each run: how often each of LEVELS holds, and mean metrics, lengths in mm."""
+    """Return a row for each run: the coverage of each of LEVELS, and mean metrics, lengths in mm."""
 
     def list_cells(run: Run) -> Iterator[str]:
         summary = run.summarise_posteriors()
@@ -111,12 +109,14 @@ def tabulate_posteriors(runs: Sequence[Run]) -> tabular.Table:
 
 
 def format_markdown(runs: Sequence[Run], heading: str) -> str:
-    """Return all tables as Markdown, the lengths in mm."""
-    note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
+    """Return all tables as Markdown, lengths in mm."""
+    note = (
+        "Median ADD in mm and, in brackets, divided by the mean error of a random pose. Symmetric poses count as equal."
+    )
     medians = tabular.bracket_shares(tabulate_medians(runs), tabulate_medians(runs, normalised=True), names=2)
     times = tabular.tabulate(
         runs, STAGES, lambda run: (f"{1e3 * s:.1f}" for s in run.compute_median_seconds().values())
-    )  # fmt: skip
+    )
     parts = [f"# {heading}\n", f"{note}\n", tabular.format_markdown(medians)]
     parts += [f"{AMBIGUITY_NOTE}\n", tabular.format_markdown(tabulate_ambiguity(runs))]
     parts += [f"{AREA_NOTE}\n", tabular.format_markdown(tabulate_areas(runs))]
@@ -141,7 +141,7 @@ def format_csv(runs: Sequence[Run]) -> str:
 
 
 def record_runs(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything as JSON values in SI units; `protocol` says how many touches, which noise and seed."""
+    """Return everything as JSON values in SI units; `protocol` states the number of touches, the noise and the seed."""
     asked = {"version": PROTOCOL_VERSION, **protocol}
     return tabular.build_document(SCHEMA_VERSION, asked, [_record_run(run) for run in runs])
 
@@ -151,7 +151,7 @@ def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any],
     document = tabular.format_json(record_runs(runs, protocol))
     return tabular.write_texts(
         folder, "results", json=document, csv=format_csv(runs), md=format_markdown(runs, heading)
-    )  # fmt: skip
+    )
 
 
 def _record_run(run: Run) -> dict[str, Any]:
@@ -161,7 +161,7 @@ def _record_run(run: Run) -> dict[str, Any]:
         touches=len(evaluation.errors_m),
         random_mean_m={metric: evaluation.compute_scale_m(metric) for metric in METRICS},
         median_seconds=run.compute_median_seconds(),
-        lines={line: {metric: _record_statistics(run, line, metric) for metric in METRICS} for line in LINES},
+        lines={line: {metric: run.record_statistics(line, metric) for metric in METRICS} for line in LINES},
         ambiguity={"ambiguous": float(evaluation.ambiguous.mean()), "unambiguous": unambiguous},
         ambiguity_ratios=[r if np.isfinite(r) else None for r in evaluation.ambiguity.tolist()],
         refused=int(evaluation.refused.sum()),
@@ -173,12 +173,8 @@ def _record_run(run: Run) -> dict[str, Any]:
     )
 
 
-def _record_statistics(run: Run, line: str, metric: str) -> dict[str, Any]:
-    return {unit: asdict(found) for unit, found in run.compare_statistics(line, metric).items()}
-
-
 def _group_areas(run: Run) -> list[dict[str, Any]]:
-    """The touches of each of AREAS, and the errors of AREA_LINE over them, metres; null where there is none."""
+    """Return the number of touches in each of AREAS, and the errors of AREA_LINE, metres, None without touches."""
     errors, share = run.evaluation.select_errors(AREA_LINE), run.evaluation.contact_share
     found = []
     for low, high in itertools.pairwise(AREAS):
@@ -198,12 +194,6 @@ _DETAILS = [
 def _list_details(run: Run) -> Iterator[list[str]]:
     for line in LINES:
         s, share = run.compare_statistics(line).values()
-        lengths = [
-            format_mm(s.median),
-            format_mm(s.mean),
-            format_mm(s.std),
-            f"{format_mm(s.q25)} to {format_mm(s.q75)}",
-            format_mm(s.p90),
-        ]
+        lengths = [*tabular.format_lengths(s), format_mm(s.p90)]
         others = [format_mm(run.summarise(line, metric).median) for metric in ("mssd", "add-s")]
         yield [line, *lengths, f"{share.median:.3f}", f"{share.mean:.3f}", *others]

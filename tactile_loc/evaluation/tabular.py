@@ -1,4 +1,4 @@
-"""What all tables of evaluations share: statistics, Markdown, CSV, and the head of a JSON document."""
+"""Shared parts of the tables of evaluations: statistics, Markdown, CSV, and the head of a JSON document."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import write_atomically
 
@@ -36,24 +37,28 @@ class EvaluatedObject:
     def summarise(self, *of: Any, normalised: bool = False) -> Statistics:
         """Return the statistics of the evaluation's errors `of` a line and a metric, or a number of contacts.
 
-        In metres, or as shares of the mean random error if `normalised`.
+        They are in metres, or shares of the mean random error if `normalised`.
         """
         found = self.evaluation
         return Statistics.of(found.normalise_errors(*of) if normalised else found.select_errors(*of))
 
     def compare_statistics(self, *of: Any) -> dict[str, Statistics]:
-        """Return the statistics of errors both ways: in "metres", and "normalised"."""
+        """Return the statistics of errors in "metres" and "normalised"."""
         return {"metres": self.summarise(*of), "normalised": self.summarise(*of, normalised=True)}
 
+    def record_statistics(self, *of: Any) -> dict[str, dict[str, float]]:
+        """Return the statistics of errors in "metres" and "normalised" as JSON values."""
+        return {unit: asdict(statistics) for unit, statistics in self.compare_statistics(*of).items()}
+
     def describe(self, **found: Any) -> dict[str, Any]:
-        """Return what was evaluated, what was found, and every setting, as JSON values."""
+        """Return the evaluated object, the results `found`, and every setting, as JSON values."""
         named = {key: getattr(self, key) for key in ("object", "symmetry", "encoder", "grid_poses")}
         return {**named, **found, "configuration": dict(self.configuration)}
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the errors of a line's touches, all in one unit: `std` is of the population, `q25`, `q75`, `p90` quantiles."""
+    """Statistics of a line's errors, all in one unit: `std` of the population, quantiles `q25`, `q75`, `p90`."""
 
     mean: float
     median: float
@@ -69,21 +74,24 @@ class Statistics:
         return cls(float(values.mean()), float(median), float(values.std()), float(q25), float(q75), float(p90))
 
 
+def format_lengths(s: Statistics) -> list[str]:
+    """Return the cells median, mean, std and quartiles, mm."""
+    return [*map(format_mm, (s.median, s.mean, s.std)), f"{format_mm(s.q25)} to {format_mm(s.q75)}"]
+
+
 def list_columns(metres: Statistics, normalised: Statistics) -> dict[str, str]:
     """Return statistics as columns of a CSV file: lengths in mm, and shares of a random pose's mean error."""
     lengths = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(metres).items()}
     return lengths | {f"{k}_normalised": f"{v:.6g}" for k, v in asdict(normalised).items()}
 
 
-def tabulate(
-    runs: Iterable[EvaluatedObject], heads: Iterable[str], cells: Callable[[Any], Iterable[str]]
-) -> Table:  # fmt: skip
-    """Return a row for each run: its object, its encoder, and the run's `cells`, one under each of `heads`."""
+def tabulate(runs: Iterable[EvaluatedObject], heads: Iterable[str], cells: Callable[[Any], Iterable[str]]) -> Table:
+    """Return a row for each run: its object, its encoder, and its `cells` under `heads`."""
     return [["object", "encoder", *heads], *([run.object, run.encoder, *cells(run)] for run in runs)]
 
 
 def bracket_shares(lengths: Table, shares: Table, names: int) -> Table:
-    """Join two tables with the same heads and the same first `names` columns: "mm (normalised)" in the others."""
+    """Join two tables with the same heads and the same first `names` columns; other cells become "mm (share)"."""
     rows = zip(lengths[1:], shares[1:], strict=True)
     joined = ([*a[:names], *map("{} ({})".format, a[names:], b[names:])] for a, b in rows)
     return [lengths[0], *joined]
@@ -96,7 +104,7 @@ def format_markdown(table: Sequence[Sequence[str]]) -> str:
 
 
 def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows, all with the first one's keys, as CSV."""
+    """Return rows as CSV; all have the keys of the first."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -106,8 +114,8 @@ def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def build_document(
     schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:  # fmt: skip
-    """Return a JSON document of runs, with when and with what they were made."""
+) -> dict[str, Any]:
+    """Return a JSON document of runs, with the time and the library versions."""
     return {
         "schema_version": schema_version,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -118,7 +126,7 @@ def build_document(
 
 
 def write_texts(folder: Path, name: str, **texts: str) -> list[Path]:
-    """Write each text to a file NAME.SUFFIX of its keyword and return their paths. Raises OutputError."""
+    """Write each text to a file, NAME with the keyword as suffix, and return the paths. Raises OutputError."""
     return [
         write_atomically(folder / f"{name}.{suffix}", partial(Path.write_text, data=text, encoding="utf-8"))
         for suffix, text in texts.items()
@@ -126,5 +134,5 @@ def write_texts(folder: Path, name: str, **texts: str) -> list[Path]:
 
 
 def format_json(document: Mapping[str, Any]) -> str:
-    """Return a document as it is written."""
+    """Return a document as indented JSON text."""
     return json.dumps(document, indent=1) + "\n"

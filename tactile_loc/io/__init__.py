@@ -1,1 +1,1 @@
-"""What is read from files: meshes, touches, lists, images, sensors, priors, configuration."""
+"""Readers and writers of files: meshes, touches, lists, images, sensors, priors, configuration."""

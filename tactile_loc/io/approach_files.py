@@ -1,4 +1,4 @@
-"""Touches that could be made, as a TOML file: where each sensor would start, how deep it would press, what it costs."""
+"""Approaches, touches that could be made, as a TOML file: the sensor's start pose, press and cost of each."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from pydantic import Field
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.io.toml import (
     MATRIX,
+    POSITIVE_MM,
     Matrix,
     PoseKeys,
     Positive,
     list_tables,
     name_errors,
+    name_pose_keys,
     read_pose,
     read_toml,
     scale,
@@ -32,9 +34,9 @@ TRAVEL_M = 0.1
 class Approach:
     """A touch that could be made: the sensor starts at `T_base_sensor` (4, 4), and moves along its z until contact.
 
-    Then it presses by `press_m`; None: as deep as the touch before. If it meets nothing within `travel_m` it stops.
-    `cost`, of any unit, is above 0; infinite where it cannot be reached. Lengths in metres. Raises ConfigError for a
-    start that is no rigid transform.
+    Then it presses by `press_m`, or as deep as the previous touch if that is None. Without contact it stops after
+    `travel_m`. `cost`, in any unit, is positive, and infinite if the pose cannot be reached. Lengths are in metres.
+    Raises ConfigError if the start is not a rigid transform.
     """
 
     T_base_sensor: Pose
@@ -49,24 +51,24 @@ class Approach:
 
 
 class _ApproachTable(PoseKeys):
-    name: str | None = Field(None, min_length=1, description="what to call it, in quotes")
+    name: str | None = Field(None, min_length=1, description="the approach's name, in quotes")
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
     T_sensor_next: Matrix | None = Field(None, description=MATRIX)
-    press_depth_mm: Positive | None = Field(None, description="a positive number (mm)")
-    travel_mm: Positive | None = Field(None, description="a positive number (mm)")
-    cost: Annotated[float, Field(gt=0)] = Field(1.0, description="a positive number, or inf where it cannot be reached")
+    press_depth_mm: Positive | None = Field(None, description=POSITIVE_MM)
+    travel_mm: Positive | None = Field(None, description=POSITIVE_MM)
+    cost: Annotated[float, Field(gt=0)] = Field(1.0, description="a positive number, or inf if it cannot be reached")
 
 
 def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tuple[Approach, ...]:
     """Read the `[[approach]]` tables of a TOML file, in their order.
 
-    Where a sensor starts is its `T_base_sensor`, (4, 4) in metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`; or
-    `T_sensor_next`, seen from the sensor of the touch before, whose own pose `T_base_sensor` (4, 4) the first needs
-    and the second does not. Raises ConfigError, which names the file and the approach.
+    The sensor starts at `T_base_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`: these need the
+    previous touch's sensor pose, the argument `T_base_sensor` (4, 4). Or it starts at `T_sensor_next`, in the frame of
+    the previous touch's sensor. Raises ConfigError, which names the file and the approach.
     """
     path = Path(path)
     approaches = []
-    tables = list_tables(path, read_toml(path), "approach", "where its sensor starts")
+    tables = list_tables(path, read_toml(path), "approach", "its start pose")
     for number, table in enumerate(tables, start=1):
         with name_errors(f"{path}, approach {number}", _ApproachTable, table, "an approach"):
             keys = _ApproachTable(**table)
@@ -77,19 +79,15 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
 
 
 def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
-    """Where the sensor starts: in the base frame, or in that of the touch's sensor, if its pose is not known."""
+    """Return the start pose in the base frame, or in the previous touch's sensor frame if its pose is unknown."""
     T = read_pose(keys, keys.T_base_sensor, "T_base_sensor")
-    if keys.T_sensor_next is not None:
+    motion = read_pose(PoseKeys(), keys.T_sensor_next, "T_sensor_next")
+    if motion is not None:
         if T is not None:
-            raise ValueError("T_sensor_next tells where the sensor starts; leave its pose in the base frame out")
-        motion = read_pose(PoseKeys(), keys.T_sensor_next, "T_sensor_next")
-        assert motion is not None
+            raise ValueError("the start pose is given twice; leave out T_sensor_next, or T_base_sensor and xyz_mm")
         return motion if T_base_first is None else T_base_first @ motion
     if T is None:
-        raise ValueError("its start is missing; give T_base_sensor, xyz_mm with rpy_deg, or T_sensor_next")
+        raise ValueError(f"the start pose is missing; give T_sensor_next, or {name_pose_keys('T_base_sensor')}")
     if T_base_first is None:
-        raise ValueError(
-            "T_base_sensor cannot be used: the touch before does not say where its sensor was; give T_sensor_next, as "
-            "seen from that sensor"
-        )
+        raise ValueError("T_base_sensor needs the sensor's pose in the previous touch; give that, or T_sensor_next")
     return T

@@ -1,4 +1,4 @@
-"""The configuration of a run: which object, which touch, which component for each slot, with which options."""
+"""The configuration of a run: object, touch, the component of each slot, and all options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
-from tactile_loc.io.toml import parse_value, read_toml
+from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.store.files import recover_folder
 
 
@@ -24,7 +24,7 @@ class _Strict(BaseModel):
 
 
 class SlotConfig(_Strict):
-    """One slot: the component's name and its options. In TOML: a table with `name` and the options beside it."""
+    """One slot: the component's name and its options. In TOML, a table with `name` and the options beside it."""
 
     name: str
     options: dict[str, Any] = Field(default_factory=dict)
@@ -38,12 +38,12 @@ class SlotConfig(_Strict):
         if isinstance(value, dict) and "options" not in value:
             return {"name": value.get("name"), "options": {k: v for k, v in value.items() if k != "name"}}
         if not isinstance(value, dict | SlotConfig):
-            raise PydanticCustomError("slot", "input should be a component's name, or a table of it and its options")
+            raise PydanticCustomError("slot", "input should be a component's name, or a table of its name and options")
         return value
 
 
 class ObjectConfig(_Strict):
-    """The object: a mesh file or the name of a demo object, its unit, and its symmetry."""
+    """The object: a mesh file or the name of a demo object, with its unit and symmetry."""
 
     path: str = "hook"
     units: Literal["m", "mm", "cm", "inch", "auto"] = "auto"
@@ -51,9 +51,9 @@ class ObjectConfig(_Strict):
 
 
 class TouchConfig(_Strict):
-    """The touch: a file, the unit of its depths, and how deep the press was (mm) when the file does not say.
+    """The touch: a file, and its depths' unit and press depth (mm) if the file does not state them.
 
-    Without a file a touch is simulated, with `noise`.
+    Without a file, a touch is simulated with `noise`.
     """
 
     path: str | None = None
@@ -63,33 +63,31 @@ class TouchConfig(_Strict):
 
     @property
     def press_depth_m(self) -> float | None:
-        """How deep the press was, metres; None where the file is to say it."""
-        return None if self.press_depth_mm is None else 1e-3 * self.press_depth_mm
+        """The press depth, metres; None if the file states it."""
+        return scale(self.press_depth_mm)
 
 
 WHOLE = SlotConfig(name="whole")
-LISTED = SlotConfig(name="face")  # of what needs poses that are listed, as the paper's protocol and sweeps do
-OF_WHOLE = {  # what suits the places of a whole object, where nothing is given
-    "encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16}),
-}
+LISTED = SlotConfig(name="face")  # the grid for tasks that need listed poses: the paper's protocol, and sweeps
+OF_WHOLE = {"encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16})}  # defaults with WHOLE
 
 
 def choose_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
-    """Return what fills a slot that is not given, with a grid of that name, by default the default one."""
+    """Return the default component of a slot with the grid of this name."""
     chosen: SlotConfig = RunConfig.model_fields[slot].default
     return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
 
 
 class RunConfig(_Strict):
-    """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels.
+    """Everything that decides a result.
 
-    `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
-    `drop_outliers` leaves out those of several touches that contradict the others.
-    `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
-    An `encoder` that is not given suits the grid: of a whole object, pixel with its options.
-    `search`, `hypotheses` and `tracker` are numbers to tune: see their classes.
-    `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
-    as in the "paper".
+    `shape_px`: longer image side of the grid's contact shapes, pixels.
+    `together`: how several touches refine a pose, "joint" (all at once) or "each" (the refiner, touch by touch).
+    `drop_outliers`: leave out a touch that contradicts the others.
+    `coverage`: return all modes of a set of poses that holds the true pose with this probability, 0 to 1.
+    `encoder`: the default depends on the grid.
+    `search`, `hypotheses`, `tracker`: numbers to tune; see their classes.
+    `drawing`: touches are compared with the object "pressed" into the gel, or just touching it, as in the "paper".
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -116,7 +114,7 @@ class RunConfig(_Strict):
     @model_validator(mode="before")
     @classmethod
     def _suit_the_grid(cls, value: Any) -> Any:
-        """What is not given is what suits the grid."""
+        """Fill in the defaults that depend on the grid."""
         if not isinstance(value, dict):
             return value
         grid = value.get("grid", WHOLE)
@@ -125,12 +123,12 @@ class RunConfig(_Strict):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
-        """Read a configuration file. Raises ConfigError when it is missing, no TOML, or has unknown entries."""
+        """Read a configuration file. Raises ConfigError when it is missing, is not TOML, or has a wrong entry."""
         return cls.from_dict(read_toml(path), str(path))
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
-        """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
+        """Validate nested values. Raises ConfigError, which names `source` and the allowed values."""
         unknown = set(values) - set(cls.model_fields)
         if unknown:
             key = sorted(unknown)[0]
@@ -140,7 +138,7 @@ class RunConfig(_Strict):
         return result
 
     def resolve(self) -> dict[str, Any]:
-        """Return every setting as JSON values, each component's options complete with their defaults.
+        """Return every setting as JSON values, including the defaults of each component's options.
 
         Raises ConfigError when a component refuses its options.
         """
@@ -154,7 +152,7 @@ class RunConfig(_Strict):
 
 
 def find_sensor_kind(name: str) -> str | None:
-    """Return the component that reads a sensor given by its path; None when it is the name of one."""
+    """Return the component that reads the sensor at a path; None if `name` is a sensor's name."""
     if name in registry().names("sensor"):
         return None
     if name.endswith(".toml"):
@@ -164,7 +162,7 @@ def find_sensor_kind(name: str) -> str | None:
 
 
 def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
-    """Split words into the values of RunConfig's plain settings, as "drawing=paper", and the other words.
+    """Split words into RunConfig's plain settings, such as "drawing=paper", and the other words.
 
     Values are read as TOML, else as text.
     """
@@ -180,7 +178,7 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
 
 
 def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -> dict[str, dict[str, Any]]:
-    """Turn "slot.option=value" words into {slot: {option: value}}; values are read as TOML, else as text.
+    """Convert "slot.option=value" words to {slot: {option: value}}; values are read as TOML, else as text.
 
     `tables` are the slots, and perhaps TUNABLE. Raises ConfigError for words of another form or an unknown slot.
     """
@@ -189,10 +187,9 @@ def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -
         target, equals, text = word.partition("=")
         slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
-            raise ConfigError(f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3")
+            raise ConfigError(f"the option {word!r} cannot be read; write slot.option=value, as in grid.spacing_mm=3")
         if slot not in tables:
-            raise ConfigError(
-                f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, tables)} Slots: {', '.join(tables)}"
-            )
+            near = did_you_mean(slot, tables)
+            raise ConfigError(f"the option {word!r} names an unknown slot {slot!r}.{near} Known: {', '.join(tables)}")
         overrides.setdefault(slot, {})[option] = parse_value(text.strip())
     return overrides

@@ -1,6 +1,6 @@
-"""Images and arrays as files, from anybody: photos, masks, depths, .npy and .npz.
+"""Images and arrays read from untrusted files: photos, masks, depths, .npy and .npz.
 
-Nothing is ever unpickled, no more memory is taken than the file fills, and a damaged file is refused.
+Pickles are never loaded, no more memory is taken than the file fills, and damaged files are refused.
 """
 
 from __future__ import annotations
@@ -27,24 +27,20 @@ from tactile_loc.core.errors import TouchError
 FORMATS = ".npz, .npy or 16-bit grey .png"  # of contact shapes
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
-MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # of an image, and of a side of it: more than any camera behind a gel has
+MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # of an image and of its sides; no camera behind a gel has more
 MOST_BYTES = 2**30  # of all arrays of one .npz
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DAMAGES = (
-    EOFError, KeyError, SyntaxError, TypeError, RuntimeError, OverflowError, AttributeError, MemoryError,
+    EOFError, LookupError, SyntaxError, TypeError, RuntimeError, ArithmeticError, AttributeError, MemoryError,
     lzma.LZMAError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-
-UNREADABLE = (
-    OSError, ValueError, TypeError, EOFError, KeyError, IndexError, SyntaxError, RuntimeError, MemoryError,
-    struct.error, zlib.error,
-)  # fmt: skip
+UNREADABLE = (OSError, ValueError, TypeError)  # what reading a damaged file, or converting its arrays, raises
 
 
 def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
-    """Return a colour image (H, W, 3), or None when the file is something else; TouchError when it is damaged.
+    """Return a colour picture, or an .npy file of uint8, as an image (H, W, 3); None for any other file.
 
-    A picture in colour, or an .npy file of (H, W, 3) uint8.
+    Raises TouchError when the file is damaged.
     """
     suffix = path.suffix.lower()
     if suffix not in (*IMAGE_SUFFIXES, ".npy"):
@@ -59,29 +55,26 @@ def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
 
 
 def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, NDArray[Any]]:
-    """Return the mode and the values of an image's file, in Pillow's `mode` if one is named, else in its own.
+    """Return the mode and the values of an image file, converted to Pillow's `mode` if one is named.
 
-    Raises one of UNREADABLE when it is damaged or enormous.
+    Raises OSError, or ValueError when the file is damaged or enormous.
     """
     from PIL import Image
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound is ours
-            file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # beyond whose end no length leads
-            with Image.open(file) as image:
-                width, height = image.size
-                if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
-                    most = f"more than any sensor has ({MOST_PIXELS / 1e6:.0f} million, {MOST_SIDE_PX} along a side)"
-                    raise ValueError(f"{width} x {height} pixels are {most}")
-                wanted = image if mode is None else image.convert(mode)
-                return wanted.mode, np.asarray(wanted)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
+    with _convert_damage(Image.DecompressionBombError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MOST_PIXELS is the limit
+        file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # a damaged length cannot pass its end
+        with Image.open(file) as image:
+            width, height = image.size
+            if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
+                most = f"{MOST_PIXELS / 1e6:.0f} million pixels, {MOST_SIDE_PX} along a side"
+                raise ValueError(f"it has {width} x {height} pixels; the limit is {most}")
+            wanted = image if mode is None else image.convert(mode)
+            return wanted.mode, np.asarray(wanted)
 
 
 def write_image(path: Path, values: NDArray[Any]) -> Path:
-    """Write uint8 values (H, W) or (H, W, 3), or uint16 (H, W), as the picture that the suffix says. Raises OSError."""
+    """Write uint8 values (H, W) or (H, W, 3), or uint16 (H, W), in the format of the suffix. Raises OSError."""
     from PIL import Image
 
     Image.fromarray(values).save(path)
@@ -89,7 +82,7 @@ def write_image(path: Path, values: NDArray[Any]) -> Path:
 
 
 def require_file(path: Path) -> None:
-    """Raise TouchError unless there is a file, and no folder, at `path`."""
+    """Raise TouchError unless `path` is a file."""
     if os.path.isdir(path):
         raise TouchError(f"{path} is a folder; give one file, {FORMATS}")
     if not os.path.isfile(path):
@@ -97,19 +90,20 @@ def require_file(path: Path) -> None:
 
 
 def explain_unreadable(path: Path, error: BaseException) -> str:
-    """Return the sentence that says why a file could not be read."""
+    """Return the error message for a file that could not be read."""
     if "allow_pickle" in str(error):
         return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
-    return f"{path} cannot be read as {path.suffix.lower()[1:]} ({summarize(error)}); it is damaged or of another kind"
+    kind = path.suffix.lower()[1:]
+    return f"{path} cannot be read as {kind} ({summarize(error)}); it is damaged or another kind of file"
 
 
 def summarize(error: BaseException) -> str:
-    """Return what an error says in one line, or its kind where it says nothing."""
+    """Return an error's message in one line, or its type if it has none."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def load_npy(path: Path) -> NDArray[Any]:
-    """Return the array of an .npy file. Raises ValueError when it is damaged or none, OSError as any read."""
+    """Return the array of an .npy file. Raises ValueError when the file is damaged or not .npy, and OSError."""
     with path.open("rb") as file, _convert_damage():
         _require_filled(file, path.stat().st_size)
         file.seek(0)
@@ -118,7 +112,7 @@ def load_npy(path: Path) -> NDArray[Any]:
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file by their names. Raises ValueError when it is damaged or none, OSError."""
+    """Return the arrays of an .npz file by name. Raises ValueError when it is damaged or not .npz, and OSError."""
     with path.open("rb") as file, _convert_damage():
         _require_magic(file, b"PK")
         file.seek(0)
@@ -126,7 +120,7 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
             members = archive.infolist()
             held = sum(member.file_size for member in members)
             if held > MOST_BYTES:
-                raise ValueError(f"it inflates to {held / 2**30:.3g} GiB, more than {MOST_BYTES / 2**30:g}")
+                raise ValueError(f"it inflates to {held / 2**30:.3g} GiB; the limit is {MOST_BYTES / 2**30:g} GiB")
             for member in members:
                 with archive.open(member) as stream:
                     _require_filled(stream, member.file_size)
@@ -136,28 +130,28 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
 
 
 @contextmanager
-def _convert_damage() -> Iterator[None]:
-    """Whatever a damaged file makes of the readers' code is a ValueError."""
+def _convert_damage(*others: type[Exception]) -> Iterator[None]:
+    """Raise ValueError for any of DAMAGES, and `others`, that the block raises: readers of damaged files raise them."""
     try:
         yield
-    except DAMAGES as error:
+    except DAMAGES + others as error:
         raise ValueError(str(error) or type(error).__name__) from error
 
 
 def _require_filled(file: IO[bytes], size: int) -> None:
-    """Raise ValueError unless a file of `size` bytes begins as .npy, and holds as many numbers as it says."""
+    """Raise ValueError unless a file of `size` bytes is .npy and holds all the numbers that its header states."""
     _require_magic(file, np.lib.format.MAGIC_PREFIX)
     version = tuple(file.read(2))
     if version not in HEADERS:
-        raise ValueError(f"it is of version {version}, which cannot be read")
+        raise ValueError(f"its .npy version {version} is unknown")
     shape, _, dtype = HEADERS[version](file)
     left, said = size - file.tell(), math.prod(shape) * dtype.itemsize
     if dtype.hasobject:
         raise ValueError("allow_pickle")
     if min(shape, default=0) < 0 or dtype.itemsize == 0 or said > left:
-        raise ValueError(f"it says to hold {dtype} of shape {shape}, {said} bytes, but {left} follow")
+        raise ValueError(f"its header states {dtype} of shape {shape}, {said} bytes, but it holds {left}")
 
 
 def _require_magic(file: IO[bytes], magic: bytes) -> None:
     if file.read(len(magic)) != magic:
-        raise ValueError("its first bytes are those of another kind of file")
+        raise ValueError("it begins like another kind of file")

@@ -1,4 +1,4 @@
-"""Reading a mesh file into an ObjectModel: formats, units and symmetry. trimesh is imported when a file is read."""
+"""Mesh files as ObjectModels: formats, units and symmetry. trimesh is imported when a file is read."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from tactile_loc.core.errors import ObjectError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.images import summarize
 
 log = logging.getLogger(__name__)
+AGAIN = "export it again as a surface mesh"
 
 Units = Literal["m", "mm", "cm", "inch", "auto"]
 METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
 
-ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # which could inflate without end
+ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused: they could inflate without end
 
-_detected: dict[str, SymmetryGroup] = {}  # by the surface's digest: a sweep opens the same file again and again
+_detected: dict[str, SymmetryGroup] = {}  # by the surface's digest, since a sweep opens the same file many times
 
 
 class Surface(NamedTuple):
-    """What a mesh file holds, in the file's unit: `vertices` (V, 3) and triangles `faces` (F, 3); do they close?"""
+    """The surface in a mesh file, in the file's unit: `vertices` (V, 3) and triangles `faces` (F, 3)."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -36,16 +38,14 @@ class Surface(NamedTuple):
 
 
 def read_surface(path: Path) -> Surface:
-    """Read and merge the triangles of a mesh file. Raises ObjectError when there is none, or nothing in it."""
+    """Read and merge the triangles of a mesh file. Raises ObjectError when it is missing, damaged or empty."""
     if not os.path.isfile(path):
         if os.path.isdir(path):
             raise ObjectError(f"{path} is a folder; give one mesh file")
         near = did_you_mean(str(path), DEMO_OBJECTS)
-        raise ObjectError(
-            f"there is no mesh file at {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}"
-        )
+        raise ObjectError(f"there is no file {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}")
     if path.suffix.lower() in ARCHIVES:
-        raise ObjectError(f"{path} is an archive; unpack it, and give the mesh that is in it")
+        raise ObjectError(f"{path} is an archive; unpack it and give its mesh file")
     import trimesh
 
     try:
@@ -53,36 +53,36 @@ def read_surface(path: Path) -> Surface:
             warnings.simplefilter("ignore")
             raw = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
-        raise ObjectError(f"{path} cannot be read as a mesh ({_summarize(error)}); give an STL, OBJ or PLY") from error
+        reason = summarize(error)[:120]
+        raise ObjectError(f"{path} cannot be read as a mesh ({reason}); give an STL, OBJ or PLY file") from error
     if not isinstance(raw, trimesh.Trimesh):
-        raise ObjectError(f"{path} is no surface mesh; export it as one")
+        raise ObjectError(f"{path} is not a surface mesh; {AGAIN}")
     _require_surface(np.asarray(raw.vertices), np.asarray(raw.faces), path)
-    plain = trimesh.Trimesh(raw.vertices, raw.faces, process=False)  # textures and normals would part vertices
+    plain = trimesh.Trimesh(raw.vertices, raw.faces, process=False)  # textures and normals would separate vertices
     plain.merge_vertices()
     plain.update_faces(plain.nondegenerate_faces(height=0))
-    plain.remove_unreferenced_vertices()  # strays would enlarge the box that bounds where the object can touch
+    plain.remove_unreferenced_vertices()  # stray vertices would enlarge the bounding box
     if len(plain.faces) == 0:
-        raise ObjectError(f"{path} has zero extent: all its faces are points or lines; export the mesh again")
+        raise ObjectError(f"{path} has zero extent: all its faces are points or lines; {AGAIN}")
     return Surface(np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64), bool(plain.is_watertight))
 
 
 def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) -> None:
-    """Raise ObjectError unless these are finite vertices (V, 3), and triangles (F, 3), one at least, of them."""
+    """Raise ObjectError unless these are finite vertices (V, 3) and at least one triangle (F, 3) of them."""
     if len(faces) == 0:
-        raise ObjectError(f"{path} is an empty mesh or no surface mesh: it has no faces; export it as a surface mesh")
+        raise ObjectError(f"{path} has no faces; {AGAIN}")
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
-        raise ObjectError(f"{path} has vertices or faces that are not of three numbers; export the mesh again")
+        raise ObjectError(f"{path} has vertices or faces without three numbers each; {AGAIN}")
     if not np.isfinite(vertices).all():
-        raise ObjectError(f"{path} has vertices that are NaN or infinite; repair or export the mesh again")
+        raise ObjectError(f"{path} has vertices that are NaN or infinite; {AGAIN}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ObjectError(
-            f"{path} has faces of vertices that it does not have: it holds {len(vertices)}, and they name number "
-            f"{faces.min()} to {faces.max()}; export the mesh again"
+            f"{path} has {len(vertices)} vertices, but its faces use numbers {faces.min()} to {faces.max()}; {AGAIN}"
         )
 
 
 def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
-    """Return the symmetry of a surface, found if declared "auto", else read and checked. Raises SymmetryError."""
+    """Return the symmetry of a surface: detected if declared "auto", else parsed and checked. Raises SymmetryError."""
     from tactile_loc.core.objects.symmetry_detection import detect_symmetry, require_symmetry
 
     if declared == "auto":
@@ -102,10 +102,10 @@ def load_object(
 ) -> ObjectModel:  # fmt: skip
     """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
 
-    `units` is the file's unit; "auto" guesses it from the size and notes what it guessed. `symmetry` is declared
-    ("none", "z2", "z6*x2", "zinf", ...) and checked against the surface, or "auto" to detect it. What was guessed or
-    looks doubtful is in the result's `notes` and logged as a warning. `read` is what reads the file, `judge` what finds
-    or checks the symmetry. Raises ObjectError or SymmetryError.
+    `units` is the file's unit; "auto" guesses it from the size. `symmetry` is declared ("none", "z2", "z6*x2", "zinf",
+    ...) and checked against the surface, or detected if "auto". Guesses and doubts are in the result's `notes`, and
+    logged as warnings. `read` reads the file; `judge` finds or checks the symmetry. Raises ObjectError or
+    SymmetryError.
     """
     demo = DEMO_OBJECTS.get(str(path))
     if demo is not None and not os.path.isfile(path):
@@ -118,39 +118,33 @@ def load_object(
     mesh = TriangleMesh(surface.vertices * scale, surface.faces)
     check_surface(mesh, path.name)
     if not surface.is_watertight:
-        notes.append(f"{path.name} is not watertight; touches are rendered from the faces it has")
+        notes.append(f"{path.name} is not watertight; touches are drawn from its existing faces")
     group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
-        notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
+        notes.append(f"symmetry found: {group}; give --symmetry to be sure")
     for note in notes:
         log.warning(note)
     return ObjectModel(name, mesh, group, tuple(notes), str(path))
 
 
 def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
-    """Return metres per file unit, and what was guessed.
+    """Return metres per file unit, and a note on a guess.
 
-    Parts that a hand-sized sensor touches are 4 mm to 1 m long: a number below 1 is read as metres, others as mm.
+    Sensors touch parts 4 mm to 1 m long: a length below 1 is read as metres, others as mm.
     """
     if units not in get_args(Units):
-        raise ObjectError(f"unknown unit {units!r} for {name}; give one of {', '.join(get_args(Units))}")
+        raise ObjectError(f"the unit {units!r} of {name} is unknown; give one of {', '.join(get_args(Units))}")
     if units != "auto":
         return METRES_PER_UNIT[units], []
     size = float(np.ptp(surface.vertices, axis=0).max())
     guess = "m" if size < 1.0 else "mm"
     scale = METRES_PER_UNIT[guess]
-    return scale, [
-        f"{name} is {size:.4g} units long; guessed {guess}, so {size * scale * 1e3:.4g} mm "
-        "(say --units to be sure)"
-    ]  # fmt: skip
-
-
-def _summarize(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:120]
+    length = f"{name} is {size:.4g} units long"
+    return scale, [f"{length}; guessed {guess}, so {size * scale * 1e3:.4g} mm; give --units to be sure"]
 
 
 def simplify_mesh(mesh: TriangleMesh, faces: int) -> TriangleMesh:
-    """Return the surface with about so many faces, by quadric error metrics; open3d's."""
+    """Return the surface with about `faces` triangles, by open3d's quadric error metrics."""
     import open3d as o3d
 
     whole = o3d.geometry.TriangleMesh(

@@ -1,4 +1,4 @@
-"""Where a sensor is mounted on a robot's flange, as a TOML file: what `tactile-loc mount` found, or a drawing says."""
+"""The mount, a sensor's pose on a robot's flange, as a TOML file: found by `tactile-loc mount`, or from a drawing."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from tactile_loc.io.toml import (
     Positive,
     format_toml,
     name_errors,
+    name_pose_keys,
     read_pose,
     read_toml,
 )
@@ -30,17 +31,17 @@ Covariance = Annotated[list[Six], Field(min_length=6, max_length=6)]
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Where a sensor is mounted: `T_flange_sensor` (4, 4), metres.
+    """A sensor's pose on the flange: `T_flange_sensor` (4, 4), metres.
 
-    `covariance` (6, 6), if it is known, is that of the error of x, y, z of the sensor frame's origin (m) and of a
-    rotation vector (rad), both along the flange's axes.
+    `covariance` (6, 6), if known, is that of the sensor frame's origin x, y, z (m) and of a rotation vector (rad),
+    along the flange's axes.
     """
 
     T_flange_sensor: NDArray[np.float64]
     covariance: NDArray[np.float64] | None = None
 
     def find_std_at(self, point_m: NDArray[np.float64]) -> tuple[float, float]:
-        """Return the standard deviation (m, rad) along and about an axis at a point (3,) of the sensor, or 0."""
+        """Return the standard deviations (m, rad) along and about an axis at a point (3,) of the sensor, or zeros."""
         if self.covariance is None:
             return 0.0, 0.0
         there = move_covariance(self.covariance, self.T_flange_sensor[:3, :3] @ point_m)
@@ -49,32 +50,31 @@ class Mount:
 
 
 class MountTouchRecord(BaseModel):
-    """One touch of those that a mount was found from; its residual is that of the gel's middle."""
+    """One touch that a mount was computed from; its residual is that of the gel's middle."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(description="the touch's name")
-    residual_m: float | None = Field(default=None, description="by how much it contradicts the mount, m")
+    residual_m: float | None = Field(default=None, description="distance from where the mount puts the gel, m")
     residual_rad: float | None = Field(default=None, description="the same, rad")
-    first_residual_m: float | None = Field(default=None, description="by how much it contradicted the first guess, m")
+    first_residual_m: float | None = Field(default=None, description="residual of the first guess, m")
     first_residual_rad: float | None = Field(default=None, description="the same, rad")
     imprint_iou: float | None = Field(default=None, description="how well the object's pose explains it, 0 to 1")
-    left_out: str = Field(default="", description="why it had no say; empty if it had")
+    left_out: str = Field(default="", description="why it was left out; empty if it was used")
 
 
 class MountRecord(PoseKeys):
-    """The whole file. A nominal mount is its pose alone; a field's description completes "key must be ..."."""
+    """The whole file; a nominal mount has only a pose. A field's description completes "key must be ..."."""
 
     T_flange_sensor: Matrix | None = Field(default=None, description=MATRIX)
     covariance: Covariance | None = Field(
-        default=None,
-        description="six rows of six numbers (m before rad, along the flange's axes)",
+        default=None, description="six rows of six numbers (m before rad, along the flange's axes)"
     )
     T_base_object: Matrix | None = Field(default=None, description=MATRIX)
     object: str | None = Field(default=None, description="the object's name, in quotes")
     sensor: str | None = Field(default=None, description="the sensor's name, in quotes")
     variance_factor: Positive | None = Field(
-        default=None, description="a positive number: by how much residuals enlarged the touches' variances"
+        default=None, description="a positive number, the factor by which residuals enlarged the touches' variances"
     )
     touch: list[MountTouchRecord] = Field(default_factory=list, description="[[touch]] tables")
 
@@ -82,7 +82,7 @@ class MountRecord(PoseKeys):
 def read_mount(path: str | Path) -> Mount:
     """Read a mount: `T_flange_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`.
 
-    Raises ConfigError, in one sentence, when the file is missing or a key is missing, unknown or wrong.
+    Raises ConfigError when the file is missing, or a key is missing, unknown or wrong.
     """
     path, values = Path(path), read_toml(path)
     with name_errors(path, MountRecord, values, "a mount"):
@@ -90,19 +90,17 @@ def read_mount(path: str | Path) -> Mount:
         T = read_pose(keys, keys.T_flange_sensor, "T_flange_sensor")
         covariance = None if keys.covariance is None else _check_covariance(np.array(keys.covariance))
         if T is None:
-            raise ValueError(
-                "the mount is missing; give T_flange_sensor, or xyz_mm with either rpy_deg or quaternion_wxyz"
-            )
+            raise ValueError(f"the mount is missing; {name_pose_keys('T_flange_sensor')}")
         return Mount(T, covariance)
 
 
 def write_mount(path: Path, record: MountRecord) -> Path:
-    """Write a mount as TOML, atomically, and return the path. Raises OutputError when that is impossible."""
+    """Write a mount as TOML, atomically, and return the path. Raises OutputError if that fails."""
     text = format_toml(record.model_dump(mode="json", exclude_none=True))
     return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _check_covariance(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.allclose(covariance, covariance.T, atol=1e-12) or np.linalg.eigvalsh(covariance).min() < 0:
-        raise ValueError("covariance is none: it must be symmetric, with no negative variance")
+        raise ValueError("covariance must be symmetric, without a negative variance")
     return covariance

@@ -1,4 +1,4 @@
-"""Priors as TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half of space."""
+"""Priors as TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half-space."""
 
 from __future__ import annotations
 
@@ -15,17 +15,29 @@ from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
-from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, Three, name_errors, read_pose, read_toml
+from tactile_loc.io.toml import (
+    MATRIX,
+    POSITIVE_MM,
+    Matrix,
+    PoseKeys,
+    Positive,
+    Three,
+    name_errors,
+    name_pose_keys,
+    read_pose,
+    read_toml,
+)
 
 Frame = Literal["sensor", "base"]
 Bounds = Annotated[list[Annotated[float, Field(allow_inf_nan=True)]], Field(min_length=3, max_length=3)]
-FRAME = "'sensor' or 'base': the frame that its numbers are in"
+FRAME = "'sensor' or 'base', the frame of the other numbers"
+KIND = "'gaussian', 'region' or 'half-space'"
 
 
 @keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class FramedPrior:
-    """A prior as a file has it: in the frame of the sensor, or in the base frame. `source` names the file."""
+    """A prior in the frame that its file states: the sensor's or the base frame. `source` names the file."""
 
     prior: PosePrior
     frame: Frame
@@ -40,25 +52,25 @@ class FramedPrior:
             return self.prior
         if T_base_sensor is None:
             raise ConfigError(
-                f"{self.source} is in the base frame, but the touch does not say where its sensor was; "
-                "give T_base_sensor, or the prior in the sensor's frame"
+                f"{self.source} is in the base frame, but the touch has no sensor pose; give T_base_sensor, or the "
+                "prior in the sensor's frame"
             )
         return self.prior.view_from(T_base_sensor)
 
 
 class _Gaussian(PoseKeys):
-    kind: Literal["gaussian"] = Field(description="'gaussian', 'region' or 'half-space'")
+    kind: Literal["gaussian"] = Field(description=KIND)
     frame: Frame = Field(description=FRAME)
     T: Matrix | None = Field(None, description=MATRIX)
-    translation_std_mm: Positive = Field(description="a positive number (mm)")
+    translation_std_mm: Positive = Field(description=POSITIVE_MM)
     rotation_std_deg: Positive | None = Field(
-        None, description="a positive number (degrees), left out where the rotation is unknown"
+        None, description="a positive number (degrees), left out if the rotation is unknown"
     )
 
     def make(self, obj: ObjectModel) -> PosePrior:
         T = read_pose(self, self.T, "T")
         if T is None:
-            raise ValueError("the pose is missing; give T, or xyz_mm with either rpy_deg or quaternion_wxyz")
+            raise ValueError(f"the pose is missing; {name_pose_keys('T')}")
         rotation_std_deg = math.inf if self.rotation_std_deg is None else self.rotation_std_deg
         return GaussianPrior(T, 1e-3 * self.translation_std_mm, math.radians(rotation_std_deg), obj.symmetry)
 
@@ -68,7 +80,7 @@ class _Placed(BaseModel):
 
     frame: Frame = Field(description=FRAME)
     object_point_mm: Three | None = Field(
-        None, description="[x, y, z] (mm), the point of the object, in its frame, by default its centroid"
+        None, description="[x, y, z] (mm), a point of the object in its own frame, by default its centroid"
     )
 
     def find_point_m(self, obj: ObjectModel) -> NDArray[np.float64]:
@@ -76,17 +88,17 @@ class _Placed(BaseModel):
 
 
 class _Region(_Placed):
-    kind: Literal["region"] = Field(description="'gaussian', 'region' or 'half-space'")
-    low_mm: Bounds = Field([-math.inf] * 3, description="[x, y, z] (mm), -inf where it is open")
-    high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf where it is open")
+    kind: Literal["region"] = Field(description=KIND)
+    low_mm: Bounds = Field([-math.inf] * 3, description="[x, y, z] (mm), -inf without a bound")
+    high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf without a bound")
 
     def make(self, obj: ObjectModel) -> PosePrior:
         return RegionPrior(1e-3 * np.array(self.low_mm), 1e-3 * np.array(self.high_mm), self.find_point_m(obj))
 
 
 class _HalfSpace(_Placed):
-    kind: Literal["half-space"] = Field(description="'gaussian', 'region' or 'half-space'")
-    normal: Three = Field(description="[x, y, z], pointing from the plane to where the object is")
+    kind: Literal["half-space"] = Field(description=KIND)
+    normal: Three = Field(description="[x, y, z], pointing from the plane to the object's side")
     plane_point_mm: Three = Field(description="[x, y, z] (mm), a point of the plane")
 
     def make(self, obj: ObjectModel) -> PosePrior:
@@ -101,15 +113,15 @@ _KINDS: dict[str, type[_Gaussian | _Region | _HalfSpace]] = {
 def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     """Read a prior about an object's pose from a TOML file (mm and degrees).
 
-    `kind` is "gaussian", "region" or "half-space". The object's symmetry is regarded, and its centroid is the point
-    that is in a region unless the file names another. Raises ConfigError, in one sentence, when the file is missing or
-    a key is missing, unknown or ill-typed.
+    `kind` is "gaussian", "region" or "half-space". A Gaussian prior respects the object's symmetry. A region holds the
+    object's centroid, or the point that the file gives. Raises ConfigError when the file is missing, or a key is
+    missing, unknown or ill-typed.
     """
     path, values = Path(path), read_toml(path)
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
         near = did_you_mean(kind, _KINDS) if isinstance(kind, str) else ""
-        raise ConfigError(f"{path}: kind = {kind!r} is no kind of prior.{near} Kinds: {', '.join(_KINDS)}")
+        raise ConfigError(f"{path}: kind = {kind!r} is not a kind of prior.{near} Known: {', '.join(_KINDS)}")
     model = _KINDS[kind]
     with name_errors(path, model, values, f"a prior of kind {kind!r}"):
         keys = model(**values)

@@ -1,6 +1,6 @@
-"""Sensors as files: a TOML file, or the folder of a calibrated one.
+"""Sensors as files: a TOML file, or a calibration folder.
 
-docs/files.md lists the keys, examples/my_sensor.toml shows one.
+docs/files.md lists the keys; examples/my_sensor.toml is an example.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.errors import ConfigError, SensorError
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
-from tactile_loc.io.toml import Finite, Positive, format_toml, name_errors, read_toml
+from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
 from tactile_loc.store.files import recover_folder
 
-CALIBRATION = "calibration.json"  # what the folder of a calibrated sensor holds
+CALIBRATION = "calibration.json"  # every calibration folder holds it
 
 PositiveInt = Annotated[int, Field(gt=0)]
 
 
 class _SensorFile(BaseModel):
-    """The keys that every sensor has. A field's description completes "key must be ..."."""
+    """The keys of every sensor. A field's description completes "key must be ..."."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -33,7 +33,7 @@ class _SensorFile(BaseModel):
     image_size_px: list[PositiveInt] = Field(
         min_length=2, max_length=2, description="[width, height], positive whole numbers (pixels)"
     )
-    max_depth_mm: Positive = Field(description="a positive number (mm)")
+    max_depth_mm: Positive = Field(description=POSITIVE_MM)
     cx: Finite | None = Field(None, description="a number (pixels), by default the image's centre")
     cy: Finite | None = Field(None, description="a number (pixels), by default the image's centre")
     sensing_rectangle_mm: list[Finite] | None = Field(
@@ -46,7 +46,7 @@ class _SensorFile(BaseModel):
 class _Pinhole(_SensorFile):
     fx: Positive = Field(description="a positive number (pixels)")
     fy: Positive = Field(description="a positive number (pixels)")
-    standoff_mm: Positive = Field(description="a positive number (mm)")
+    standoff_mm: Positive = Field(description=POSITIVE_MM)
 
     @property
     def focal(self) -> tuple[float, float]:
@@ -68,8 +68,8 @@ class _Orthographic(_SensorFile):
 def read_sensor_file(path: Path) -> SensorGeometry:
     """Read a sensor file (TOML, mm and pixels) into a geometry in metres and pixels.
 
-    Raises SensorError when the file or its mask cannot be read, a key is missing, unknown or ill-typed, or the numbers
-    contradict one another.
+    Raises SensorError when the file, its mask or its surface cannot be read, a key is missing, unknown or ill-typed,
+    or the numbers contradict each other.
     """
     try:
         values = read_toml(path)
@@ -104,8 +104,8 @@ def _read_mask(path: Path) -> NDArray[np.bool_]:
         return load_image(path, "L")[1] >= 128
     except UNREADABLE as error:
         raise SensorError(
-            f"the mask {path} cannot be read as an image ({error}); mask must be the path of a PNG, white where the "
-            "sensor observes, relative to the sensor file"
+            f"the mask {path} cannot be read as an image ({error}); give a PNG, white at observed pixels, by its path "
+            "relative to the sensor file"
         ) from error
 
 
@@ -115,25 +115,25 @@ def _read_surface(path: Path) -> Depth:
         surface = load_npy(path)
     except UNREADABLE as error:
         raise SensorError(
-            f"the surface {path} cannot be read as .npy ({error}); surface must be the path of an array (rows, "
-            "columns) in metres, relative to the sensor file"
+            f"the surface {path} cannot be read as .npy ({error}); give an array (rows, columns) in metres, by its "
+            "path relative to the sensor file"
         ) from error
     if surface.ndim != 2 or surface.dtype.kind != "f":
         raise SensorError(
-            f"the surface {path} is an array of shape {surface.shape} and type {surface.dtype}; it must be one number "
-            "a pixel, metres, (rows, columns)"
+            f"the surface {path} has shape {surface.shape} and type {surface.dtype}; it must be an array (rows, "
+            "columns) of floats in metres"
         )
     return surface.astype(np.float32)
 
 
 def is_calibrated_sensor(folder: Path) -> bool:
-    """Tell whether `folder` is that of a calibrated sensor."""
+    """Return whether `folder` is a calibration folder."""
     recover_folder(folder)
     return os.path.isfile(folder / CALIBRATION)
 
 
 def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
-    """Write a geometry as a sensor file, its mask and its surface beside it, and return the path. Raises OSError."""
+    """Write a sensor file, with its mask and surface beside it, and return the path. Raises OSError."""
     mm = 1e3
     values: dict[str, Any] = {"camera": geometry.camera, "image_size_px": [geometry.width_px, geometry.height_px]}
     if geometry.is_pinhole:

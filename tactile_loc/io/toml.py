@@ -1,4 +1,4 @@
-"""TOML: reading a file, kinds of numbers, poses, what to say when a key is wrong, and writing settings."""
+"""TOML files: reading, kinds of numbers, poses, messages about wrong keys, and writing settings."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Four = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
 MATRIX = "four rows of four numbers (rotation without unit, translation in metres, last row 0 0 0 1)"
-NOT_TOML = (ValueError, RecursionError)  # numbers of thousands of digits and endless nesting, too
-UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rounded to four digits it is still meant as one
+POSITIVE_MM = "a positive number (mm)"
+NOT_TOML = (ValueError, RecursionError)  # also numbers of thousands of digits, and endless nesting
+UNIT_TOLERANCE = 1e-3  # of a quaternion's length, for one that is rounded to four digits
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -33,34 +34,34 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         if not os.path.exists(path):
             raise ConfigError(f"there is no file {path}; check the path")
         if not os.path.isfile(path):  # a device or a pipe has no end
-            raise ConfigError(f"{path} cannot be read (it is no file)")
+            raise ConfigError(f"{path} is not a file; give a TOML file")
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} cannot be read ({error})") from error
+        raise ConfigError(f"{path} cannot be read ({error}); give a TOML file") from error
     except NOT_TOML as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 
 
 def list_tables(path: Path, values: dict[str, Any], name: str, needs: str, *others: str) -> list[dict[str, Any]]:
-    """Return the `[[name]]` tables of a file's values, of which it has one at least, and but for `others` nothing else.
+    """Return the `[[name]]` tables of a file's values: at least one, and no other keys than `others`.
 
-    Raises ConfigError, which says what each `needs`.
+    Raises ConfigError, which says what each table `needs`.
     """
     known = [name, *others]
     unknown = sorted(set(values) - set(known))
     if unknown:
         near = did_you_mean(unknown[0], known)
-        raise ConfigError(f"{path} has an unknown entry {unknown[0]!r}.{near} It is a list of [[{name}]] tables")
+        raise ConfigError(f"{path} has an unknown entry {unknown[0]!r}.{near} Known: {', '.join(known)}")
     tables = values.get(name, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise ConfigError(f"{name} in {path} is no list of tables; begin each {name} with [[{name}]]")
+        raise ConfigError(f"{name} in {path} is not a list of tables; begin each {name} with [[{name}]]")
     if not tables:
-        raise ConfigError(f"{path} lists no {name}; give each one a table [[{name}]] with {needs}")
+        raise ConfigError(f"{path} lists no {name}; add a table [[{name}]] with {needs} for each")
     return tables
 
 
 def parse_value(text: str) -> Any:
-    """Return the value that a text has in TOML; the text itself where it has none."""
+    """Return a text's value in TOML, or the text itself if it is not TOML."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except NOT_TOML:
@@ -70,17 +71,17 @@ def parse_value(text: str) -> Any:
 def explain(
     error: ValidationError, model: type[BaseModel], values: dict[str, Any], what: str, decisive: str = ""
 ) -> str:
-    """Say in one sentence which key of `what`, a table of `model`'s keys, is wrong, and what is allowed.
+    """Return a message that names the first wrong key of `what`, a table of `model`'s keys, and what is allowed.
 
-    The key `decisive`, on which the others depend, is named before them, and unknown keys before ill-typed ones. A
-    field's description completes "key must be ...".
+    The key `decisive`, on which the others depend, comes first, then unknown keys, then ill-typed ones. A field's
+    description completes "key must be ...".
     """
     problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != decisive, p["type"] != "extra_forbidden"))
     key = str(problems[0]["loc"][0])
     field = model.model_fields.get(key)
     if field is None:
         known = model.model_fields
-        return f"{what} has no key {key!r}.{did_you_mean(key, known)} Its keys: {', '.join(known)}"
+        return f"{what} has no key {key!r}.{did_you_mean(key, known)} Known: {', '.join(known)}"
     must_be = f"it must be {field.description}"
     return f"{key} = {quote(values[key])} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
 
@@ -90,7 +91,7 @@ def name_errors(
     where: object, model: type[BaseModel], values: dict[str, Any], what: str,
     kind: type[TactileLocError] = ConfigError, decisive: str = "",
 ) -> Iterator[None]:  # fmt: skip
-    """Raise what is wrong with a table of `model`'s keys as a `kind` of error that begins with `where` it stands.
+    """Raise errors of the block, about a table of `model`'s keys, as a `kind` whose message begins with `where`.
 
     The other arguments are those of `explain`.
     """
@@ -103,12 +104,12 @@ def name_errors(
 
 
 def scale(value: float | None, factor: float = 1e-3) -> float | None:
-    """Return a value times a factor, by default that from mm to metres; None where there is none."""
+    """Return a value times a factor, by default from mm to metres; None if there is no value."""
     return None if value is None else factor * value
 
 
 class PoseKeys(BaseModel):
-    """The keys of a pose but for the matrix, whose name tells the frames. Unknown ones are refused.
+    """The keys of a pose except the matrix, whose name depends on the frames. Unknown keys are refused.
 
     A field's description completes "key must be ...".
     """
@@ -125,21 +126,26 @@ class PoseKeys(BaseModel):
 def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
     """Return the pose (4, 4), metres, of `matrix`, the key called `name`, or of the other keys; None if there is none.
 
-    R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError that says what is wrong.
+    R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError for a wrong or incomplete pose.
     """
     given = [key for key in ("xyz_mm", "rpy_deg", "quaternion_wxyz") if getattr(keys, key) is not None]
     if matrix is not None:
         if given:
-            raise ValueError(f"{name} is the whole pose; leave {given[0]} out")
+            raise ValueError(f"{name} is the whole pose; leave out {given[0]}")
         T = np.array(matrix, float)
         if not is_rigid(T):
-            raise ValueError(f"{name} is no rigid transform; it must be {MATRIX}")
+            raise ValueError(f"{name} is not a rigid transform; it must be {MATRIX}")
         return T
     if not given:
         return None
     if "xyz_mm" not in given or len(given) != 2:
-        raise ValueError(f"a pose is {name}, or xyz_mm with either rpy_deg or quaternion_wxyz, not {', '.join(given)}")
+        raise ValueError(f"{', '.join(given)} make no pose; {name_pose_keys(name)}")
     return make_transform(_read_rotation(keys), 1e-3 * np.array(keys.xyz_mm))
+
+
+def name_pose_keys(matrix: str) -> str:
+    """Return how to give a pose: by the key of this name, or by the other keys."""
+    return f"give {matrix}, or xyz_mm with either rpy_deg or quaternion_wxyz"
 
 
 def _read_rotation(keys: PoseKeys) -> NDArray[np.float64]:
@@ -151,12 +157,12 @@ def _read_rotation(keys: PoseKeys) -> NDArray[np.float64]:
     q = np.array(keys.quaternion_wxyz, float)
     length = float(np.linalg.norm(q))
     if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise ValueError(f"quaternion_wxyz has the length {length:.4g}; it must be a unit quaternion, scalar first")
+        raise ValueError(f"quaternion_wxyz has length {length:.4g}; it must be a unit quaternion, scalar first")
     return quaternion_to_rotation(q / length)
 
 
 def format_toml(configuration: Mapping[str, Any]) -> str:
-    """Return a resolved configuration as TOML; what is not set is left out. A slot's options stand beside its name.
+    """Return a resolved configuration as TOML, without unset values. A slot's options stand beside its name.
 
     A list of tables becomes an array of tables.
     """
@@ -174,7 +180,7 @@ def format_toml(configuration: Mapping[str, Any]) -> str:
 
 
 def _find_tables(value: Any) -> Sequence[Mapping[str, Any]]:
-    """The tables of a list that holds nothing else."""
+    """Return a list that holds nothing but tables, or an empty one."""
     is_array = isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value)
     return value if is_array else ()
 

@@ -1,6 +1,6 @@
-"""Touches as files: contact shapes in npz, npy and 16-bit PNG. docs/files.md has the tables.
+"""Touch files: contact shapes as npz, npy or 16-bit PNG, described in docs/files.md.
 
-Nothing is ever unpickled, and no unit is ever guessed.
+Pickles are never loaded, and units are never guessed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LARGEST_INDENTATION_M = 0.05
 
 @dataclass(frozen=True, eq=False)
 class FileContents:
-    """What a file says: depths (H, W), press depth and indentation in `unit` (None: it names none), poses in metres."""
+    """The contents of a file: depths (H, W), press depth and indentation in `unit`, None if unknown; poses, metres."""
 
     depth: NDArray[Any]
     unit: str | None = None
@@ -50,12 +50,13 @@ class FileContents:
 
 
 def read_contents(path: Path) -> FileContents:
-    """Read what an .npz, .npy or 16-bit grey .png file says; raises TouchError when it is none or damaged."""
+    """Read an .npz, .npy or 16-bit grey .png file. Raises TouchError for any other file, and for a damaged one."""
     readers = {".npz": _read_npz, ".npy": lambda path: FileContents(load_npy(path)), ".png": _read_png}
     suffix = path.suffix.lower()
     require_file(path)
     if suffix not in readers:
-        raise TouchError(_explain_image(path) if suffix in IMAGE_SUFFIXES else f"{path} is no touch; give {FORMATS}")
+        explained = f"{path} is not a touch file; give {FORMATS}"
+        raise TouchError(_explain_image(path) if suffix in IMAGE_SUFFIXES else explained)
     try:
         return readers[suffix](path)
     except UNREADABLE as error:
@@ -64,8 +65,8 @@ def read_contents(path: Path) -> FileContents:
 
 def _explain_image(path: Path) -> str:
     return (
-        f"{path} is an image, but not one in colour of 8 bits, which a sensor calibrated for images reads; convert it, "
-        f"or give a contact shape as {FORMATS}, with its unit"
+        f"{path} is not an 8-bit colour image, which a sensor calibrated for images reads; convert it, or give a "
+        f"contact shape as {FORMATS}, with its unit"
     )
 
 
@@ -80,13 +81,13 @@ def _read_npz(path: Path) -> FileContents:
 
 
 def _find_depth(arrays: Mapping[str, NDArray[Any]], path: Path) -> NDArray[Any]:
-    """Return the array `depth`, else the only 2-D array of a stranger's file."""
+    """Return the array `depth`, else the only array of two or more dimensions that is no pose."""
     if "depth" in arrays:
         return arrays["depth"]
     maps = [a for name, a in arrays.items() if a.ndim >= 2 and not name.startswith("T_")]
     if len(maps) != 1:
         held = ", ".join(f"{name} {a.shape}" for name, a in arrays.items()) or "nothing"
-        raise TouchError(f"{path} holds {held}; a touch holds one array (H, W), or names it 'depth'")
+        raise TouchError(f"{path} holds {held}; save one array (H, W), or name the contact shape 'depth'")
     return maps[0]
 
 
@@ -95,7 +96,7 @@ def _find_number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> f
         return None
     value = arrays[name]
     if value.size != 1 or value.dtype.kind not in "fiu":
-        raise TouchError(f"{name} in {path} has the shape {value.shape} and type {value.dtype}; it must be one number")
+        raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be one number")
     return float(value.reshape(()))
 
 
@@ -122,10 +123,10 @@ def read_contact_shape(
 ) -> ContactShape:
     """Read a contact shape (H, W) from an .npz, .npy or 16-bit .png file.
 
-    `max_depth_m` is the sensor's, metres. `unit` ("m", "mm" or "um") is needed when the file names none.
-    `press_depth_m` is how deep the press was when the file does not say; without it the shape's deepest step is taken
-    (see `contact_shape_from_array`). A file that does say is cut at `press_depth_m`, which can only be lighter.
-    Raises TouchError when the file is no contact shape.
+    `max_depth_m` is the sensor's maximal depth, metres. `unit` ("m", "mm" or "um") is needed if the file has none.
+    `press_depth_m` is the press depth, metres, if the file has none; by default it is taken from the shape (see
+    `contact_shape_from_array`). A file with its own press depth is cut at `press_depth_m`, which must be lighter.
+    Raises TouchError when the file holds no contact shape.
     """
     path = Path(path)
     return _build_shape(read_contents(path), path, max_depth_m, unit, press_depth_m)
@@ -134,17 +135,20 @@ def read_contact_shape(
 def read_touch(
     path: str | Path, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None
 ) -> Touch:
-    """Read a touch taken by `sensor`, as `read_contact_shape` does, with the poses (4, 4) that the file has.
+    """Read a touch taken by `sensor`: a contact shape, as `read_contact_shape` does, or a colour image.
 
-    A colour image goes to the sensor, which turns it into a contact shape if it is calibrated. Metres. Raises
-    TouchError when the file is no touch, does not fit the sensor, or shows no contact or nothing but contact.
+    A calibrated sensor converts the image to a contact shape. The poses (4, 4), metres, are those of the file. Raises
+    TouchError when the file is no touch, does not fit the sensor, shows no contact, or is in contact everywhere.
     """
     path = Path(path)
     geometry = sensor.geometry
     image = read_colour_image(path)
     if image is not None:
-        shape = _cut(_ask_sensor(sensor, image, path), str(path), press_depth_m)
-        return Touch(shape, geometry, path.name, image=image)
+        try:
+            shape = sensor.contact_shape(image)
+        except TouchError as error:
+            raise TouchError(f"{path}: {error}") from error
+        return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path)
     shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
@@ -153,10 +157,10 @@ def read_touch(
 def touch_from_image(
     image: NDArray[Any], sensor: SensorModel, press_depth_m: float | None = None, name: str = "the image"
 ) -> Touch:
-    """Return what a sensor reads in an image (H, W, 3) uint8, or in depths (H, W) in metres, as a touch.
+    """Return the touch that a sensor reads from an image (H, W, 3) uint8, or from depths (H, W) in metres.
 
-    `press_depth_m` is as for `read_touch`: how deep the press was, or a lighter one at which an image's contact is cut.
-    Raises NoContactError when nothing touches, and TouchError for what the sensor cannot read.
+    `press_depth_m` is the press depth of depths, metres, or a lighter one at which an image's contact shape is cut.
+    Raises NoContactError when nothing touches, and TouchError when the sensor cannot read the image.
     """
     if image.ndim == 2 and image.dtype.kind == "f" and press_depth_m is not None:
         shape = contact_shape_from_array(image, sensor.geometry.max_depth_m, press_depth_m, name)
@@ -166,10 +170,10 @@ def touch_from_image(
 
 
 def write_touch(path: str | Path, touch: Touch) -> Path:
-    """Write a touch as .npz (metres), atomically, and return the path. Raises OutputError when that is impossible."""
+    """Write a touch as .npz (metres), atomically, and return the path. Raises OutputError if that fails."""
     path = Path(path)
     if path.suffix.lower() != ".npz":
-        raise OutputError(f"{path} does not end in .npz; a touch is written as .npz")
+        raise OutputError(f"a touch cannot be written to {path}; choose a file name that ends in .npz")
     poses = {"T_sensor_object": touch.T_sensor_object, "T_base_sensor": touch.T_base_sensor}
     arrays = {
         "depth": touch.contact_shape.depth_m.astype(np.float32),
@@ -182,7 +186,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
         with replace_file(path) as temporary, temporary.open("xb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
     except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another place") from error
+        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another folder") from error
     return path
 
 
@@ -191,7 +195,7 @@ def _build_shape(
 ) -> ContactShape:
     raw = contents.depth
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
-        raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape is (H, W) numbers")
+        raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape must be numbers (H, W)")
     scale = _find_scale(contents, path, unit)
     depth = raw.astype(np.float64) * scale
     if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
@@ -205,23 +209,23 @@ def _build_shape(
 
 
 def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path) -> float:
-    """How deep the object was pressed, metres: no less than what the contact shape shows of it."""
+    """Return the indentation, metres, which is at least the press depth."""
     if not shape.press_depth_m * (1 - 1e-6) <= indentation_m < LARGEST_INDENTATION_M:
         raise TouchError(
-            f"{path} says that the object was pressed {indentation_m * 1e3:.3g} mm deep; that must be no less than its "
-            f"press depth of {shape.press_depth_m * 1e3:.3g} mm, and below {LARGEST_INDENTATION_M * 1e3:.0f} mm"
+            f"the indentation in {path} is {indentation_m * 1e3:.3g} mm; it must be at least its press depth of "
+            f"{shape.press_depth_m * 1e3:.3g} mm, and below {LARGEST_INDENTATION_M * 1e3:.0f} mm"
         )
     return max(indentation_m, shape.press_depth_m)
 
 
 def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> ContactShape:
-    """Cut at a lighter press; a deeper one cannot be seen in a shape that is cut already."""
+    """Cut at a lighter press depth: a shape that is cut already shows nothing deeper."""
     if press_depth_m is None:
         return shape
     if not 0 < press_depth_m <= shape.press_depth_m * (1 + 1e-6):
         raise TouchError(
-            f"{name} was pressed {shape.press_depth_m * 1e3:.3g} mm deep; it cannot be read with a press depth of "
-            f"{press_depth_m * 1e3:.3g} mm, only a positive smaller one"
+            f"{name} has a press depth of {shape.press_depth_m * 1e3:.3g} mm and cannot be read with "
+            f"{press_depth_m * 1e3:.3g} mm; give a positive, smaller press depth"
         )
     return shape.press_to(press_depth_m)
 
@@ -232,15 +236,8 @@ def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
         if name is not None and name not in UNITS:
             raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS)}")
     if unit is not None and contents.unit is not None and unit != contents.unit:
-        raise TouchError(f"{path} says that its unit is {contents.unit}, not {unit}; leave --touch-unit out")
+        raise TouchError(f"the unit in {path} is {contents.unit}, not {unit}; leave out --touch-unit")
     known = contents.unit or unit
     if known is None:
-        raise TouchError(f"{path} does not say in which unit its depths are; give --touch-unit {', '.join(UNITS)}")
+        raise TouchError(f"{path} has no unit; give the unit of its depths by --touch-unit: {', '.join(UNITS)}")
     return METRES_PER_UNIT[known]
-
-
-def _ask_sensor(sensor: SensorModel, image: NDArray[np.uint8], path: Path) -> ContactShape:
-    try:
-        return sensor.contact_shape(image)
-    except TouchError as error:
-        raise TouchError(f"{path}: {error}") from error

@@ -1,4 +1,4 @@
-"""A finished stage on disk: a folder of plain files and the manifest that vouches for them."""
+"""A finished stage on disk: a folder of plain files, with a manifest of their checksums."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import hashlib
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,12 +22,12 @@ from tactile_loc.store.keys import StageKey, hash_file, write_canonical_json
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
-_MEMBER = "array"  # of a packed array's file, an npz that numpy reads as any other
-_LEVEL = 1  # of deflation: higher ones take several times as long and save a twentieth
+_MEMBER = "array"  # of a packed array's file, which is an ordinary npz
+_LEVEL = 1  # of compression: higher levels take several times as long and save a twentieth
 
 
 class DamagedError(StoreError):
-    """An artifact is incomplete or not what its manifest says; the message is the reason alone."""
+    """An artifact is incomplete or differs from its manifest; the message is only the reason."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,17 @@ class FileRecord:
 
 @dataclass(frozen=True)
 class Artifact:
-    """The stored result of one stage. Read-only; obtained from `StageStore.get` or `StageStore.build`."""
+    """The stored result of one stage, read-only; `StageStore.get` and `StageStore.build` return it."""
 
     path: Path
     key: StageKey
     files: Mapping[str, FileRecord]
     created: datetime
-    """When the build ended, UTC."""
+    """Time of the end of the build, UTC."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the files, with their suffixes, sorted; the manifest is not one of them."""
+        """The sorted names of the files, with suffixes, without the manifest."""
         return tuple(sorted(self.files))
 
     @property
@@ -58,49 +59,41 @@ class Artifact:
         return sum(record.size for record in self.files.values())
 
     def find_file(self, name: str) -> Path:
-        """Return the path of the file of this name (with its suffix).
-
-        Raises:
-            StoreError: if the artifact has no such file.
-        """
+        """Return the path of the file of this name (with its suffix). Raises StoreError when there is none."""
         if name not in self.files:
-            raise StoreError(f"Stage {self.key} holds no {name!r}; it holds {', '.join(self.names) or 'no files'}.")
+            raise StoreError(f"stage {self.key} has no file {name!r}; it has {', '.join(self.names) or 'no files'}")
         return self.path / name
 
     def load_array(self, name: str, mmap: bool = True) -> NDArray[Any]:
         """Return the array stored as `<name>.npy`, mapped read-only from the disk, or in memory if not `mmap`.
 
-        One that was packed, `<name>.npz`, is always in memory.
-
-        Raises:
-            StoreError: if there is no such array or it cannot be read; arrays of pickled objects never are.
+        A packed array, `<name>.npz`, is always in memory. Raises StoreError when there is no such array or it cannot be
+        read; pickled objects are never loaded.
         """
         packed = f"{name}.npz" in self.files
         path = self.find_file(f"{name}.npz" if packed else f"{name}.npy")
-        try:
+        with self._guard_reading(path):
             array: NDArray[Any]
             array = read_packed(path) if packed else np.load(path, "r" if mmap else None, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
         return array
 
     def load_json(self, name: str) -> Any:
-        """Return the value stored as `<name>.json`.
-
-        Raises:
-            StoreError: if there is no such file or it cannot be read.
-        """
+        """Return the value stored as `<name>.json`. Raises StoreError when there is none or it cannot be read."""
         path = self.find_file(f"{name}.json")
-        try:
+        with self._guard_reading(path):
             return read_json(path)
-        except (OSError, ValueError) as error:
-            raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
+
+    @contextmanager
+    def _guard_reading(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, ValueError, EOFError) as error:
+            raise StoreError(f"{path} cannot be read ({error}); remove {self.path} and run again") from error
 
     def read_signature(self) -> tuple[tuple[int, int], ...]:
-        """Return (mtime_ns, size) of the manifest and of every file: cheap to get, and changed by any ordinary write.
+        """Return (mtime_ns, size) of the manifest and of every file, which any ordinary write changes.
 
-        Raises:
-            DamagedError: if a file is missing or its size is not the recorded one.
+        Raises DamagedError when a file is missing or its size is not the recorded one.
         """
         try:
             stats = [(self.path / name).stat() for name in (MANIFEST, *self.names)]
@@ -112,11 +105,7 @@ class Artifact:
         return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
 
     def verify(self) -> None:
-        """Read every file and compare its checksum with the manifest's.
-
-        Raises:
-            DamagedError: if one differs.
-        """
+        """Compare every file's checksum with the manifest's. Raises DamagedError if one differs."""
         for name, record in self.files.items():
             try:
                 found = hash_file(self.path / name)
@@ -127,7 +116,7 @@ class Artifact:
 
 
 def write_packed(path: Path, array: NDArray[Any]) -> None:
-    """Write an array of any shape, without Python objects, deflated; the same array makes the same bytes."""
+    """Write an array of any shape, without Python objects, compressed; equal arrays give equal bytes."""
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as file,
         file.open(f"{_MEMBER}.npy", "w", force_zip64=True) as member,
@@ -136,7 +125,7 @@ def write_packed(path: Path, array: NDArray[Any]) -> None:
 
 
 def read_packed(path: Path) -> NDArray[Any]:
-    """Return the array that `write_packed` wrote. Raises ValueError when the file holds none, OSError as any read."""
+    """Return the array that `write_packed` wrote. Raises ValueError when the file holds none, and OSError."""
     try:
         with np.load(path, allow_pickle=False) as file:
             array: NDArray[Any] = file[_MEMBER]
@@ -146,7 +135,7 @@ def read_packed(path: Path) -> NDArray[Any]:
 
 
 def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -> None:
-    """Write the manifest of the files in a folder; it carries a checksum of itself. Raises OSError."""
+    """Write the manifest of the files in a folder, with its own checksum. Raises OSError."""
     manifest: dict[str, Any] = {
         "format": _FORMAT,
         "stage": key.stage,
@@ -160,10 +149,9 @@ def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -
 
 
 def read_artifact(folder: Path) -> Artifact:
-    """Return the artifact in a folder by its manifest; the files themselves are not looked at.
+    """Return the artifact that the manifest in a folder describes, without reading its files.
 
-    Raises:
-        DamagedError: if the manifest is missing, unreadable or altered.
+    Raises DamagedError when the manifest is missing, unreadable or altered.
     """
     try:
         manifest = read_json(folder / MANIFEST)

@@ -1,4 +1,4 @@
-"""Files and folders that are whole or not there: written beside their place, synced, and renamed."""
+"""Atomic writing of files and folders: they are written beside their final place, synced, and renamed."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path near `path`, of the same name; when the block ends well, sync it and rename it.
+    """Give a temporary path of the same name near `path`; sync it and rename it if the block succeeds.
 
-    Whatever goes wrong, an older file at `path` is still whole and nothing is left beside it; what a process that was
-    killed has left there is removed by the next replacement. Raises OSError.
+    If anything fails, an older file at `path` stays whole and nothing is left beside it. Files left by a killed process
+    are removed by the next replacement. Raises OSError.
     """
     with _make_folder_beside(path) as folder:
         temporary = folder / path.name
@@ -38,14 +38,13 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
-    """Give an empty folder near `path`; when the block ends well, sync all it holds and put it in `path`'s place.
+    """Give an empty folder near `path`; sync it and put it in place of `path` if the block succeeds.
 
-    A process that is killed at any moment leaves the old folder whole or the new one, and what it leaves beside them is
-    removed by the next replacement; whatever else goes wrong, nothing is left. Where the file system cannot exchange
-    two folders at once, the old one may be left set aside: `recover_folder` before reading puts it back. With `fresh`
-    nothing may stand at `path` but an empty folder. Raises OSError.
+    If the process is killed at any time, the old or the new folder is whole, and the next replacement removes the rest.
+    If the file system cannot exchange two folders in one step, the old one may be left aside: `recover_folder`, called
+    before reading, puts it back. With `fresh`, only an empty folder may be at `path`. Raises OSError.
     """
-    path = path.resolve()  # where `path` is a link, what it points to is replaced
+    path = path.resolve()  # of a link, its target is replaced
     recover_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -63,12 +62,12 @@ def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
         recover_folder(path)
         if os.path.lexists(path):
             with suppress(OSError):
-                delete(_name_aside(path))  # what was set aside for what stands there now
+                delete(_name_aside(path))  # the old folder, now replaced
 
 
 def recover_folder(path: Path) -> None:
-    """Put back the folder that a killed `replace_folder` had set aside, if nothing stands in its place."""
-    with suppress(OSError, ValueError):  # there is none, none can be called so, or another process was faster
+    """Put back the folder that a killed `replace_folder` had set aside, if its place is empty."""
+    with suppress(OSError, ValueError):  # there is none, its name is invalid, or another process was faster
         path = path.resolve()
         aside = _name_aside(path)
         if not os.path.lexists(path) and aside.is_dir():
@@ -76,30 +75,30 @@ def recover_folder(path: Path) -> None:
 
 
 def remove_abandoned(folder: Path, names: str = "*") -> None:
-    """Remove from a folder what killed processes were writing there, or had just written, of the names of a pattern.
+    """Remove temporary folders of killed processes from a folder, for files whose names match a pattern.
 
-    Nobody holds the locks of that any more; what others are at work on stays.
+    Their locks are free; folders that are still in use stay.
     """
     for pattern in (f"{_TEMPORARY}new-{names}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{names}"):
         for left in folder.glob(pattern):
             with suppress(OSError), _open_folder(left) as descriptor:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # refused: another holds it, or there are none
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if in use, or without locks
                 if _is_at(left, descriptor):
-                    delete(left)  # while it is locked: nobody can begin to use it
+                    delete(left)  # while it is locked, so that no process begins to use it
 
 
 def is_unfinished(path: Path) -> bool:
-    """Whether by its name something is being written beside its place, or was when a process was killed."""
+    """Return whether a name is that of a temporary folder of this module."""
     return path.name.startswith(_TEMPORARY)
 
 
 def read_json(path: Path) -> Any:
-    """Return what a JSON file holds. Raises OSError, and ValueError when it holds none, or is nested without end."""
+    """Return the value in a JSON file. Raises OSError, and ValueError if it is not JSON or nested too deeply."""
     return parse_json(path.read_bytes())
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value of a JSON text. Raises ValueError when it is none, or is nested without end."""
+    """Return the value of a JSON text. Raises ValueError if it is not JSON or nested too deeply."""
     try:
         return json.loads(text)
     except RecursionError as error:
@@ -107,7 +106,7 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def delete(path: Path) -> None:
-    """Delete a file or a folder with all it holds. Raises OSError."""
+    """Delete a file, or a folder with its contents. Raises OSError."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -115,35 +114,33 @@ def delete(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have a folder's entries written to the disk, where the file system knows how to."""
+    """Write a folder's entries to the disk, if the file system can."""
     with suppress(OSError), _open_folder(folder) as descriptor:
         os.fsync(descriptor)
 
 
 def require_writable(folder: Path) -> None:
-    """Check that files can be put into `folder`, which need not exist yet, and leave nothing behind.
+    """Check that files can be written to `folder`, which need not exist yet, without leaving any.
 
-    Raises OutputError when a file stands in its way or the nearest existing folder refuses.
+    Raises OutputError if a file is in its way or the nearest existing folder is not writable.
     """
     existing = folder.absolute()
     while not os.path.lexists(existing):
         existing = existing.parent
     if not existing.is_dir():
-        raise OutputError(f"results cannot be written to {folder}: {existing} is not a folder; choose another --out")
+        raise OutputError(f"{folder} cannot be written ({existing} is not a folder); choose another --out")
     try:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        reason = error.strerror or "it is refused"
-        raise OutputError(
-            f"results cannot be written to {folder}: {reason} in {existing}; choose another --out"
-        ) from error
+        reason = error.strerror or "refused"
+        raise OutputError(f"{folder} cannot be written ({reason} in {existing}); choose another --out") from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
-    """Have `write` write a temporary file of the same suffix, then rename it to `path`; make its folder if needed.
+    """Have `write` write a temporary file of the same suffix, rename it to `path`, and return that.
 
-    Raises OutputError when the disk refuses; an older file at `path` is then still whole.
+    Its folder is made if needed. Raises OutputError if the disk refuses; an older file at `path` then stays whole.
     """
     with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -154,7 +151,7 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
 
 @contextmanager
 def guard_output(path: Path) -> Iterator[None]:
-    """Turn an OSError of the block, in which `path` is written, into an OutputError that says so."""
+    """Convert an OSError of the block, which writes `path`, to an OutputError."""
     try:
         yield
     except OSError as error:
@@ -163,16 +160,14 @@ def guard_output(path: Path) -> Iterator[None]:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Have others who ask for the same folder wait until the block ends: files that belong together stay together.
+    """Lock a folder, so that other processes wait until the block ends and files that belong together stay together.
 
-    The folder is made if needed, and nothing is put there. Where the file system has no locks, nobody waits. Raises
-    OutputError when there can be no such folder.
+    The folder is made if needed, and no file is put there. Without locks in the file system, processes do not wait.
+    Raises OutputError if the folder cannot be made.
     """
-    try:
+    with guard_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise OutputError(f"{folder} cannot be written to ({error.strerror or error}); choose another --out") from error
     try:
         with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -182,21 +177,21 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def write_json(path: Path, value: Any) -> Path:
-    """Write JSON values for people to read too, atomically, and return the path. Raises OutputError."""
+    """Write a value as indented JSON, atomically, and return the path. Raises OutputError."""
     text = json.dumps(value, indent=1) + "\n"
     return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 @contextmanager
 def _make_folder_beside(path: Path) -> Iterator[Path]:
-    """Give an empty folder beside `path`, locked as long as the block lasts; at its end what is left of it is removed.
+    """Give an empty folder beside `path`, locked until the block ends, and then removed.
 
-    The folder's name is always the same: so what a killed process left is found again without listing all that there
-    is, which would take long where many files are written into one folder.
+    The folder's name is always the same, so that the rest of a killed process is found without listing all files, which
+    would be slow in a folder of many files.
     """
     folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
     descriptor = _claim(folder)
-    while descriptor is None:  # it is there already: another process is at work on it, or was
+    while descriptor is None:  # another process uses it, or was killed
         remove_abandoned(path.parent, glob.escape(path.name))
         folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if os.path.lexists(folder) else folder
         descriptor = _claim(folder)
@@ -211,18 +206,18 @@ def _make_folder_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _raise_by_number() -> Iterator[None]:
-    """Raise as an OSError what libraries in Rust say of the system in words only, as "... (os error 28)"."""
+    """Raise OSError for errors of Rust libraries that name a system error only in words: "... (os error 28)"."""
     try:
         yield
     except Exception as error:
-        said = None if isinstance(error, OSError) else _OS_ERROR.search(str(error))
-        if said is None:
+        named = None if isinstance(error, OSError) else _OS_ERROR.search(str(error))
+        if named is None:
             raise
-        raise OSError(int(said[1]), os.strerror(int(said[1]))) from error
+        raise OSError(int(named[1]), os.strerror(int(named[1]))) from error
 
 
 def _claim(folder: Path) -> int | None:
-    """Make a folder and lock it; None if it is there already, or somebody who took it for abandoned was faster."""
+    """Make a folder and lock it; None if it exists, or another process has just removed it as abandoned."""
     try:
         folder.mkdir()
     except FileExistsError:
@@ -240,7 +235,7 @@ def _claim(folder: Path) -> int | None:
 
 
 def _is_at(folder: Path, descriptor: int) -> bool:
-    """Whether an open folder has not been removed, another of its name perhaps made since."""
+    """Return whether a path still leads to an open folder."""
     try:
         return os.path.samestat(folder.stat(), os.fstat(descriptor))
     except OSError:
@@ -252,11 +247,11 @@ def _name_aside(path: Path) -> Path:
 
 
 def _swap(new: Path, path: Path) -> None:
-    """Exchange two folders: at once where the kernel and the file system can, else by way of a third place."""
+    """Exchange two folders: in one step if the kernel and the file system can, else by a third place."""
     if _exchange(new, path):
         return
     aside = _name_aside(path)
-    if aside.exists():  # a leftover, as there is a folder at `path`
+    if aside.exists():  # left over, since there is a folder at `path`
         delete(aside)
     path.rename(aside)
     new.rename(path)
@@ -264,7 +259,7 @@ def _swap(new: Path, path: Path) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Let two paths change places in one step, as Linux can on most file systems, and tell whether that was done."""
+    """Exchange two paths in one step, as Linux can on most file systems, and return whether that succeeded."""
     here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2

@@ -1,4 +1,4 @@
-"""Content hashes: what a stage's inputs are, as one string that changes exactly when they do."""
+"""Content hashes: a stage's inputs as one string that changes exactly when they do."""
 
 from __future__ import annotations
 
@@ -23,34 +23,32 @@ _STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True)
 class StageKey:
-    """What an artifact is made from: the stage, the version of its code, and everything it depends on.
+    """The origin of an artifact: the stage, the version of its code, and everything it depends on.
 
-    Two keys are equal when their digests are. The inputs are copied, so that a later change of the mapping that was
-    passed does not reach the key; large inputs enter by their hash (`hash_arrays`, `hash_file`, another key's digest).
-
-    Raises:
-        StoreError: if the stage is not a plain name or an input is not a finite JSON value.
+    Two keys are equal when their digests are. The inputs are copied, so that later changes of the mapping do not reach
+    the key. Large inputs enter by their hash (`hash_arrays`, `hash_file`, another key's digest). Raises StoreError if
+    the stage is not a plain name or an input is not a finite JSON value.
     """
 
     stage: str = field(compare=False)
     version: int = field(compare=False)
     inputs: Mapping[str, JsonValue] = field(compare=False)
     label: str = field(default="", compare=False)
-    """What people call it, such as the object's name; no part of the key."""
+    """A name for people, such as the object's; not part of the key."""
     digest: str = field(init=False)
     """SHA-256, 64 hexadecimal digits, over the canonical JSON of stage, version and inputs."""
 
     def __post_init__(self) -> None:
         if not _STAGE_NAME.fullmatch(self.stage):
-            raise StoreError(f"{self.stage!r} cannot name a stage; use letters, digits, '-' and '_'.")
-        inputs = _copy_plain(self.inputs, f"Stage {self.stage!r}: the input")
+            raise StoreError(f"{self.stage!r} cannot name a stage; use letters, digits, '-' and '_'")
+        inputs = _copy_plain(self.inputs, f"stage {self.stage!r}: the input")
         text = write_canonical_json({"stage": self.stage, "version": self.version, "inputs": inputs})
         object.__setattr__(self, "inputs", inputs)
         object.__setattr__(self, "digest", hashlib.sha256(text.encode()).hexdigest())
 
     @property
     def short(self) -> str:
-        """The first 16 digits of the digest, which name the artifact's folder."""
+        """The first 16 digits of the digest: the name of the artifact's folder."""
         return self.digest[:16]
 
     def __str__(self) -> str:
@@ -58,27 +56,23 @@ class StageKey:
 
 
 def write_canonical_json(value: JsonValue) -> str:
-    """Return the one JSON text of a value: keys sorted, no spaces, ASCII only, floats by `repr`, tuples as lists.
+    """Return the canonical JSON text of a value: keys sorted, no spaces, ASCII only, floats by `repr`, tuples as lists.
 
-    Raises:
-        StoreError: if the value holds NaN, an infinity, a key that is not a string, or anything JSON does not know.
+    Raises StoreError for NaN, an infinity, a key that is not a string, or a value of another type than JSON's.
     """
-    return json.dumps(_copy_plain(value, "The value"), sort_keys=True, separators=(",", ":"))
+    return json.dumps(_copy_plain(value, "the value"), sort_keys=True, separators=(",", ":"))
 
 
 def hash_arrays(**arrays: NDArray[Any]) -> str:
     """Return the SHA-256 (hex) of named arrays of any shape: names, dtypes, shapes and values in C order.
 
-    Neither the order of the names nor the memory layout matters.
-
-    Raises:
-        StoreError: if an array holds Python objects, which have no stable bytes.
+    The order of the names and the memory layout do not matter. Raises StoreError if an array holds Python objects.
     """
     digest = hashlib.sha256()
     for name, values in sorted(arrays.items()):
         array = np.asarray(values)
         if array.dtype.hasobject:
-            raise StoreError(f"Array {name!r} holds Python objects and cannot be hashed; convert it to numbers.")
+            raise StoreError(f"the array {name!r} holds Python objects and cannot be hashed; convert it to numbers")
         header = json.dumps([name, str(np.lib.format.dtype_to_descr(array.dtype)), array.shape])
         digest.update(f"{header}\n".encode())
         digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
@@ -86,22 +80,17 @@ def hash_arrays(**arrays: NDArray[Any]) -> str:
 
 
 def hash_file(path: Path) -> str:
-    """Return the SHA-256 (hex) of a file's content, read in chunks.
-
-    Raises:
-        StoreError: if the file cannot be read.
-    """
+    """Return the SHA-256 (hex) of a file's content. Raises StoreError if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise StoreError(
-            f"Cannot read {path}: {error.strerror or error}; check the path and its permissions."
-        ) from error
+        reason = error.strerror or error
+        raise StoreError(f"{path} cannot be read ({reason}); check the path and its permissions") from error
 
 
 def _copy_plain(value: object, where: str) -> Any:
-    """Return a deep copy made of JSON's own types only, or raise a StoreError that says where another one stands."""
+    """Return a deep copy of JSON types only. Raises StoreError, which names the place of any other type."""
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float) and math.isfinite(value):
@@ -113,4 +102,4 @@ def _copy_plain(value: object, where: str) -> Any:
     found = str(value) if isinstance(value, float) else f"of type {type(value).__module__}.{type(value).__qualname__}"
     if isinstance(value, Mapping):
         found = "a mapping whose keys are not all strings"
-    raise StoreError(f"{where} is {found}; use finite plain JSON values, and hash_arrays for arrays.")
+    raise StoreError(f"{where} is {found}; use finite JSON values, and hash_arrays for arrays")

@@ -1,4 +1,4 @@
-"""Files that grow by whole lines: whenever the program ends, what is there can be read line by line."""
+"""Files that grow by whole lines, so that they stay readable whenever the program ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LONGEST = 1_000_000  # bytes of a line
 
 
 def open_locked(path: Path) -> IO[bytes]:
-    """Open a file to read it and to add to it, alone. Raises OutputError when that is impossible."""
+    """Open a file for reading and appending, with a lock. Raises OutputError if that fails."""
     with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b")
@@ -26,12 +26,12 @@ def open_locked(path: Path) -> IO[bytes]:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.close()
-        raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
+        raise OutputError(f"{path} is used by another process; wait for it, or choose another --out") from error
     return file
 
 
 def add_line(file: IO[bytes], line: str) -> None:
-    """Add a line to a file of `open_locked`, all of it or nothing. Raises OutputError when the disk refuses."""
+    """Add a line to a file of `open_locked`, completely or not at all. Raises OutputError if that fails."""
     descriptor, text = file.fileno(), line.encode() + b"\n"
     size = os.fstat(descriptor).st_size
     try:
@@ -40,18 +40,16 @@ def add_line(file: IO[bytes], line: str) -> None:
             written += os.write(descriptor, text[written:])
     except OSError as error:
         os.ftruncate(descriptor, size)
-        raise OutputError(
-            f"{file.name} cannot be written any more ({error.strerror}); its lines so far are whole; free some "
-            "space, or choose another --out"
-        ) from error
+        advice = "its lines so far are kept; free some space, or choose another --out"
+        raise OutputError(f"{file.name} cannot be written ({error.strerror}); {advice}") from error
 
 
 @contextmanager
 def open_json_lines(path: Path) -> Iterator[Callable[[str], None]]:
-    """Give what adds a value, as JSON without line breaks, to a file of JSON lines; what is in it already stays.
+    """Give a function that appends a value, as JSON without line breaks, to a file of JSON lines.
 
-    A last line that a killed process left half-written is removed. Raises OutputError when it cannot be written, or
-    another process is at work on it.
+    An incomplete last line, left by a killed process, is removed. Raises OutputError when the file cannot be written,
+    or another process uses it.
     """
     with open_locked(path) as file:
         _end_last_line(file.fileno())
@@ -59,7 +57,7 @@ def open_json_lines(path: Path) -> Iterator[Callable[[str], None]]:
 
 
 def _end_last_line(descriptor: int) -> None:
-    """Give the last line its end; remove it if it is no JSON."""
+    """End the last line with a line break; remove it if it is not JSON."""
     size = os.fstat(descriptor).st_size
     start = max(0, size - LONGEST)
     last = os.pread(descriptor, size - start, start).rpartition(b"\n")[2]

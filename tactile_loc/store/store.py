@@ -1,7 +1,7 @@
-"""The stage store: each stage's result in a folder named by the hash of what it was made from.
+"""The stage store: each stage's result is in a folder named by the hash of its inputs.
 
-`<root>/<stage>/<16 hex digits>/` holds a finished artifact, `<16 hex digits>.partial/` one that is being built or whose
-build was interrupted, and `<16 hex digits>.lock` keeps two processes from building the same one.
+`<root>/<stage>/<16 hex digits>/` holds a finished artifact, and `<16 hex digits>.partial/` an unfinished or interrupted
+one. `<16 hex digits>.lock` prevents two processes from building the same artifact.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _ENTRY = re.compile(r"([0-9a-f]{16})(\.partial)?")
-_SETTLED_NS = 2_000_000_000  # the coarsest clock of the common file systems ticks every 2 s
+_SETTLED_NS = 2_000_000_000  # the coarsest clock of common file systems ticks every 2 s
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One folder of the store: an artifact, or what an interrupted build left if not `complete`."""
+    """One folder of the store: an artifact, or the rest of an interrupted build if not `complete`."""
 
     stage: str
     digest: str
-    """The first 16 digits; `StageStore.remove` takes them as they are."""
+    """The first 16 digits, as for `StageStore.remove`."""
     nbytes: int
     created: datetime
-    """When the build ended or, for an incomplete one, last saved a piece, UTC."""
+    """Time of the end of the build or, if incomplete, of its last saved piece, UTC."""
     complete: bool
     path: Path
 
 
 class StageStore:
-    """Results of stages on disk, found by their `StageKey` and never rebuilt while what they depend on is unchanged.
+    """Results of stages on disk, found by their `StageKey`, and rebuilt only if their inputs change.
 
-    Nothing is created before the first build. `built` lists the keys that this instance built, in order.
+    The folder is created at the first build. `built` lists the keys that this instance built, in order.
     """
 
     def __init__(self, root: Path | str | None = None) -> None:
@@ -61,11 +61,8 @@ class StageStore:
     def get(self, key: StageKey) -> Artifact | None:
         """Return the artifact of this key, or None if there is none.
 
-        One that is incomplete or altered is removed with a warning and counts as none. Checksums are read once per
-        instance, and again when a file's time or size has changed.
-
-        Raises:
-            StoreError: if a damaged artifact cannot be removed.
+        An incomplete or altered artifact is removed, with a warning. Checksums are read once per instance, and again
+        when a file's time or size has changed. Raises StoreError if a damaged artifact cannot be removed.
         """
         try:
             return self._open(key)
@@ -77,48 +74,41 @@ class StageStore:
             return self._open_or_remove(key)
 
     def build(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
-        """Return the artifact of this key, having `make` build it in a workspace if there is none.
+        """Return the artifact of this key; if there is none, `make` builds it in a workspace.
 
-        If another process is building it, wait and return what it built. What `make` saved before an interruption or
-        an exception stays in the workspace for the next build of this key.
-
-        Raises:
-            StoreError: if it cannot be stored, for instance on a full disk. What `make` raises passes through.
+        If another process is building it, wait for its artifact. After an interruption or an exception, the pieces that
+        `make` saved stay in the workspace for the next build. Raises StoreError if the artifact cannot be stored, for
+        instance on a full disk, and the errors of `make`.
         """
         artifact = self.get(key)
         if artifact is None:
             with self._lock(key):
                 artifact = self._open_or_remove(key) or self._make(key, make)
         else:
-            logger.debug("Stage %s is there already.", key)
+            logger.debug("stage %s is in the store already", key)
         return artifact
 
     def entries(self) -> list[Entry]:
-        """Return what the store holds, finished or not, ordered by stage and digest; checksums are not read."""
+        """Return the folders of the store, finished or not, ordered by stage and digest; checksums are not read."""
         folders = [path for path in sorted(self.root.glob("*/*")) if _ENTRY.fullmatch(path.name) and path.is_dir()]
         return [_read_entry(folder) for folder in folders]
 
     def remove(self, digest: str) -> int:
-        """Remove what the store holds under this digest (all or the first 16 digits); return how many bytes went.
+        """Remove the folders of this digest (all or the first 16 digits), and return their size, bytes.
 
-        Raises:
-            StoreError: if it is being built now or cannot be removed.
+        Raises StoreError if the artifact is being built now or cannot be removed.
         """
         found = [entry for entry in self.entries() if entry.digest == digest[:16]]
         for entry in found:
             lock = self._try_lock(entry.path.with_suffix(""))
             if lock is None:
-                raise StoreError(f"{entry.path} is being built by another process; try again when that has ended.")
+                raise StoreError(f"{entry.path} is being built by another process; try again when it has ended")
             with lock:
                 _remove(entry.path)
         return sum(entry.nbytes for entry in found)
 
     def is_being_built(self, entry: Entry) -> bool:
-        """Tell whether some process is building this entry now, or removing it.
-
-        Raises:
-            StoreError: if the disk refuses to say.
-        """
+        """Return whether a process is building or removing this entry now. Raises StoreError if that is unknown."""
         lock = self._try_lock(entry.path.with_suffix(""))
         if lock is None:
             return True
@@ -139,24 +129,24 @@ class StageStore:
         signature = artifact.read_signature()
         if self._verified.get(key.digest) != signature:
             artifact.verify()
-            # A write within the clock's tick could still leave the time unchanged: trust only times that are past.
+            # A write within the clock's tick could leave the time unchanged: trust only older times.
             if time.time_ns() - max(mtime_ns for mtime_ns, _ in signature) > _SETTLED_NS:
                 self._verified[key.digest] = signature
         return artifact
 
     def _open_or_remove(self, key: StageKey) -> Artifact | None:
-        """Do as `_open`, but remove what is damaged. The caller holds the lock."""
+        """Do as `_open`, but remove a damaged artifact. The caller holds the lock."""
         try:
             return self._open(key)
         except DamagedError as damage:
-            logger.warning("The stored stage %s in %s is removed: %s.", key, self._find_folder(key), damage)
+            logger.warning("the damaged stage %s in %s is removed: %s", key, self._find_folder(key), damage)
         _remove(self._find_folder(key))
         return None
 
     def _make(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
         folder = self._find_folder(key)
         partial = folder.with_suffix(".partial")
-        logger.info("Stage %s is being built.", key)
+        logger.info("stage %s is being built", key)
         start_s = time.monotonic()
         with guard_store(f"stage {key}", partial):
             partial.mkdir(exist_ok=True)
@@ -170,14 +160,14 @@ class StageStore:
             self.built.append(key)
             sync_folder(folder.parent)
         artifact = read_artifact(folder)
-        logger.info("Stage %s is built: %.1f MB in %.1f s.", key, artifact.nbytes / 1e6, time.monotonic() - start_s)
+        logger.info("stage %s is built: %.1f MB in %.1f s", key, artifact.nbytes / 1e6, time.monotonic() - start_s)
         return artifact
 
     def _lock(self, key: StageKey) -> AbstractContextManager[object]:
-        """Return the lock of a key, held until its block ends, after waiting for another process if need be."""
+        """Return the lock of a key, held until its block ends; wait for another process if necessary."""
         lock = self._try_lock(self._find_folder(key))
         if lock is None:
-            logger.info("Stage %s is being built by another process; waiting for it.", key)
+            logger.info("stage %s is being built by another process; waiting for it", key)
             with guard_store(f"stage {key}", self.root):
                 lock = _make_lock(self._find_folder(key)).acquire()
         return lock
@@ -195,7 +185,7 @@ class StageStore:
 
 
 def find_root() -> Path:
-    """Return the store's place: `$TACTILE_LOC_STORE`, else `tactile-loc` in `$XDG_CACHE_HOME` or in `~/.cache`."""
+    """Return the store's folder: `$TACTILE_LOC_STORE`, else `tactile-loc` in `$XDG_CACHE_HOME` or in `~/.cache`."""
     if chosen := os.environ.get("TACTILE_LOC_STORE"):
         return Path(chosen).expanduser().absolute()
     return find_user_cache() / "tactile-loc"
@@ -204,8 +194,8 @@ def find_root() -> Path:
 def _make_lock(folder: Path) -> FileLock:
     """Return the lock of an artifact's folder, not yet taken.
 
-    The operating system frees the lock of a process that dies. The lock's file stays: deleting it would let two
-    processes hold the lock of one name.
+    The operating system releases the lock of a process that ends. The lock's file stays: if it were deleted, two
+    processes could hold the lock of one name.
     """
     from filelock import FileLock
 
@@ -218,9 +208,7 @@ def _remove(path: Path) -> None:
     except FileNotFoundError:
         return  # another process was faster
     except OSError as error:
-        raise StoreError(
-            f"Cannot remove {path}: {error.strerror}; remove it by hand or choose another store."
-        ) from error
+        raise StoreError(f"{path} cannot be removed ({error.strerror}); delete it or choose another --store") from error
 
 
 def _read_entry(folder: Path) -> Entry:
@@ -232,7 +220,7 @@ def _read_entry(folder: Path) -> Entry:
 
 
 def _measure_size(folder: Path) -> int:
-    """Return the bytes of all files in a folder, however deep; those that vanish meanwhile do not count."""
+    """Return the bytes of all files in a folder and its subfolders, except files that vanish meanwhile."""
     nbytes = 0
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):

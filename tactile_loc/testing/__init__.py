@@ -1,4 +1,4 @@
-"""Contract checks: what every component of a slot must do, as functions that a plugin's tests run.
+"""Contract checks for the components of every slot, as functions that a plugin's tests run.
 
     from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 
@@ -10,11 +10,11 @@
     def test_property(component, check):
         check(component)
 
-A check takes the component and raises ContractError, a sentence that says what the contract is and how it was broken.
-Which checks apply follows from the slot and the declared capabilities. A property is a check of what must hold whatever
-is drawn, frames, orders, symmetric copies, image sizes and mirror images: a few drawn cases are tried, always the same,
-and the sentence names a simple one that fails. Properties need hypothesis: pip install 'tactile-loc[testing]'. An
-encoder that needs training is passed trained, for instance on `tactile_loc.testing.problems.make_training_problem()`.
+A check takes the component and raises ContractError, which states the contract and how it was broken. The checks depend
+on the slot and the declared capabilities. A property is a check on drawn cases: frames, orders, symmetric copies, image
+sizes and mirror images. The cases are few and always the same, and the message names a simple one that fails.
+Properties need hypothesis: pip install 'tactile-loc[testing]'. Train an encoder that needs training first, for instance
+on `tactile_loc.testing.problems.make_training_problem()`.
 """
 
 from __future__ import annotations
@@ -30,19 +30,14 @@ from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 
 __all__ = [
-    "Check",
-    "ContractError",
-    "list_checks",
-    "list_properties",
-    "parametrize_with_checks",
-    "parametrize_with_properties",
+    "Check", "ContractError", "list_checks", "list_properties", "parametrize_with_checks", "parametrize_with_properties"
 ]  # fmt: skip
 
 
 def list_checks(component: Component) -> list[Check]:
     """Return the checks (functions of one component) for the component's slot and declared capabilities.
 
-    Raises TypeError for anything that is no component, such as a class instead of an instance.
+    Raises TypeError if `component` is not a component, for instance a class instead of an instance.
     """
     of_slot = _find_slot_module(component)
     common = contract.checks(component.capabilities)
@@ -52,26 +47,26 @@ def list_checks(component: Component) -> list[Check]:
 def list_properties(component: Component) -> list[Check]:
     """Return the properties (functions of one component) for the component's slot and declared capabilities.
 
-    A property raises MissingLibraryError without hypothesis. Raises TypeError for anything that is no component.
+    A property raises MissingLibraryError without hypothesis. Raises TypeError if `component` is not a component.
     """
     of_slot = _find_slot_module(component)
     return [] if of_slot is None else list(of_slot.properties(component.capabilities))
 
 
 def parametrize_with_checks(components: Iterable[Component]) -> Any:
-    """Return the pytest mark that makes one case for every component and check: arguments `component` and `check`."""
+    """Return the pytest mark with a case for every component and check: arguments `component` and `check`."""
     return _parametrize(components, list_checks)
 
 
 def parametrize_with_properties(components: Iterable[Component]) -> Any:
-    """Return the pytest mark that makes one case for every component and property, named as checks are."""
+    """Return the pytest mark with a case for every component and property: arguments `component` and `check`."""
     return _parametrize(components, list_properties)
 
 
 def _find_slot_module(component: Component) -> Any:
-    """The module of the component's slot, None for a slot that there is not."""
+    """Return the module of the component's slot, None for an unknown slot."""
     if not isinstance(component, Component):
-        raise TypeError(f"checks are for an instance of a component, not {component!r}")
+        raise TypeError(f"checks need an instance of a component, not {component!r}")
     return importlib.import_module(f"tactile_loc.testing.{component.slot}s") if component.slot in SLOTS else None
 
 

@@ -1,5 +1,6 @@
-"""What a check is, a function of one component that raises ContractError or returns nothing; and those of every slot:
-options, and what identifies a component.
+"""Contract checks, functions of one component that raise ContractError; and the checks of every slot.
+
+Those are about options and about `describe`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Check = Callable[[Any], None]
 
 
 class ContractError(AssertionError):
-    """A component broke a contract; the sentence says which, and how."""
+    """A component broke a contract; the message states which, and how."""
 
 
 def require(holds: object, sentence: str) -> None:
@@ -30,8 +31,13 @@ def require(holds: object, sentence: str) -> None:
         raise ContractError(sentence)
 
 
+def require_equal(first: ArrayLike, again: ArrayLike, sentence: str) -> None:
+    """Raise ContractError unless two answers to the same question are equal, to the bit."""
+    require(np.array_equal(first, again), f"{sentence}; otherwise declare deterministic=False")
+
+
 def require_array(value: Any, shape: tuple[int, ...], dtype: type, what: str) -> None:
-    """Raise ContractError unless `value` is an array of this shape and type; `what` names it in the sentence."""
+    """Raise ContractError unless `value` is an array of this shape and type; `what` names it in the message."""
     require(isinstance(value, np.ndarray), f"{what} must be a numpy array, not {type(value).__name__}")
     require(value.shape == shape, f"{what} must have shape {shape}, not {value.shape}")
     require(value.dtype == dtype, f"{what} must be {np.dtype(dtype)}, not {value.dtype}")
@@ -46,17 +52,17 @@ def require_close(value: ArrayLike, truth: ArrayLike, tolerance: float, sentence
 
 
 class Untouched:
-    """Holds copies of arrays, to tell afterwards which of them somebody wrote to."""
+    """Copies of arrays, to find out later which of them were written to."""
 
     def __init__(self, **arrays: Any) -> None:
         self._arrays = arrays
         self._copies = {name: np.array(array, copy=True) for name, array in arrays.items()}
 
     def require(self) -> None:
-        """Raise ContractError when an array is no longer what it was."""
+        """Raise ContractError if an array has changed."""
         for name, array in self._arrays.items():
             same = np.array_equal(array, self._copies[name], equal_nan=array.dtype.kind == "f")
-            require(same, f"inputs belong to the caller, but {name} was written to; work on a copy")
+            require(same, f"inputs must not be written to, but {name} was; work on a copy")
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -66,11 +72,11 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def check_declaration(component: Component) -> None:
-    """The slot is one of the seven, the version a positive whole number, the capabilities declared."""
+    """The slot is one of the seven, the version is a positive integer, and capabilities are declared."""
     require(component.slot in SLOTS, f"slot must be one of {', '.join(SLOTS)}, not {component.slot!r}")
     version = component.version
     good = isinstance(version, int) and not isinstance(version, bool) and version >= 1
-    require(good, f"version must be a whole number from 1 on, not {version!r}")
+    require(good, f"version must be an integer of at least 1, not {version!r}")
     declared = component.capabilities
     require(isinstance(declared, Capabilities), f"capabilities must be a Capabilities, not {declared!r}")
     options = component.options
@@ -81,45 +87,45 @@ def check_options_are_strict(component: Component) -> None:
     """Options derive from ComponentOptions, are frozen and refuse unknown names."""
     options = component.options
     require(isinstance(options, ComponentOptions), "Options must derive from ComponentOptions")
-    require(options.model_config.get("frozen"), "Options must be frozen: a run's settings do not change under way")
+    require(options.model_config.get("frozen"), "Options must be frozen: settings do not change during a run")
     refuses = options.model_config.get("extra") == "forbid"
-    require(refuses, 'Options must have extra="forbid": a misspelt option must be an error, not be ignored')
+    require(refuses, 'Options must have extra="forbid": a misspelt option must be an error')
 
 
 def check_options_are_described(component: Component) -> None:
-    """Every option has a description: it is the option's help text."""
+    """Every option has a description, which is its help text."""
     for name, field in type(component.options).model_fields.items():
         require(field.description, f"every option needs Field(description=...) with its unit; {name} has none")
 
 
 def check_describe_is_json(component: Component) -> None:
-    """`describe` returns the same JSON values every time, and survives a round trip."""
+    """`describe` returns the same JSON values every time, unchanged by a round trip."""
     described = component.describe()
     try:
         text = json.dumps(described, sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
         require(False, f"describe() must return JSON values, since it is part of the store's keys: {error}")
-    require(json.loads(text) == described, "describe() must survive JSON: use lists and text keys")
+    require(json.loads(text) == described, "describe() must not change in JSON: use lists and text keys")
     twin = type(component)(component.options).describe()
-    require(twin == described, "describe() must be the same for a second component of the same options")
+    require(twin == described, "describe() must be the same for a second component with the same options")
 
 
 def check_describe_names_every_option(component: Component) -> None:
     """Another value of an option gives another description: otherwise the store returns stale results."""
-    for name, changed in _changed_options(component.options):
+    for name, changed in _change_options(component.options):
         try:
             other = type(component)(changed).describe()
         except TactileLocError:
             continue
-        told = other != component.describe()
         require(
-            told, f"describe() must tell options apart, but {name} = {getattr(changed, name)!r} changes nothing; an "
-            'option that cannot change any result says so with Field(json_schema_extra={"neutral": True})',
-        )  # fmt: skip
+            other != component.describe(),
+            f"describe() must change with every option, but {name} = {getattr(changed, name)!r} changes nothing; mark "
+            'an option that cannot change any result with Field(json_schema_extra={"neutral": True})',
+        )
 
 
-def _changed_options(options: Any) -> Iterator[tuple[str, Any]]:
-    """Yield (name, options with another valid value of that one) for options that are numbers, switches or choices."""
+def _change_options(options: Any) -> Iterator[tuple[str, Any]]:
+    """Yield (name, options with another value of it) for each option that is a number, a switch or a choice."""
     for name, field in type(options).model_fields.items():
         if name in options.neutral():
             continue
@@ -135,7 +141,7 @@ def _changed_options(options: Any) -> Iterator[tuple[str, Any]]:
 def _list_other_values(field: FieldInfo, value: Any) -> list[Any]:
     if isinstance(value, bool):
         return [not value]
-    if isinstance(value, str):  # a choice between names; free text, a path for instance, has no other value known
+    if isinstance(value, str):  # a choice; free text, such as a path, has no other known value
         return [choice for choice in get_args(field.annotation) if isinstance(choice, str) and choice != value]
     if isinstance(value, int):
         return [value + 1, value - 1]

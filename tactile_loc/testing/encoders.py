@@ -1,4 +1,4 @@
-"""Checks for encoders: vectors whose distances say how alike poses are, whatever the press and the image size."""
+"""Checks for encoders: distances between vectors measure how similar poses are, at any press and image size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.core.slots.component import Capabilities, Float32
 from tactile_loc.core.slots.encoder import Encoder
-from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,
     ReferenceRenderer,
@@ -27,7 +27,7 @@ from tactile_loc.testing.properties import Place, hold, one_of, orders, places
 
 CAMERA = LOPSIDED_CAMERAS["orthographic"]
 PRESS_M = CAMERA.max_depth_m
-LIGHT_M = 0.3 * PRESS_M  # what the block's features alone touch
+LIGHT_M = 0.3 * PRESS_M  # only the block's features touch
 BESIDE_M = (0.0002, 0.0002, 0.0)
 
 
@@ -43,12 +43,12 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
-    """Return what holds of any encoder, whatever is drawn: see `tactile_loc.testing.properties`."""
+    """Return the properties of an encoder of these capabilities: see `tactile_loc.testing.properties`."""
     return [property_shape_order, property_image_size, property_mirror_image]
 
 
 def check_output(encoder: Encoder) -> None:
-    """`encode` returns (N, D) float32, finite, with one D for any N, also for no shape and for one without contact."""
+    """`encode` returns (N, D) float32, finite, with the same D for any N, also for a shape without contact."""
     shapes = _draw_shapes()
     vectors = encoder.encode(shapes, PRESS_M, CAMERA)
     form = isinstance(vectors, np.ndarray) and vectors.ndim == 2 and len(vectors) == len(shapes)
@@ -63,11 +63,11 @@ def check_output(encoder: Encoder) -> None:
 
 
 def check_batch_is_singles(encoder: Encoder) -> None:
-    """Encoding shapes together gives what encoding each alone gives."""
+    """Encoding shapes together gives the same as encoding them one by one."""
     shapes = _draw_shapes()
     together = encoder.encode(shapes, PRESS_M, CAMERA)
     singly = np.concatenate([encoder.encode(s[None], PRESS_M, CAMERA) for s in shapes])
-    require_close(together, singly, 1e-3 * _spread(together), "a batch must be encoded as its shapes one by one")
+    _require_alike(together, singly, together, "a batch must be encoded as its shapes one by one")
 
 
 def check_shapes_untouched(encoder: Encoder) -> None:
@@ -79,24 +79,21 @@ def check_shapes_untouched(encoder: Encoder) -> None:
 
 
 def check_distances_order_poses(encoder: Encoder) -> None:
-    """The same shape is nearest, a shape half a millimetre away is nearer than a clearly different pose."""
+    """The same shape is nearest, and a shape 0.5 mm away is nearer than a clearly different pose."""
     poses = make_contact_poses(make_block_scene())
     here, moved = _render(poses), _render(make_translation([0.0004, 0.0003, 0.0]) @ poses)
     bank = encoder.encode(here, PRESS_M, CAMERA)
-    found = _find_nearest(encoder.encode(here.copy(), PRESS_M, CAMERA), bank)
-    require(_is_order(found), f"every shape must be nearest to itself; the nearest rows are {found.tolist()}")
-    found = _find_nearest(encoder.encode(moved, PRESS_M, CAMERA), bank)
-    require(_is_order(found), f"a shape 0.5 mm away must be nearer than other poses; the nearest are {found.tolist()}")
+    _require_found(encoder.encode(here.copy(), PRESS_M, CAMERA), bank, "every shape must be nearest to itself")
+    _require_found(encoder.encode(moved, PRESS_M, CAMERA), bank, "a shape 0.5 mm away must be nearer than other poses")
 
 
 def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
-    """A pixel at the press depth is not in contact, whatever the press: flat imprints look the same at any."""
+    """A pixel at the press depth is not in contact, at any press: flat imprints look the same."""
     imprint = np.stack([s < PRESS_M for s in _draw_shapes()])
     light, deep = (np.where(imprint, np.float32(0), np.float32(p)) for p in (0.6 * PRESS_M, PRESS_M))
-    bank = encoder.encode(deep, PRESS_M, CAMERA)
-    found = _find_nearest(encoder.encode(light, 0.6 * PRESS_M, CAMERA), bank)
-    require(_is_order(found), "pixels at the press depth are not in contact: the same flat imprint must look alike at "
-            f"60 % and at full press, but the nearest rows are {found.tolist()}")  # fmt: skip
+    bank, queries = encoder.encode(deep, PRESS_M, CAMERA), encoder.encode(light, 0.6 * PRESS_M, CAMERA)
+    _require_found(queries, bank, "pixels at the press depth have no contact: a flat imprint must look the same at "
+                   "60 % and at full press")  # fmt: skip
 
 
 def check_light_press_finds_its_pose(encoder: Encoder) -> None:
@@ -104,53 +101,45 @@ def check_light_press_finds_its_pose(encoder: Encoder) -> None:
     light = 0.75 * PRESS_M
     press = light if encoder.capabilities.follows_press_depth else PRESS_M
     bank = encoder.encode(np.minimum(_draw_shapes(), np.float32(press)), press, CAMERA)
-    found = _find_nearest(encoder.encode(np.minimum(_draw_shapes(), np.float32(light)), light, CAMERA), bank)
-    require(_is_order(found), f"a light press must be nearest to its own pose; the nearest rows are {found.tolist()}")
+    queries = encoder.encode(np.minimum(_draw_shapes(), np.float32(light)), light, CAMERA)
+    _require_found(queries, bank, "a light press must be nearest to its own pose")
 
 
 def check_image_size(encoder: Encoder) -> None:
-    """Shapes of another image size of the same sensor have embeddings of the same D, and find their pose."""
+    """Shapes in another image size of the same sensor have embeddings of the same D, and find their pose."""
     fine = CAMERA.resize(2 * CAMERA.width_px, 2 * CAMERA.height_px)
     bank = encoder.encode(_draw_shapes(), PRESS_M, CAMERA)
     queries = encoder.encode(_draw_shapes(fine), PRESS_M, fine)
     same = queries.shape == bank.shape
-    require(
-        same, f"D must not depend on the image size (banks are coarser than touches): {queries.shape}, {bank.shape}"
-    )
-    found = _find_nearest(queries, bank)
-    require(_is_order(found), f"twice the image must find its pose in the bank; the nearest rows are {found.tolist()}")
+    require(same, f"D must not depend on the image size, but shapes are {queries.shape} and {bank.shape}")
+    _require_found(queries, bank, "an image of twice the size must find its pose in the bank")
 
 
 def check_ignores_masked_pixels(encoder: Encoder) -> None:
-    """What unobserved pixels hold changes nothing."""
+    """Unobserved pixels change nothing."""
     observed = np.ones(CAMERA.shape, bool)
     observed[:, : CAMERA.width_px // 4] = False
     masked = dataclasses.replace(CAMERA, observed=observed)
     shapes = _draw_shapes()
     garbage = np.where(observed, shapes, np.float32(0.1 * PRESS_M))
     a, b = (encoder.encode(s, PRESS_M, masked) for s in (shapes, garbage))
-    require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask carry no information")
+    require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask must change nothing")
 
 
 def check_unseen_pixels(encoder: Encoder) -> None:
-    """What is not seen of a shape changes nothing; where all is seen, embeddings are the plain ones, of weight one."""
+    """Unseen pixels change nothing; fully seen shapes have the plain embeddings and weights of one."""
     shapes = _draw_shapes()
-    plain = encoder.encode(shapes, PRESS_M, CAMERA)
-    whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), PRESS_M, CAMERA)
-    require_close(whole, plain, 1e-3 * _spread(plain), "of shapes that are all seen embeddings must be the plain ones")
-    require_close(weights, np.ones_like(plain), 1e-6, "what is all seen must have weights of one")
-    seen = _mask_left(shapes)
-    other = np.where(seen, shapes, np.float32(0.3 * PRESS_M))
-    (one, ones), (two, twos) = (encoder.encode_seen(some, seen, PRESS_M, CAMERA) for some in (shapes, other))
-    require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
-    require_close(ones, twos, 1e-6, "weights must depend on what is seen, not on what is there")
+    weights = _require_seen_as_plain(encoder, shapes, PRESS_M, CAMERA)
+    require_close(weights, np.ones_like(weights), 1e-6, "fully seen shapes must have weights of one")
+    ones, twos = _require_unseen_ignored(encoder, shapes, _mask_left(shapes, 6), 0.3 * PRESS_M, PRESS_M, CAMERA)
+    require_close(ones, twos, 1e-6, "weights must depend on the seen pixels only")
 
 
 def check_seen_output(encoder: Encoder) -> None:
-    """`encode_seen` returns embeddings and weights, both as embeddings are, weights from 0 to 1; inputs stay."""
+    """`encode_seen` returns embeddings and weights of the same shape, weights from 0 to 1, and keeps its inputs."""
     shapes = _draw_shapes()
     form = encoder.encode(shapes, PRESS_M, CAMERA).shape
-    for seen in (_mask_left(shapes), np.zeros(shapes.shape, bool)):
+    for seen in (_mask_left(shapes, 6), np.zeros(shapes.shape, bool)):
         before = Untouched(depth_m=shapes, seen=seen)
         answer = encoder.encode_seen(shapes, seen, PRESS_M, CAMERA)
         before.require()
@@ -159,81 +148,64 @@ def check_seen_output(encoder: Encoder) -> None:
         for what, array in zip(("the embeddings", "the weights"), answer, strict=True):
             require_array(array, form, np.float32, f"{what} of partly seen shapes")
             require(np.isfinite(array).all(), f"{what} of partly seen shapes must be finite")
-        require((answer[1] >= 0).all() and (answer[1] <= 1).all(), "weights must be from 0, not known, to 1, known")
+        require((answer[1] >= 0).all() and (answer[1] <= 1).all(), "weights must be from 0 (unknown) to 1 (known)")
 
 
 def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
-    """Of a shape of which a part is not seen, its own pose has the best weighted score: a touch at the field's edge."""
+    """A partly seen shape, as of a touch at the field's edge, has its best weighted score at its own pose."""
     shapes = _draw_shapes()
     bank = encoder.encode(shapes, PRESS_M, CAMERA)
-    queries, weights = encoder.encode_seen(shapes, _mask_left(shapes), PRESS_M, CAMERA)
+    queries, weights = encoder.encode_seen(shapes, _mask_left(shapes, 6), PRESS_M, CAMERA)
     found = (weights[:, None] * (queries[:, None] - bank[None]) ** 2).sum(axis=-1).argmin(axis=1)
-    require(_is_order(found), f"a partly seen shape must find its own pose; the nearest rows are {found.tolist()}")
-
-
-def _mask_left(shapes: Float32) -> NDArray[np.bool_]:
-    """Which pixels (N, H, W) are seen: all but the left sixth."""
-    seen = np.ones(shapes.shape, bool)
-    seen[:, :, : shapes.shape[2] // 6] = False
-    return seen
+    _require_order(found, "a partly seen shape must find its own pose")
 
 
 def check_deterministic(encoder: Encoder) -> None:
     """The same shapes have the same embeddings, to the bit."""
     first, again = (encoder.encode(_draw_shapes(), PRESS_M, CAMERA) for _ in range(2))
-    same = np.array_equal(first, again)
-    require(same, "the same shapes must have the same embeddings, or deterministic=False be declared")
+    require_equal(first, again, "the same shapes must have the same embeddings")
 
 
 def check_learns_places(encoder: Encoder) -> None:
-    """Trained on the places of a whole object, which touches show in part, it embeds what is seen of them."""
-    problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the one given stays as trained
+    """Trained on the places of a whole object, the encoder embeds partly seen places."""
+    problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the given encoder stays trained
     learner.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     keys = np.concatenate(list(problem.clean_keys(press_m)))[:8]
-    whole, weights = learner.encode_seen(keys, np.ones(keys.shape, bool), press_m, problem.geometry)
-    require(whole.shape == weights.shape, f"embeddings {whole.shape} and weights {weights.shape} must have one shape")
-    require(np.isfinite(whole).all(), "embeddings of places must be finite")
-    plain = learner.encode(keys, press_m, problem.geometry)
-    require_close(whole, plain, 1e-3 * _spread(plain), "places that are all seen must have the plain embeddings")
-    seen = np.ones(keys.shape, bool)
-    seen[:, :, : keys.shape[2] // 2] = False
-    other = np.where(seen, keys, np.float32(0.5 * press_m))
-    (one, ones), (two, twos) = (learner.encode_seen(some, seen, press_m, problem.geometry) for some in (keys, other))
-    require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
+    _require_seen_as_plain(learner, keys, press_m, problem.geometry)
+    _require_unseen_ignored(learner, keys, _mask_left(keys, 2), 0.5 * press_m, press_m, problem.geometry)
 
 
 def property_shape_order(encoder: Encoder) -> None:
-    """Shapes in another order have their embeddings in that order, to a thousandth of what sets them apart."""
+    """Shapes in another order have their embeddings in that order, to a thousandth of their spread."""
     shapes = _draw_shapes()
     plain = encoder.encode(shapes, PRESS_M, CAMERA)
 
     def claim(order: list[int]) -> None:
         ordered = encoder.encode(shapes[order], PRESS_M, CAMERA)
-        sentence = "each embedding must be that of its own shape, in any order"
-        require_close(ordered, plain[order], 1e-3 * _spread(plain), sentence)
+        _require_alike(ordered, plain[order], plain, "each embedding must belong to its own shape, in any order")
 
     hold(claim, order=orders(len(shapes)))
 
 
 def property_image_size(encoder: Encoder) -> None:
-    """Two or three times the image, of any place, finds its pose in a bank of images of the usual size."""
+    """An image of two or three times the size, at any place, finds its pose in a bank of the usual image size."""
 
     def claim(times: int, place: Place) -> None:
         fine = CAMERA.resize(times * CAMERA.width_px, times * CAMERA.height_px)
         poses = place.pose @ make_contact_poses(make_block_scene(), count=4)
         bank = encoder.encode(_render(poses), PRESS_M, CAMERA)
-        found = _find_nearest(encoder.encode(_render(poses, fine), PRESS_M, fine), bank)
-        require(_is_order(found), f"an image of another size must find its pose; the nearest rows are {found.tolist()}")
+        queries = encoder.encode(_render(poses, fine), PRESS_M, fine)
+        _require_found(queries, bank, "an image of another size must find its pose")
 
     hold(claim, examples=3, times=one_of([2, 3]), place=places(most_tenths_mm=15))
 
 
 def property_mirror_image(encoder: Encoder) -> None:
-    """A light touch is nearer to the same part, 0.3 mm beside, than to its mirror image at the same pose.
+    """A light touch is nearer to the same part, 0.3 mm away, than to its mirror image at the same pose.
 
-    Light, so that the block's features touch alone: the outline of the whole block is its own mirror image, and an
-    encoder may look at outlines.
+    At a light press only the block's features touch. The outline of the whole block is its own mirror image, and an
+    encoder may use outlines.
     """
 
     def claim(place: Place) -> None:
@@ -241,8 +213,8 @@ def property_mirror_image(encoder: Encoder) -> None:
         here, beside = (_encode_light(encoder, _render(T)) for T in (poses, make_translation(BESIDE_M) @ poses))
         image = _encode_light(encoder, _render(poses, mesh=mirror_mesh(make_stepped_block())))
         near, far = (np.linalg.norm(other - here, axis=1) for other in (beside, image))
-        require((near < far).all(), "a part must be nearer to itself, 0.3 mm beside, than to its mirror image; "
-                f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} of those")  # fmt: skip
+        require((near < far).all(), "a part must be nearer to itself, 0.3 mm away, than to its mirror image; "
+                f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} times as large")  # fmt: skip
 
     hold(claim, examples=3, place=places(most_tenths_mm=15))
 
@@ -257,20 +229,56 @@ def _draw_shapes(camera: SensorGeometry = CAMERA) -> Float32:
 
 
 def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMesh | None = None) -> Float32:
-    """Full contact depths (N, H, W) in metres of the block, or a mesh, at poses that touch the block scene's sensor."""
+    """Contact depths (N, H, W) at full press, metres, of the block or a mesh at contact poses of the block scene."""
     there = make_translation([0.0, 0.0, camera.standoff_m - make_block_scene().geometry.standoff_m]) @ poses
     drawn = ReferenceRenderer().render(make_stepped_block() if mesh is None else mesh, there, camera)
     return compute_contact_depth(drawn, camera, camera.max_depth_m)
 
 
-def _find_nearest(queries: Float32, bank: Float32) -> np.ndarray:
-    return np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1)
+def _mask_left(shapes: Float32, parts: int) -> NDArray[np.bool_]:
+    """Return the seen pixels (N, H, W): all but the leftmost of `parts` equal parts."""
+    seen = np.ones(shapes.shape, bool)
+    seen[:, :, : shapes.shape[2] // parts] = False
+    return seen
 
 
-def _is_order(found: np.ndarray) -> bool:
-    return bool((found == np.arange(len(found))).all())
+def _require_seen_as_plain(encoder: Encoder, shapes: Float32, press_m: float, camera: SensorGeometry) -> Float32:
+    """Return the weights of fully seen shapes (N, H, W), metres, which must have the plain embeddings."""
+    plain = encoder.encode(shapes, press_m, camera)
+    whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), press_m, camera)
+    _require_alike(whole, plain, plain, "fully seen shapes must have the plain embeddings")
+    require(weights.shape == plain.shape, f"weights {weights.shape} must have the embeddings' shape {plain.shape}")
+    return weights
+
+
+def _require_unseen_ignored(
+    encoder: Encoder, shapes: Float32, seen: NDArray[np.bool_], fill_m: float, press_m: float, camera: SensorGeometry
+) -> tuple[Float32, Float32]:
+    """Raise ContractError unless shapes (N, H, W), metres, have the same embeddings with `fill_m` at unseen pixels.
+
+    Return the weights of both.
+    """
+    filled = np.where(seen, shapes, np.float32(fill_m))
+    (one, ones), (two, twos) = (encoder.encode_seen(some, seen, press_m, camera) for some in (shapes, filled))
+    plain = encoder.encode(shapes, press_m, camera)
+    _require_alike(one * ones, two * twos, plain, "unseen pixels must change nothing")
+    return ones, twos
+
+
+def _require_found(queries: Float32, bank: Float32, sentence: str) -> None:
+    """Raise ContractError unless each query is nearest to its own row of the bank."""
+    _require_order(np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1), sentence)
+
+
+def _require_order(found: np.ndarray, sentence: str) -> None:
+    require((found == np.arange(len(found))).all(), f"{sentence}; the nearest rows are {found.tolist()}")
+
+
+def _require_alike(value: Float32, truth: Float32, plain: Float32, sentence: str) -> None:
+    """Raise ContractError unless embeddings agree to a thousandth of the spread of `plain` ones."""
+    require_close(value, truth, 1e-3 * _spread(plain), sentence)
 
 
 def _spread(vectors: Float32) -> float:
-    """The embeddings' own scale: their mean distance from one another's mean."""
+    """The embeddings' scale: their mean distance from their mean."""
     return float(np.linalg.norm(vectors - vectors.mean(axis=0), axis=-1).mean()) + 1e-12

@@ -1,4 +1,4 @@
-"""Checks for fusers: probabilities, or contact alone, that multiply over the grid of the first touch."""
+"""Checks for fusers: probabilities, or contact only, multiply over the grid of the first touch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.testing.contract import Check, Untouched, require, require_close
+from tactile_loc.testing.contract import Check, Untouched, require, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
@@ -32,7 +32,7 @@ T_BASE_SECOND = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a fuser of these capabilities; one for single touches refuses several by ConfigError."""
+    """Return the checks for a fuser of these capabilities; a fuser for single touches refuses several: ConfigError."""
     chosen: list[Check] = [check_flat_prior, check_prior_multiplies, check_certain_prior, check_impossible_prior,
                            check_order, check_no_contact_is_dropped, check_no_common_pose, check_base_frame,
                            check_posteriors_untouched]  # fmt: skip
@@ -41,12 +41,12 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
-    """Return what holds of any fuser, whatever is drawn: see `tactile_loc.testing.properties`."""
+    """Return the properties of a fuser of these capabilities: see `tactile_loc.testing.properties`."""
     return [property_object_frame, property_base_frame, property_touch_order, property_symmetric_copies]
 
 
 def check_contact_alone(fuser: Fuser) -> None:
-    """A fuser that asks for contact only makes all poses of one touch's grid alike, however probable they are."""
+    """A fuser of contact only makes all poses of one touch's grid equally probable."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None])
     uniform = np.full(len(posterior.grid), 1 / len(posterior.grid))
@@ -54,18 +54,18 @@ def check_contact_alone(fuser: Fuser) -> None:
 
 
 def check_one_touch(fuser: Fuser) -> None:
-    """One touch without a prior is returned as it is: normalised, over the same grid."""
+    """One touch without a prior is returned unchanged: normalised, over the same grid."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None])
     require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
     same = np.array_equal(fused.grid.T_sensor_object, posterior.grid.T_sensor_object)
     require(same, "the fused posterior must be over the first touch's grid")
     require_close(fused.probabilities.sum(), 1.0, TOLERANCE, "probabilities must sum to one")
-    _require_equal(fused, posterior.probabilities, "one touch without a prior must stay as it is")
+    _require_equal(fused, posterior.probabilities, "one touch without a prior must be unchanged")
 
 
 def check_flat_prior(fuser: Fuser) -> None:
-    """A prior that weighs all poses alike changes nothing, whatever the weight."""
+    """A prior with the same weight for all poses changes nothing."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -3.0))
     _require_equal(fused, fuser.fuse([posterior], [None]).probabilities, "a flat prior must change nothing")
@@ -79,21 +79,20 @@ def check_prior_multiplies(fuser: Fuser) -> None:
         return -((poses[:, 0, 3] / 0.002) ** 2)
 
     expected = fuser.fuse([posterior], [None]).probabilities * np.exp(prior(posterior.grid.T_sensor_object))
+    expected /= expected.sum()
     fused = fuser.fuse([posterior], [None], prior)
-    _require_equal(
-        fused, expected / expected.sum(), "a prior's log-weights must be added once to the log-probabilities"
-    )
+    _require_equal(fused, expected, "a prior's log-weights must be added once to the log-probabilities")
 
 
 def check_certain_prior(fuser: Fuser) -> None:
-    """A prior that allows one pose alone makes it certain."""
+    """A prior that allows only one pose makes it certain."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf))
     _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
 
 
 def check_impossible_prior(fuser: Fuser) -> None:
-    """A prior that allows no pose raises a TactileLocError, rather than return NaN."""
+    """A prior that allows no pose raises a TactileLocError instead of returning NaN."""
     try:
         fuser.fuse([_draw_posterior(make_small_grid())], [None], lambda poses: np.full(len(poses), -np.inf))
     except TactileLocError:
@@ -102,7 +101,7 @@ def check_impossible_prior(fuser: Fuser) -> None:
 
 
 def check_order(fuser: Fuser) -> None:
-    """Two touches at one sensor pose say the same in either order."""
+    """Two touches at the same sensor pose give the same posterior in either order."""
     grid = make_small_grid()
     first, second = _draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)
     one, other = (_fuse_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
@@ -110,7 +109,7 @@ def check_order(fuser: Fuser) -> None:
 
 
 def check_sensor_poses(fuser: Fuser) -> None:
-    """Touches are compared in the base frame: what one leaves open, another from elsewhere decides."""
+    """Touches are compared in the base frame: a touch at another sensor pose resolves an ambiguity."""
     here, there = make_small_grid(), _move_to_second(make_small_grid())
     open_ = PosePosterior(here, np.where(np.isin(np.arange(len(here)), [3, 11]), 0.0, -30.0))
     decides = PosePosterior(there, np.where(np.arange(len(here)) == 11, 0.0, -8.0))
@@ -121,7 +120,7 @@ def check_sensor_poses(fuser: Fuser) -> None:
 
 
 def check_no_contact_is_dropped(fuser: Fuser) -> None:
-    """A pose that another sensor's grid does not have, not even nearly, touches nothing there and is excluded."""
+    """A pose that is not near any pose of another sensor's grid has no contact there and is excluded."""
     here = make_small_grid()
     side = here.T_sensor_object[:, 0, 3] > 0.002
     far = here.metric.distance(here.T_sensor_object[:, None], here.T_sensor_object[side][None]).min(axis=1) > 0.0065
@@ -129,23 +128,23 @@ def check_no_contact_is_dropped(fuser: Fuser) -> None:
     fused = _fuse_several(fuser, [_draw_posterior(here), _draw_posterior(there)], [T_BASE_FIRST, T_BASE_SECOND])
     if fused is not None:
         p = fused.probabilities
-        require(bool((p[far] == 0).all()), "poses that do not touch a sensor must have no probability")
-        require(bool((p[side] > 0).all()), "poses that every sensor's grid has must keep some probability")
+        require(bool((p[far] == 0).all()), "poses without contact at a sensor must have probability zero")
+        require(bool((p[side] > 0).all()), "poses in every sensor's grid must keep a positive probability")
 
 
 def check_no_common_pose(fuser: Fuser) -> None:
-    """Sensors that no pose touches at once raise a TactileLocError, rather than give NaN."""
+    """Sensors without a common pose raise a TactileLocError instead of returning NaN."""
     grid = make_small_grid()
     T_base_far = make_transform(np.eye(3), [5.0, 0.0, 0.0])
     try:
         fuser.fuse([_draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)], [np.eye(4), T_base_far])
     except TactileLocError:
         return
-    require(False, "sensors metres apart touch no common pose, which must raise a TactileLocError")
+    require(False, "sensors without a common pose, metres apart, must raise a TactileLocError")
 
 
 def check_base_frame(fuser: Fuser) -> None:
-    """Where the base frame is does not matter, only where the sensors are to one another."""
+    """The base frame does not matter, only the sensors' poses relative to each other."""
     _require_any_base(fuser, make_transform(rotation_about([3, -1, 2], 2.0), [-0.2, 0.5, 0.1]))
 
 
@@ -161,12 +160,11 @@ def check_deterministic(fuser: Fuser) -> None:
     """The same posteriors and prior give the same posterior."""
     prior: Prior = lambda poses: 100 * poses[:, 0, 3]  # noqa: E731
     first, again = (fuser.fuse([_draw_posterior(make_small_grid())], [None], prior) for _ in range(2))
-    same = np.array_equal(first.log_p, again.log_p)
-    require(same, "the same posteriors must give the same answer, or deterministic=False be declared")
+    require_equal(first.log_p, again.log_p, "the same posteriors must give the same answer")
 
 
 def property_object_frame(fuser: Fuser) -> None:
-    """The object moved by X in its own frame, poses T @ inv(X) in every grid: the same probabilities, to TOLERANCE."""
+    """The object moved by X in its own frame, with poses T @ inv(X), has the same probabilities, to TOLERANCE."""
     here = make_small_grid()
     sensors, grids = [T_BASE_FIRST, T_BASE_SECOND], [here, _move_to_second(here)]
     plain = _fuse_several(fuser, _draw_posteriors(grids), sensors)
@@ -174,41 +172,38 @@ def property_object_frame(fuser: Fuser) -> None:
     def claim(motion: RigidMotion) -> None:
         metric = PoseMetric(make_plain_object("moved block", transform_mesh(here.metric.object.mesh, motion.T)))
         moved = [PoseGrid(grid.T_sensor_object @ invert(motion.T), metric) for grid in grids]
-        _require_both(
-            _fuse_several(fuser, _draw_posteriors(moved), sensors), plain, "the object's own frame must not matter"
-        )
+        fused = _fuse_several(fuser, _draw_posteriors(moved), sensors)
+        _require_both(fused, plain, "the object's own frame must not matter")
 
     hold(claim, motion=motions())
 
 
 def property_base_frame(fuser: Fuser) -> None:
-    """All sensors moved together in the base frame: the same probabilities, to TOLERANCE."""
+    """All sensors moved together in the base frame give the same probabilities, to TOLERANCE."""
     hold(lambda motion: _require_any_base(fuser, motion.T), motion=motions(most_mm=900))
 
 
 def property_touch_order(fuser: Fuser) -> None:
-    """Touches in another order say the same of each pose, to TOLERANCE, whichever comes first.
+    """Touches in another order give the same probability of each pose, to TOLERANCE.
 
-    Their grids hold the same poses of the base frame, so that the first one's are the same, and the sensors are
-    wherever they are drawn.
+    Sensor poses are drawn. All grids hold the same poses in the base frame, so that any touch can be the first.
     """
     grid = make_small_grid()
 
     def claim(order: list[int], second: RigidMotion, third: RigidMotion) -> None:
         sensors = [np.eye(4), second.T, third.T]
         touches = _draw_posteriors([PoseGrid(invert(T) @ grid.T_sensor_object, grid.metric) for T in sensors])
-        plain, other = (
-            _fuse_several(fuser, [touches[k] for k in o], [sensors[k] for k in o]) for o in ([0, 1, 2], order)
-        )
+        plain = _fuse_several(fuser, touches, sensors)
+        other = _fuse_several(fuser, [touches[k] for k in order], [sensors[k] for k in order])
         _require_both(other, plain, "the order of touches must not matter")
 
     hold(claim, order=orders(3), second=motions(), third=motions())
 
 
 def property_symmetric_copies(fuser: Fuser) -> None:
-    """Of a symmetric part, poses T @ S in the second touch's grid, S any of its rotations, say what T do.
+    """A grid of a symmetric part may hold any copy T @ S of a pose T, S one of its rotations.
 
-    The same probabilities, to TOLERANCE, whichever copy of each pose a grid holds.
+    Any copies in the second touch's grid give the same probabilities, to TOLERANCE.
     """
     grid = make_small_grid(scene=Scene(make_prism(), CAMERAS["orthographic"], ReferenceRenderer()))
     elements, sensors = make_prism().symmetry.list_elements(), [T_BASE_FIRST, T_BASE_SECOND]
@@ -219,13 +214,13 @@ def property_symmetric_copies(fuser: Fuser) -> None:
         S = elements[np.random.default_rng(seed).integers(1, len(elements), len(grid))]
         copies = PoseGrid(there.T_sensor_object @ S, grid.metric)
         fused = _fuse_several(fuser, _draw_posteriors([grid, copies]), sensors)
-        _require_both(fused, plain, "poses that symmetry makes alike must count as one")
+        _require_both(fused, plain, "symmetric poses must count as one")
 
     hold(claim, seed=whole(0, 999))
 
 
 def _require_any_base(fuser: Fuser, T: Poses) -> None:
-    """Raise ContractError unless sensors that are all moved by T (4, 4), metres, have the same answer."""
+    """Raise ContractError unless the answer is the same after moving all sensors by T (4, 4), metres."""
     here = make_small_grid()
     touches = [_draw_posterior(here, seed=1), _draw_posterior(_move_to_second(here), seed=2)]
     one = _fuse_several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
@@ -234,7 +229,7 @@ def _require_any_base(fuser: Fuser, T: Poses) -> None:
 
 
 def _draw_posteriors(grids: Sequence[PoseGrid]) -> list[PosePosterior]:
-    """A posterior over each grid, each another."""
+    """A different posterior over each grid."""
     return [_draw_posterior(grid, seed) for seed, grid in enumerate(grids)]
 
 
@@ -243,14 +238,14 @@ def _draw_posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
 
 
 def _move_to_second(grid: PoseGrid) -> PoseGrid:
-    """The same poses of the object as those of `grid` in the first sensor's frame, in the second's."""
+    """The poses of a grid of the first sensor, in the second sensor's frame."""
     return PoseGrid(invert(T_BASE_SECOND) @ T_BASE_FIRST @ grid.T_sensor_object, grid.metric)
 
 
 def _fuse_several(
     fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]
 ) -> PosePosterior | None:
-    """Fuse several touches; None when the fuser is for one touch alone and says so."""
+    """Fuse several touches; return None if the fuser is for single touches."""
     try:
         return fuser.fuse(posteriors, T_base_sensor)
     except ConfigError:
@@ -258,7 +253,7 @@ def _fuse_several(
 
 
 def _require_both(one: PosePosterior | None, other: PosePosterior | None, sentence: str) -> None:
-    """Raise ContractError unless two answers agree; a fuser for one touch alone has none."""
+    """Raise ContractError unless two answers agree; a fuser for single touches has none."""
     if one is not None and other is not None:
         _require_equal(one, other.probabilities, sentence)
 

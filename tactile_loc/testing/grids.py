@@ -1,4 +1,4 @@
-"""Checks for grids: rigid poses at the spacing asked for, which cover what is drawn at random."""
+"""Checks for grids: poses are rigid, have the requested spacing, and cover the poses drawn at random."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tactile_loc.core.sensing.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.grid import GridSampler
-from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
@@ -30,15 +30,16 @@ from tactile_loc.testing.problems import (
 )
 from tactile_loc.testing.properties import hold, one_of, shifts, whole
 
+CAMERA = CAMERAS["orthographic"]
 SPACING_M = 0.008
-DRAWN, SIGMAS = 6000, 4  # random poses, and by how many standard errors their share may be off
-PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: their steps, and pixels at edges
-NEAR_M, MOST_TURNED_DEG = 2.5e-3, 8.0  # between what touches first and the nearest place
+DRAWN, SIGMAS = 6000, 4  # random poses, and the allowed error of their share, standard errors
+PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: press, rounding, share of equal pixels
+NEAR_M, MOST_TILT_DEG = 2.5e-3, 8.0  # between the first point of contact and the nearest place
 SAME_M = 1e-8  # poses that are nearer differ by rounding
 SUBGROUPS = ("z6*x2", "z6", "z3", "x2", "z2")  # of the prism's rotations
-LEAST_APART = 0.15  # of the spacing: poses that are as near, up to symmetry, and do not coincide, are duplicates
-LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # of an n-th: directions on the border of what stands for all are kept twice
-LEAST_TOUCHING = 0.3  # share of the poses: bounding boxes overlap more often than objects touch
+LEAST_APART = 0.15  # of the spacing; nearer poses, up to symmetry, must coincide
+LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # times the n-th part: directions on its border are kept twice
+LEAST_TOUCHING = 0.3  # share of the poses; bounding boxes overlap more often than objects touch
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -55,7 +56,7 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
-    """Return what holds of any grid, whatever is drawn: see `tactile_loc.testing.properties`."""
+    """Return the properties of a grid of these capabilities: see `tactile_loc.testing.properties`."""
     chosen: list[Check] = [property_symmetric_copies, property_scale]
     if capabilities.places:
         chosen = [property_symmetric_places]
@@ -70,80 +71,79 @@ def check_poses_are_rigid(sampler: GridSampler) -> None:
         require(len(poses) > 0, f"{what} must return poses for an object of the sensor's size")
         require_array(poses, (len(poses), 4, 4), np.float64, f"the poses of {what}")
         require(is_rigid(poses), f"the poses of {what} must be rigid: proper rotations, finite, last row 0 0 0 1")
-    require(len(_draw_random(sampler, 20)) == 20, "random must return as many poses as were asked for")
+    require(len(_draw_random(sampler, 20)) == 20, "random must return the requested number of poses")
 
 
 def check_spacing(sampler: GridSampler) -> None:
-    """Neighbours of the sample, brought to contact, are about as far apart as was asked: core corrects the rest."""
+    """Neighbours of the sample, brought to contact, have about the requested distance; core corrects the rest."""
     spacing_m = float(_bring_to_contact(_sample(sampler)).neighbour_spacing().mean())
     right = 0.4 * SPACING_M <= spacing_m <= 2 * SPACING_M
-    require(right, f"asked for a spacing of {SPACING_M * 1e3:g} mm, the mean over the grid is {spacing_m * 1e3:.2g} mm")
+    require(right, f"the mean spacing must be about {SPACING_M * 1e3:g} mm, not {spacing_m * 1e3:.2g} mm")
 
 
 def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
-    """A smaller spacing gives more poses: at half the spacing at least twice as many, even along a line."""
+    """A smaller spacing gives more poses: half the spacing at least twice as many, even along a line."""
     coarse, fine = (len(_sample(sampler, k * SPACING_M)) for k in (1.0, 0.5))
-    require(fine >= 2 * coarse, f"at half the spacing there must be more poses; there are {fine} instead of {coarse}")
+    require(fine >= 2 * coarse, f"half the spacing must give at least twice the {coarse} poses, not {fine}")
 
 
 def check_poses_reach_contact(sampler: GridSampler) -> None:
-    """Moved along z alone, a good share of the poses touches the sensing rectangle."""
+    """Moved along z only, enough of the poses touch the sensing rectangle."""
     for what, poses in _list_kinds(sampler, 200):
-        share = float(bring_to_contact(make_block().mesh, poses, CAMERAS["orthographic"])[1].mean())
+        share = float(bring_to_contact(make_block().mesh, poses, CAMERA)[1].mean())
         require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
 
 
 def check_covers_random_poses(sampler: GridSampler) -> None:
-    """The grid covers the set that `random` draws from: no drawn pose is far from its nearest grid pose."""
+    """The grid covers the poses that `random` draws: each is near a grid pose."""
     grid = _bring_to_contact(_sample(sampler))
     drawn = _bring_to_contact(_draw_random(sampler, 200)).T_sensor_object
     spacings = np.quantile(grid.nearest(drawn)[0], [0.5, 0.95]) / SPACING_M
     covered = spacings[0] <= 1.0 and spacings[1] <= 2.0
-    require(covered, "sample must cover what random draws from; the nearest grid pose is "
-            f"{spacings[0]:.2g} spacings away in the median and {spacings[1]:.2g} for one in twenty")  # fmt: skip
+    require(covered, "sample must cover the poses that random draws; the nearest grid pose is "
+            f"{spacings[0]:.2g} spacings away in the median, and {spacings[1]:.2g} for one in twenty")  # fmt: skip
 
 
 def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
-    """Of a rod's drawn poses, as many are near the half of the grid in which it spans more as that half has poses."""
-    obj, camera = make_rod(), CAMERAS["orthographic"]
-    grid = _bring_to_contact(sampler.sample(obj, camera, SPACING_M), obj)
-    drawn = _bring_to_contact(sampler.random(obj, camera, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
-    turned = obj.mesh.vertices_m @ np.swapaxes(grid.T_sensor_object[:, :3, :3], -1, -2)
-    spanned = np.ptp(turned[..., :2], axis=1).sum(axis=-1)
+    """`random` draws a rod's poses uniformly: where the rod spans more, it draws the grid's share of poses."""
+    obj = make_rod()
+    grid = _bring_to_contact(sampler.sample(obj, CAMERA, SPACING_M), obj)
+    drawn = _bring_to_contact(sampler.random(obj, CAMERA, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
+    rotated = obj.mesh.vertices_m @ np.swapaxes(grid.T_sensor_object[:, :3, :3], -1, -2)
+    spanned = np.ptp(rotated[..., :2], axis=1).sum(axis=-1)
     half = spanned > np.median(spanned)
     wanted, found = float(half.mean()), float(half[grid.nearest(drawn)[1]].mean())
     error = float(np.sqrt(wanted * (1 - wanted) / len(drawn)))
-    require(abs(found - wanted) <= SIGMAS * error, "random must draw as many poses about each pose of the grid; "
-            f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of them: draw a rotation as often as it has "
-            "places over the sensor, as tactile_loc.plugin.draw_places does")  # fmt: skip
+    require(abs(found - wanted) <= SIGMAS * error, "random must draw poses uniformly over the grid; "
+            f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of its poses: draw a rotation in proportion to "
+            "its places over the sensor, as tactile_loc.plugin.draw_places does")  # fmt: skip
 
 
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
     """A generator of the same seed draws the same poses; all randomness comes from it."""
     same = np.array_equal(_draw_random(sampler, 20), _draw_random(sampler, 20))
-    require(same, "random must draw from the generator it is given, and from nothing else")
+    require(same, "random must draw from the given generator only")
 
 
 def check_random_poses_differ(sampler: GridSampler) -> None:
-    """Drawn poses differ from one another and from those of another seed."""
+    """Drawn poses differ from each other and from those of another seed."""
     poses = _draw_random(sampler, 20)
     distances = PoseMetric(make_block()).distance(poses[:, None], poses[None]) + np.eye(20)
-    require((distances > 0).all(), "random must draw different poses: it samples a continuous set")
-    require(
-        not np.array_equal(poses, _draw_random(sampler, 20, seed=1)), "random must draw other poses for another seed"
-    )
+    require((distances > 0).all(), "random must draw different poses, from a continuous set")
+    same = np.array_equal(poses, _draw_random(sampler, 20, seed=1))
+    require(not same, "random must draw other poses for another seed")
 
 
 def check_object_untouched(sampler: GridSampler) -> None:
     """The object's mesh is not written to."""
     mesh = copy_mesh(make_block().mesh)
-    obj, camera = dataclasses.replace(make_block(), mesh=mesh), CAMERAS["orthographic"]
+    obj = dataclasses.replace(make_block(), mesh=mesh)
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces)
     if sampler.capabilities.places:
         sampler.places(obj, Progress())
     else:
-        sampler.sample(obj, camera, SPACING_M)
-    sampler.random(obj, camera, 5, np.random.default_rng(0))
+        sampler.sample(obj, CAMERA, SPACING_M)
+    sampler.random(obj, CAMERA, 5, np.random.default_rng(0))
     before.require()
 
 
@@ -154,12 +154,11 @@ def check_scale(sampler: GridSampler) -> None:
 
 def check_deterministic(sampler: GridSampler) -> None:
     """The same object, sensor and spacing give the same poses in the same order."""
-    same = np.array_equal(_sample(sampler), _sample(sampler))
-    require(same, "the same request must give the same poses, or deterministic=False be declared")
+    require_equal(_sample(sampler), _sample(sampler), "the same request must give the same poses")
 
 
 def check_places_are_as_drawn(sampler: GridSampler) -> None:
-    """A place's patch is what parallel rays see of the object around it, in the frame of the place."""
+    """A place's patch is a parallel projection of the object around it, in the frame of the place."""
     places = sampler.places(make_block(), Progress())
     require(is_rigid(places.T_place_object), "the poses of places must be rigid: proper rotations, finite")
     some = np.linspace(0, len(places) - 1, 12).astype(int)
@@ -170,13 +169,13 @@ def check_places_are_as_drawn(sampler: GridSampler) -> None:
     )
     off_m = np.abs(found - drawn)
     alike = float((off_m < ROUNDED_M).mean())
-    require(alike > LEAST_ALIKE, f"only {100 * alike:.0f} % of the pixels of patches are as the object is drawn there")
+    require(alike > LEAST_ALIKE, f"only {100 * alike:.0f} % of the pixels of patches have the depth of the object")
     middle = PATCH_CAMERA.height_px // 2
-    require(off_m[:, middle, middle].max() < ROUNDED_M, "a place must be as high as its patch's middle")
+    require(off_m[:, middle, middle].max() < ROUNDED_M, "a place must have the depth of its patch's middle")
 
 
 def check_places_are_in_random_poses(sampler: GridSampler) -> None:
-    """What touches first of a drawn pose is near one of the places, seen nearly along the same direction."""
+    """The first point of contact of a drawn pose is near a place that is seen from nearly the same direction."""
     obj = make_block()
     places = sampler.places(obj, Progress()).T_place_object
     where, along = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3]), places[:, 2, :3]
@@ -184,51 +183,50 @@ def check_places_are_in_random_poses(sampler: GridSampler) -> None:
     corners = obj.mesh.vertices_m @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
     lowest = obj.mesh.vertices_m[corners[..., 2].argmin(axis=1)]
     near = np.linalg.norm(where - lowest[:, None], axis=-1) < NEAR_M
-    turned_deg = np.degrees(np.arccos(np.clip(T[:, 2, :3] @ along.T, -1, 1)))
-    nearest_deg = np.where(near, turned_deg, 180.0).min(axis=1)
+    tilt_deg = np.degrees(np.arccos(np.clip(T[:, 2, :3] @ along.T, -1, 1)))
+    worst_deg = np.quantile(np.where(near, tilt_deg, 180.0).min(axis=1), 0.9)
     require(
-        np.quantile(nearest_deg, 0.9) < MOST_TURNED_DEG,
-        f"what touches first must be a place: {NEAR_M * 1e3:g} mm around it the nearest direction of one is "
-        f"{np.quantile(nearest_deg, 0.9):.0f} degrees off for one pose in ten",
-    )
+        worst_deg < MOST_TILT_DEG, f"the first point of contact must be a place; for one pose in ten the places within "
+        f"{NEAR_M * 1e3:g} mm of it are seen from directions {worst_deg:.0f} degrees off",
+    )  # fmt: skip
 
 
 def property_object_origin(sampler: GridSampler) -> None:
-    """The mesh shifted by x in its own frame has the poses T @ inv(x), once in contact: the same, to 10 nm.
+    """The mesh shifted by x in its own frame has the poses T @ inv(x), once in contact, to 10 nm.
 
-    Shifted, not turned: the axes of an object's frame may be what names the face that touches.
+    It is not rotated, since an axis of the object's frame may name the face that touches.
     """
     plain = _bring_to_contact(_sample(sampler)).T_sensor_object
 
     def claim(shift_mm: tuple[int, int, int]) -> None:
         x = make_translation(1e-3 * np.array(shift_mm))
         other = make_plain_object("shifted block", transform_mesh(make_block().mesh, x))
-        found = _bring_to_contact(sampler.sample(other, CAMERAS["orthographic"], SPACING_M), other).T_sensor_object @ x
-        require_close(found, plain, SAME_M, "poses must be the same wherever the origin of the object's frame is")
+        found = _bring_to_contact(sampler.sample(other, CAMERA, SPACING_M), other).T_sensor_object @ x
+        require_close(found, plain, SAME_M, "poses must not depend on the origin of the object's frame")
 
     hold(claim, shift_mm=shifts())
 
 
 def property_symmetric_copies(sampler: GridSampler) -> None:
-    """Of a symmetric part, poses that touch either coincide up to symmetry, and core drops one, or are clearly apart.
+    """Touching poses of a symmetric part either coincide up to symmetry, and core drops one, or are clearly apart.
 
-    By LEAST_APART of the spacing at least: what is nearer than that and not the same would be searched twice.
+    They are at least LEAST_APART of the spacing apart: different poses that are nearer would be searched twice.
     """
 
     def claim(symmetry: str, spacing_tenths_mm: int) -> None:
         spacing_m, obj = 1e-4 * spacing_tenths_mm, _declare_symmetry(symmetry)
-        poses = _bring_to_contact(sampler.sample(obj, CAMERAS["orthographic"], spacing_m), obj).T_sensor_object
+        poses = _bring_to_contact(sampler.sample(obj, CAMERA, spacing_m), obj).T_sensor_object
         orbits = PoseMetric(obj).embed_orbits(poses)
         apart_m = np.min([measure_distances(orbit, orbits[0]) for orbit in orbits], axis=0)
         apart_m[(apart_m < ROUNDED_M) | np.eye(len(poses), dtype=bool)] = np.inf
-        require(apart_m.min() >= LEAST_APART * spacing_m, "poses that symmetry makes alike must coincide or be left "
-                f"out; two are {1e3 * apart_m.min():.2g} mm apart at a spacing of {1e3 * spacing_m:g} mm")  # fmt: skip
+        require(apart_m.min() >= LEAST_APART * spacing_m, "symmetric poses must coincide or be left out; "
+                f"two are {1e3 * apart_m.min():.2g} mm apart at a spacing of {1e3 * spacing_m:g} mm")  # fmt: skip
 
     hold(claim, symmetry=one_of(SUBGROUPS), spacing_tenths_mm=whole(60, 90))
 
 
 def property_scale(sampler: GridSampler) -> None:
-    """Half to three times the object, sensor and spacing has as many poses, to 5 %: no length is built in."""
+    """The number of poses does not depend on scale, to 5 %: object, sensor and spacing at 0.5 to 3 times the size."""
     hold(lambda percent: _require_any_scale(sampler, percent / 100), percent=whole(50, 300))
 
 
@@ -239,7 +237,7 @@ def property_place_origin(sampler: GridSampler) -> None:
     def claim(shift_mm: tuple[int, int, int]) -> None:
         x = make_translation(1e-3 * np.array(shift_mm))
         found = sampler.places(make_plain_object("shifted block", transform_mesh(make_block().mesh, x)), Progress())
-        sentence = "places must be the same wherever the origin of the object's frame is"
+        sentence = "places must not depend on the origin of the object's frame"
         require_close(found.T_place_object @ x, plain.T_place_object, SAME_M, sentence)
         require(np.array_equal(found.patches, plain.patches), sentence)
 
@@ -247,23 +245,23 @@ def property_place_origin(sampler: GridSampler) -> None:
 
 
 def property_symmetric_places(sampler: GridSampler) -> None:
-    """A part of n rotations has about an n-th of the places that it has if none are declared: LEAST to MOST_PLACES."""
+    """With n rotations declared, a part has about an n-th of the places, times LEAST_PLACES to MOST_PLACES."""
     count = len(sampler.places(_declare_symmetry("none"), Progress()))
 
     def claim(symmetry: str) -> None:
         obj = _declare_symmetry(symmetry)
         wanted, found = count / obj.symmetry.order, len(sampler.places(obj, Progress()))
         right = LEAST_PLACES * wanted <= found <= MOST_PLACES * wanted
-        require(right, f"places that symmetry makes alike must be one; there are {found} instead of {wanted:.0f}")
+        require(right, f"symmetric places must be one place; there are {found} instead of {wanted:.0f}")
 
     hold(claim, examples=2, symmetry=one_of(SUBGROUPS[:3]))
 
 
 def _require_any_scale(sampler: GridSampler, scale: float) -> None:
     small = _sample(sampler)
-    large = sampler.sample(make_block(scale), scale_sensor(CAMERAS["orthographic"], scale), scale * SPACING_M)
+    large = sampler.sample(make_block(scale), scale_sensor(CAMERA, scale), scale * SPACING_M)
     alike = abs(len(large) / len(small) - 1) <= 0.05
-    require(alike, f"everything made larger must have as many poses; there are {len(large)} instead of {len(small)}")
+    require(alike, f"the number of poses must not depend on scale; it is {len(large)} instead of {len(small)}")
 
 
 def _declare_symmetry(symmetry: str) -> ObjectModel:
@@ -272,22 +270,22 @@ def _declare_symmetry(symmetry: str) -> ObjectModel:
 
 
 def _list_kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
-    """The poses that a sampler lists, if it does, and `count` that it draws."""
+    """Return the poses that a sampler lists, if it does, and `count` poses that it draws."""
     listed = [] if sampler.capabilities.places else [("sample", _sample(sampler))]
     return [*listed, ("random", _draw_random(sampler, count))]
 
 
 def _sample(sampler: GridSampler, spacing_m: float = SPACING_M) -> Poses:
-    return sampler.sample(make_block(), CAMERAS["orthographic"], spacing_m)
+    return sampler.sample(make_block(), CAMERA, spacing_m)
 
 
 def _draw_random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
-    return sampler.random(make_block(), CAMERAS["orthographic"], count, np.random.default_rng(seed))
+    return sampler.random(make_block(), CAMERA, count, np.random.default_rng(seed))
 
 
 def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
-    """Bring poses of an object (by default the block) to contact and keep those that have any."""
+    """Bring poses of an object (by default the block) to contact and keep those that touch."""
     obj = make_block() if obj is None else obj
-    contact, touching = bring_to_contact(obj.mesh, poses, CAMERAS["orthographic"])
-    require(touching.sum() > 1, "hardly any pose can touch the sensor")
+    contact, touching = bring_to_contact(obj.mesh, poses, CAMERA)
+    require(touching.sum() > 1, "several poses must be able to touch the sensor")
     return PoseGrid(contact[touching], PoseMetric(obj))

@@ -1,4 +1,4 @@
-"""Checks for matchers: a score is minus half the squared distance, whatever the order of rows and queries."""
+"""Checks for matchers: a score is minus half the squared distance, in any order of rows and queries."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.component import Capabilities, Float32
 from tactile_loc.core.slots.interface import WEIGHTS_CHANGE, takes_weights
 from tactile_loc.core.slots.matcher import Matcher
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array, require_close
+from tactile_loc.testing.contract import (
+    Check,
+    ContractError,
+    Untouched,
+    require,
+    require_array,
+    require_close,
+    require_equal,
+)
 from tactile_loc.testing.properties import hold, orders, signed, whole
 
 ROWS, QUERIES, DIMENSION = 1200, 4, 12
@@ -27,14 +35,9 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
-    """Return what holds of any matcher, whatever is drawn: see `tactile_loc.testing.properties`."""
-    chosen: list[Check] = [
-        property_row_order,
-        property_query_order,
-        property_equal_rows,
-        property_turned_space,
-        property_scale,
-    ]
+    """Return the properties of a matcher of these capabilities: see `tactile_loc.testing.properties`."""
+    chosen: list[Check] = [property_row_order, property_query_order, property_equal_rows, property_turned_space,
+                           property_scale]  # fmt: skip
     return [*chosen, property_unknown_numbers] if capabilities.weights else chosen
 
 
@@ -42,36 +45,30 @@ def check_output(matcher: Matcher) -> None:
     """`scores` returns (M, N) float32 without NaN; all are finite unless the matcher is declared top_k_only."""
     scores = _score(matcher, _draw_bank(), _draw_queries())
     require_array(scores, (QUERIES, ROWS), np.float32, "the scores")
-    require(
-        not (np.isnan(scores) | np.isposinf(scores)).any(), "a score must be a number, or -inf where it did not look"
-    )
-    some = np.isfinite(scores).any(axis=1).all()
-    require(some, "every query must have a finite score somewhere")
+    bad = np.isnan(scores) | np.isposinf(scores)
+    require(not bad.any(), "a score must be a number, or -inf for a row that was not compared")
+    require(np.isfinite(scores).any(axis=1).all(), "every query must have a finite score")
     if not matcher.capabilities.top_k_only:
-        require(np.isfinite(scores).all(), "every row must have a finite score, or top_k_only=True be declared")
+        require(np.isfinite(scores).all(), "every row must have a finite score; otherwise declare top_k_only=True")
 
 
 def check_definition(matcher: Matcher) -> None:
-    """A score is -1/2 ||query - row||^2: the posterior's temperature relies on it."""
-    scores, truth = _score(matcher, _draw_bank(), _draw_queries()), _compute_truth(_draw_bank(), _draw_queries())
-    looked = np.isfinite(scores)
-    require_close(scores[looked], truth[looked], TOLERANCE, "a score must be -1/2 ||query - row||^2")
+    """A score is -1/2 ||query - row||^2, on which the posterior's temperature relies."""
+    scores = _score(matcher, _draw_bank(), _draw_queries())
+    _require_alike(scores, _compute_truth(_draw_bank(), _draw_queries()), "a score must be -1/2 ||query - row||^2")
 
 
 def check_best_row_is_found(matcher: Matcher) -> None:
-    """The most alike row has the highest score, also when the matcher looks at only some."""
+    """The most similar row has the highest score, also if the matcher compares only some rows."""
     found = _score(matcher, _draw_bank(), _draw_queries()).argmax(axis=1)
     truth = _compute_truth(_draw_bank(), _draw_queries()).argmax(axis=1)
-    require((found == truth).all(), f"the best rows are {truth.tolist()}, but {found.tolist()} have the highest scores")
+    require((found == truth).all(), f"rows {truth.tolist()} must have the highest scores, not {found.tolist()}")
 
 
 def check_row_order(matcher: Matcher) -> None:
-    """Column i belongs to row i: another order of the rows is the same order of the columns."""
+    """Column i belongs to row i: another order of the rows gives the same order of the columns."""
     order = np.random.default_rng(3).permutation(ROWS)
-    plain, shuffled = (
-        _score(matcher, _draw_bank(), _draw_queries()),
-        _score(matcher, _draw_bank()[order], _draw_queries()),
-    )
+    plain, shuffled = (_score(matcher, bank, _draw_queries()) for bank in (_draw_bank(), _draw_bank()[order]))
     _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
 
 
@@ -79,10 +76,9 @@ def check_query_order(matcher: Matcher) -> None:
     """Row j of the scores belongs to query j, and one query's scores do not depend on the others."""
     together = _score(matcher, _draw_bank(), _draw_queries())
     singly = np.concatenate([matcher.scores(q[None]) for q in _draw_queries()[::-1]])[::-1]
-    same = np.array_equal(np.isfinite(together), np.isfinite(singly))
-    require(same, "one query's scores must not depend on the others")
-    looked = np.isfinite(together)
-    require_close(together[looked], singly[looked], TOLERANCE, "one query's scores must not depend on the others")
+    sentence = "one query's scores must not depend on the others"
+    require(np.array_equal(np.isfinite(together), np.isfinite(singly)), sentence)
+    _require_alike(together, singly, sentence)
 
 
 def check_index_replaces(matcher: Matcher) -> None:
@@ -90,16 +86,13 @@ def check_index_replaces(matcher: Matcher) -> None:
     matcher.index(_draw_bank(seed=7))
     matcher.scores(_draw_queries())
     again = _score(matcher, _draw_bank()[:50], _draw_queries())
-    require(
-        again.shape == (QUERIES, 50), f"a new bank of 50 rows must replace the old one, but scores are {again.shape}"
-    )
-    truth = _compute_truth(_draw_bank()[:50], _draw_queries())
-    looked = np.isfinite(again)
-    require_close(again[looked], truth[looked], TOLERANCE, "a new bank must replace the old one")
+    replaced = again.shape == (QUERIES, 50)
+    require(replaced, f"a new bank of 50 rows must replace the old one, but scores have shape {again.shape}")
+    _require_alike(again, _compute_truth(_draw_bank()[:50], _draw_queries()), "a new bank must replace the old one")
 
 
 def check_single_row(matcher: Matcher) -> None:
-    """A bank of one row works, and the row itself scores zero."""
+    """A bank of one row works, and the row's own score is zero."""
     row = _draw_bank()[:1]
     scores = _score(matcher, row, row)
     require_array(scores, (1, 1), np.float32, "the score of one query with one row")
@@ -107,24 +100,20 @@ def check_single_row(matcher: Matcher) -> None:
 
 
 def check_weights(matcher: Matcher) -> None:
-    """With weights a score is -1/2 sum w (query - row)^2, and the best row is found; weights of one change nothing."""
+    """A weighted score is -1/2 sum w (query - row)^2, and the best row is found; weights of one change nothing."""
     require(takes_weights(matcher), f"scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
     bank, queries = _draw_bank(), _draw_queries()
     plain = _score_weighted(matcher, bank, queries, np.ones_like(queries))
-    looked = np.isfinite(plain)
-    require_close(
-        plain[looked], _compute_truth(bank, queries)[looked], TOLERANCE, "weights of one must give the plain scores"
-    )
+    _require_alike(plain, _compute_truth(bank, queries), "weights of one must give the plain scores")
     weights = _draw_weights()
-    queries[weights == 0] += 3  # what is not known may be anything
+    queries[weights == 0] += 3  # numbers of weight zero may be anything
     before = Untouched(queries=queries, weights=weights)
     found, truth = _score_weighted(matcher, bank, queries, weights), _compute_truth(bank, queries, weights)
     before.require()
-    looked = np.isfinite(found)
-    require_close(found[looked], truth[looked], TOLERANCE, "a weighted score must be -1/2 sum w (query - row)^2")
-    best, true_best = found.argmax(axis=1), truth.argmax(axis=1)
-    require((best == true_best).all(), f"of weighted queries the best rows are {true_best.tolist()}, but "
-            f"{best.tolist()} have the highest scores")  # fmt: skip
+    _require_alike(found, truth, "a weighted score must be -1/2 sum w (query - row)^2")
+    best, right = found.argmax(axis=1), truth.argmax(axis=1)
+    sentence = f"with weights, rows {right.tolist()} must have the highest scores, not {best.tolist()}"
+    require((best == right).all(), sentence)
 
 
 def check_bank_and_queries_untouched(matcher: Matcher) -> None:
@@ -138,12 +127,11 @@ def check_bank_and_queries_untouched(matcher: Matcher) -> None:
 def check_deterministic(matcher: Matcher) -> None:
     """The same bank and queries give the same scores, also when the index is built anew."""
     first, again = (_score(matcher, _draw_bank(), _draw_queries()) for _ in range(2))
-    same = np.array_equal(first, again)
-    require(same, "the same bank and queries must give the same scores, or deterministic=False be declared")
+    require_equal(first, again, "the same bank and queries must give the same scores")
 
 
 def property_row_order(matcher: Matcher) -> None:
-    """A bank in another order has scores in that order, where a matcher that looks at some rows looked both times."""
+    """A bank in another order has scores in that order, for the rows that the matcher compares both times."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(seed: int) -> None:
@@ -165,7 +153,7 @@ def property_query_order(matcher: Matcher) -> None:
 
 
 def property_equal_rows(matcher: Matcher) -> None:
-    """Equal rows, as symmetric poses have, score the same, to rounding: the order of the bank favours none."""
+    """Equal rows, as of symmetric poses, have equal scores, to rounding: the order of the bank favours none."""
 
     def claim(row: int, twin: int) -> None:
         bank = _make_dense()
@@ -178,19 +166,19 @@ def property_equal_rows(matcher: Matcher) -> None:
 
 
 def property_turned_space(matcher: Matcher) -> None:
-    """Bank and queries turned together score the same, to rounding: a distance has no directions."""
+    """Bank and queries that are rotated together have the same scores, to rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(seed: int) -> None:
         Q = np.linalg.qr(np.random.default_rng(seed).normal(size=(DIMENSION, DIMENSION)))[0]
         bank, queries = ((rows @ Q).astype(np.float32) for rows in (_make_dense(), _draw_queries()))
-        _require_alike(_score(matcher, bank, queries), plain, "a turned space must have the same scores")
+        _require_alike(_score(matcher, bank, queries), plain, "rotated embeddings must have the same scores")
 
     hold(claim, seed=whole(0, 999))
 
 
 def property_scale(matcher: Matcher) -> None:
-    """Bank and queries 2**k times as large score 4**k times as high, to rounding: no length is built in."""
+    """Bank and queries 2**k times as large have scores 4**k times as large, to rounding: no length is built in."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(k: int) -> None:
@@ -202,7 +190,7 @@ def property_scale(matcher: Matcher) -> None:
 
 
 def property_unknown_numbers(matcher: Matcher) -> None:
-    """What a query says where its weight is zero changes no score, to rounding, however wrong it is."""
+    """A query's numbers of weight zero change no score, to rounding, however wrong they are."""
     weights = _draw_weights()
     plain = _score_weighted(matcher, _make_dense(), _draw_queries(), weights)
 
@@ -219,7 +207,7 @@ def _make_dense() -> Float32:
 
 
 def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
-    """Raise ContractError unless scores agree where both times the matcher looked, which is somewhere."""
+    """Raise ContractError unless scores agree for the rows compared both times, of which there must be some."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)
     require_close(scores[both], truth[both], TOLERANCE, sentence)
@@ -243,7 +231,7 @@ def _draw_queries() -> Float32:
 
 
 def _draw_weights() -> Float32:
-    """Weights (M, D) of the queries: a third are zero, a third one, the rest between."""
+    """Weights (M, D) of the queries: a third are zero, a third are one, the others in between."""
     drawn = np.random.default_rng(5).uniform(-1, 2, size=(QUERIES, DIMENSION))
     return np.clip(drawn, 0, 1).astype(np.float32)
 
@@ -253,7 +241,7 @@ def _score_weighted(matcher: Matcher, bank: Float32, queries: Float32, weights: 
     try:
         scores = matcher.scores(queries, weights)
     except ConfigError as error:
-        raise ContractError(f"scores must take weights, or weights=False be declared, but it said: {error}") from error
+        raise ContractError(f"scores must take weights; otherwise declare weights=False ({error})") from error
     require_array(scores, (len(queries), len(bank)), np.float32, "the scores of weighted queries")
     return scores
 

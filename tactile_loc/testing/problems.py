@@ -1,5 +1,6 @@
-"""Ready scenes and touches: small analytic surfaces, a renderer that shares no code with any other, small cameras, a
-block whose every feature differs, and candidates near the truth. What the checks hold for true.
+"""Scenes and touches with known truth for the checks: small analytic surfaces, small cameras, an independent renderer.
+
+The main object is a block with different features; candidates are near its true pose.
 """
 
 from __future__ import annotations
@@ -35,16 +36,16 @@ _BOX_FACES = np.array([
     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
 ])  # fmt: skip
 _ROUNDING = 1e-9
-RAYS = 256  # met at once with all triangles that may be before them
+RAYS = 256  # intersected at once
 
 
 class ReferenceRenderer(Renderer):
-    """Meets every ray with every triangle, in closed form and double precision. Slow, for small meshes."""
+    """Intersects every ray with every triangle, in closed form and double precision. Slow, for small meshes."""
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Triangles wholly beyond the contact band are left out; rays that miss the others have depth inf.
+        Triangles entirely beyond the contact band are left out; rays that miss the others have depth inf.
         """
         depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
         for picture, T in zip(depth, T_sensor_object, strict=True):
@@ -55,7 +56,7 @@ class ReferenceRenderer(Renderer):
 
 
 def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
-    """Depths (H * W,) of the nearest triangles; rays are taken in parts whose products stay in the cache."""
+    """Depths (H * W,) of the nearest triangles; parts of RAYS rays keep the products in the cache."""
     rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
     low, high = _measure_outlines(triangles_m, geometry.is_pinhole)
     products = _multiply_edges(triangles_m, geometry.is_pinhole)
@@ -67,7 +68,7 @@ def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
 
 
 def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
-    """Least and greatest (F, 2) of what rays can meet a triangle; one that reaches behind a pinhole is everywhere."""
+    """Bounds (F, 2) of the rays that can hit a triangle; one that reaches behind a pinhole has infinite bounds."""
     seen, z = triangles_m[..., :2], triangles_m[..., 2:]
     if is_pinhole:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -77,7 +78,7 @@ def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Arra
 
 
 def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
-    """What of `_intersect` is the same for all rays: vectors (F, 3) and numbers (F,)."""
+    """The parts of `_intersect` that do not depend on the rays: vectors (F, 3) and numbers (F,)."""
     a, e1, e2 = triangles_m[:, 0], triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0]
     if is_pinhole:
         back = np.cross(-a, e1)
@@ -90,7 +91,7 @@ def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
 def _intersect(rays: Array, products: list[Array], is_pinhole: bool) -> Array:
     """Depths (K,) of rays (K, 2) by Cramer's rule (Moeller and Trumbore): u, v and z are quotients of triple products.
 
-    A ray is x/z, y/z of a pinhole's, or x, y of a parallel one. `products` are those of `_multiply_edges`.
+    A ray is (x/z, y/z) of a pinhole, or (x, y) of a parallel projection. `products` are those of `_multiply_edges`.
     """
     x, y = rays.T
     if is_pinhole:
@@ -113,9 +114,9 @@ def make_box(low_m: tuple[float, float, float], high_m: tuple[float, float, floa
 
 
 def make_cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> TriangleMesh:
-    """Return a closed prism about the z axis, metres; `sides` faces approximate the cylinder from within."""
-    turn = 2 * np.pi * np.arange(sides) / sides
-    ring = radius_m * np.column_stack([np.cos(turn), np.sin(turn)])
+    """Return a closed prism about the z axis, metres, whose `sides` faces approximate the cylinder from inside."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ring = radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
     rims = [np.column_stack([ring, np.full(sides, z)]) for z in z_m]
     i, j = np.arange(sides), np.roll(np.arange(sides), -1)
     low, high = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
@@ -131,22 +132,22 @@ def move_mesh(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleM
 
 
 def transform_mesh(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
-    """Return the mesh seen from another frame, T (4, 4), metres: a point p of it is T p there."""
+    """Return the mesh with its points p at T p, T (4, 4), metres."""
     return TriangleMesh(transform_points(T, mesh.vertices_m), mesh.faces)
 
 
 def mirror_mesh(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh's mirror image, x to -x; outward normals stay outward."""
+    """Return the mirror image of a mesh, x to -x; outward normals stay outward."""
     return TriangleMesh(mesh.vertices_m * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1].copy())
 
 
 def copy_mesh(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh in memory of its own, for checks of who writes to it."""
+    """Return the mesh with its own memory, for checks of writing."""
     return TriangleMesh(mesh.vertices_m.copy(), mesh.faces.copy())
 
 
 def scale_mesh(mesh: TriangleMesh, factor: float) -> TriangleMesh:
-    """Return the mesh made larger by a factor, about the origin."""
+    """Return the mesh scaled by a factor, about the origin."""
     return TriangleMesh(mesh.vertices_m * factor, mesh.faces)
 
 
@@ -159,9 +160,9 @@ def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
 
 @lru_cache(maxsize=1)
 def make_stepped_block() -> TriangleMesh:
-    """Return a block of 16 x 10 x 6 mm whose underside (towards -z) has a boss, a ramp and a post, all different.
+    """Return a block of 16 x 10 x 6 mm without symmetry: its underside (towards -z) has a boss, a ramp and a post.
 
-    Nothing about it is symmetric, and each feature shows at another press depth: from 0 (boss) to 1.2 mm (body).
+    Each feature touches at another press depth: from 0 (boss) to 1.2 mm (body).
     """
     body = make_box((-0.008, -0.005, 0.0012), (0.008, 0.005, 0.006))
     boss = make_box((-0.007, -0.004, 0.0), (-0.002, 0.001, 0.002))
@@ -178,7 +179,7 @@ def _make_ramp() -> TriangleMesh:
 
 @lru_cache(maxsize=1)
 def make_ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
-    """Return a sphere about the origin, metres: an octahedron whose faces are cut in four `rounds` times."""
+    """Return a sphere about the origin, metres: an octahedron whose faces are divided in four `rounds` times."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     signs = np.array([[x, y, z] for x in (0, 3) for y in (0, 3) for z in (0, 3)])
     triangles = corners[signs + np.arange(3)]
@@ -198,13 +199,13 @@ def make_plate(half_m: float = 0.1) -> TriangleMesh:
 
 
 def make_overhang() -> TriangleMesh:
-    """Return a thin foot, 0.3 mm thick, that hangs 1.2 mm before a plate: off its axis, a pinhole sees behind it."""
+    """Return a foot, 0.3 mm thick, 1.2 mm in front of a plate: off its axis, a pinhole camera sees behind it."""
     foot = make_box((0.005, -0.006, 0.0), (0.009, 0.006, 0.0003))
     return join_meshes(foot, make_box((-0.002, -0.008, 0.0015), (0.012, 0.008, 0.004)))
 
 
-# The first two are square and centred, so that a quarter turn maps the image to itself; the others have nothing
-# symmetric about them. All see about 25 mm of the surface and resolve a press of 2 mm.
+# CAMERAS are square and centred, so that a quarter turn maps the image to itself; LOPSIDED_CAMERAS have no symmetry.
+# All see about 25 mm of the surface and have a maximal depth of 2 mm.
 CAMERAS = {
     "orthographic": SensorGeometry("orthographic", 64, 64, 2500.0, 2500.0, 32.0, 32.0, 0.010, 0.002),
     "pinhole": SensorGeometry("pinhole", 64, 64, 62.5, 62.5, 32.0, 32.0, 0.025, 0.002),
@@ -214,14 +215,14 @@ LOPSIDED_CAMERAS = {
     "pinhole": SensorGeometry("pinhole", 80, 56, 65.0, 50.0, 37.3, 30.1, 0.021, 0.002),
 }
 
-POSE = (0.0012, -0.0009, np.radians(25.0))  # x, y in metres and yaw: where the block is pressed
+POSE = (0.0012, -0.0009, np.radians(25.0))  # of the pressed block: x, y in metres and yaw
 OFFSETS = ((0.0008, -0.0006, 0.0), (-0.0007, 0.0, np.radians(4.0)), (0.0, 0.0009, np.radians(-5.0)))
 
 
 @keep_old_names(candidate="make_candidate", error_m="measure_error_m")
 @dataclass(frozen=True, eq=False)
 class PressedBlock:
-    """A touch, the scene it was made in, and the true T_sensor_object (4, 4), metres."""
+    """A touch, its scene, and the true T_sensor_object (4, 4), metres."""
 
     scene: Scene
     touch: Touch
@@ -230,17 +231,17 @@ class PressedBlock:
     def make_candidate(self, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Candidate:
         """Return the truth moved by (x, y, yaw), metres and radians, and brought to contact."""
         x, y, yaw = offset
-        turned = make_transform(self.truth[:3, :3] @ rotation_about([0, 0, 1], yaw), self.truth[:3, 3] + [x, y, 0.0])
-        return Candidate(self.scene.bring_to_contact(turned[None])[0][0], index=0, log_p=0.0)
+        moved = make_transform(self.truth[:3, :3] @ rotation_about([0, 0, 1], yaw), self.truth[:3, 3] + [x, y, 0.0])
+        return Candidate(self.scene.bring_to_contact(moved[None])[0][0], index=0, log_p=0.0)
 
     def measure_error_m(self, pose: Candidate | RefinedPose) -> float:
-        """Return the root mean square distance of the block's surface from where it is, metres."""
+        """Return the root mean square distance of the block's surface from the true pose, metres."""
         return float(PoseMetric(self.scene.object).distance(pose.T_sensor_object, self.truth))
 
 
 @lru_cache(maxsize=8)
 def make_block(scale: float = 1.0) -> ObjectModel:
-    """Return the stepped block as an object without symmetry, made larger by a factor."""
+    """Return the stepped block as an object without symmetry, scaled by a factor."""
     return make_plain_object("stepped block", scale_mesh(make_stepped_block(), scale))
 
 
@@ -258,18 +259,18 @@ def make_prism() -> ObjectModel:
 
 @lru_cache(maxsize=1)
 def make_mirrored_block() -> ObjectModel:
-    """Return the mirror image of the block: another part, which no rotation makes of it."""
+    """Return the mirror image of the block, which no rotation maps to the block."""
     return make_plain_object("mirrored block", mirror_mesh(make_stepped_block()))
 
 
 @lru_cache(maxsize=1)
 def make_rod() -> ObjectModel:
-    """Return a rod of 60 x 8 x 6 mm, declared without symmetry: how much of a sensor it spans depends on its yaw."""
+    """Return a rod of 60 x 8 x 6 mm, declared without symmetry; its span over a sensor depends on its yaw."""
     return make_plain_object("rod", make_box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003)))
 
 
 def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
-    """Return the sensor with all its lengths multiplied by a factor; the image stays as large in pixels."""
+    """Return the sensor with all its lengths scaled by a factor; the image keeps its size in pixels."""
     k = 1.0 if geometry.is_pinhole else scale
     return dataclasses.replace(
         geometry, fx=geometry.fx / k, fy=geometry.fy / k,
@@ -279,18 +280,18 @@ def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
 
 @lru_cache(maxsize=8)
 def make_block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
-    """Return the block before one of the CAMERAS, all lengths times `scale`, drawn by the reference renderer."""
+    """Return the scene of the block and one of the CAMERAS, scaled by a factor, drawn by the reference renderer."""
     return Scene(make_block(scale), scale_sensor(CAMERAS[camera], scale), ReferenceRenderer())
 
 
 def press_block(camera: str = "orthographic", scale: float = 1.0, press: float = 1.0) -> PressedBlock:
-    """Return the block pressed at POSE; `press` is the share (0 to 1) of the deepest press."""
+    """Return the block pressed at POSE by the share `press` (0 to 1) of the maximal depth."""
     x, y, yaw = POSE
     return _press(make_block_scene(camera, scale), make_planar_pose(x * scale, y * scale, yaw), press)
 
 
 def press_prism(camera: str = "orthographic") -> PressedBlock:
-    """Return the prism, an end of it, pressed at POSE: twelve poses explain the touch alike."""
+    """Return the prism pressed at POSE, one end down; its twelve symmetric poses explain the touch equally well."""
     return _press(Scene(make_prism(), CAMERAS[camera], ReferenceRenderer()), make_planar_pose(*POSE), 1.0)
 
 
@@ -301,12 +302,12 @@ def _press(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> 
 
 
 def make_planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
-    """Return a pose (4, 4) with the features towards the sensor: x, y in metres, yaw in radians; z is zero."""
+    """Return a pose (4, 4) with the features towards the sensor: x, y in metres, yaw in radians, z zero."""
     return make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, y_m, 0.0])
 
 
 def make_touch(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> Touch:
-    """Return the touch that the object at a pose (4, 4) makes that is pressed in by `press_depth_m` metres."""
+    """Return the touch of the object at a pose (4, 4), pressed in by `press_depth_m` metres."""
     pressed = scene.press(press_depth_m)
     T = pressed.bring_to_contact(T_sensor_object[None])[0]
     shape = ContactShape(pressed.render_contact_depths(T)[0], press_depth_m)
@@ -319,14 +320,14 @@ def replace_depth(touch: Touch, depth_m: NDArray[np.float32]) -> Touch:
 
 
 def make_contact_poses(scene: Scene, count: int = 6) -> Poses:
-    """Return `count` clearly different contact poses (count, 4, 4), metres: a circle of places and yaws."""
-    turn = 2 * np.pi * np.arange(count) / count
-    poses = [make_planar_pose(0.003 * np.cos(a), 0.003 * np.sin(a), 1.7 * a) for a in turn]
+    """Return clearly different contact poses (count, 4, 4), metres, on a circle, with different yaws."""
+    angles = 2 * np.pi * np.arange(count) / count
+    poses = [make_planar_pose(0.003 * np.cos(a), 0.003 * np.sin(a), 1.7 * a) for a in angles]
     return scene.bring_to_contact(np.stack(poses))[0]
 
 
 def make_small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) -> PoseGrid:
-    """Return a grid of `count` different contact poses of the block in a scene, in no order."""
+    """Return a grid of `count` random contact poses of the object in a scene, by default the block's."""
     rng = np.random.default_rng(seed)
     x, y, yaw = rng.uniform(-0.004, 0.004, count), rng.uniform(-0.004, 0.004, count), rng.uniform(0, 2 * np.pi, count)
     scene = scene or make_block_scene()
@@ -335,7 +336,7 @@ def make_small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) 
 
 
 def make_training_problem(seed: int = 0) -> TrainingProblem:
-    """Return a tiny problem for an encoder to be trained on before it is checked: the checks' object and camera."""
+    """Return a tiny problem to train an encoder on before it is checked, with the checks' object and camera."""
     scene = Scene(make_block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     grid = make_small_grid(seed=seed, scene=scene)
     shapes = scene.render_grid_depths(grid.T_sensor_object)
@@ -344,9 +345,9 @@ def make_training_problem(seed: int = 0) -> TrainingProblem:
 
 
 def make_place_training_problem(symmetry: str = "none") -> PlaceProblem:
-    """Return a tiny problem of an object's places, for an encoder that learns: the checks' object and camera.
+    """Return a tiny training problem of an object's places, with the checks' object and camera.
 
-    The object is said to have a symmetry, which it need not have.
+    The declared symmetry need not be the object's.
     """
     obj = make_block()
     obj = dataclasses.replace(obj, symmetry=SymmetryGroup.parse(symmetry, obj.mesh.centroid_m))

@@ -1,5 +1,7 @@
-"""What properties are tried on, drawn by hypothesis: motions, places, orders, whole numbers. Draws are few and always
-the same, so that a property never fails by chance; what breaks one is simplified, and the ContractError names it.
+"""The cases that properties are tried on, drawn by hypothesis: motions, places, orders, whole numbers.
+
+Draws are few and always the same, so that a property never fails by chance. A case that breaks a property is
+simplified, and the ContractError names it.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
 EXAMPLES = 5  # of each property; the first is the simplest
-SPARE_BITS = 3  # by which a number's draws are finer than it is, so that all are about as likely
+SPARE_BITS = 3  # of a number's draws, so that all its values are about equally likely
 AXES = tuple(axis for axis in product((0, 1, -2), repeat=3) if any(axis))
 
 Strategy = Any  # hypothesis's SearchStrategy: it is imported when a property is tried
@@ -27,7 +29,7 @@ Strategy = Any  # hypothesis's SearchStrategy: it is imported when a property is
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """A motion X: a turn about an axis (3,), degrees, then a shift (3,), mm."""
+    """A motion X: a rotation about an axis (3,), degrees, then a shift (3,), mm."""
 
     axis: tuple[int, int, int]
     turn_deg: int
@@ -41,7 +43,7 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the block lies, or by how much a candidate is off: x, y in tenths of a mm, yaw and tilt in degrees."""
+    """A pose of the block, or the offset of a candidate: x, y in tenths of a mm, yaw and tilt in degrees."""
 
     x_tenths_mm: int
     y_tenths_mm: int
@@ -50,12 +52,12 @@ class Place:
 
     @property
     def slide(self) -> tuple[float, float, float]:
-        """The place without its tilt: x, y in metres and yaw in radians."""
+        """The place without tilt: x, y in metres and yaw in radians."""
         return 1e-4 * self.x_tenths_mm, 1e-4 * self.y_tenths_mm, math.radians(self.yaw_deg)
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """The pose (4, 4), metres, of what lies there: yaw, then the tilt about an axis across; z is zero."""
+        """The pose (4, 4), metres: yaw, then the tilt about a horizontal axis; z is zero."""
         x, y, yaw = self.slide
         tilt = rotation_about([1.0, 0.5, 0.0], math.radians(self.tilt_deg))
         return make_transform(tilt @ rotation_about([0, 0, 1], yaw), [x, y, 0.0])
@@ -64,16 +66,17 @@ class Place:
 def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy) -> None:
     """Try a claim, a function that raises ContractError unless it holds, on drawn values of its arguments.
 
-    Raises the ContractError of values that break it, made simpler, which it names, and MissingLibraryError without
-    hypothesis. Phases other than drawing and simplifying are left out; a profile of hypothesis may leave out more.
+    Raises ContractError, which names simplified values that break the claim, and MissingLibraryError without
+    hypothesis. Only the phases of drawing and simplifying are used, if hypothesis's profile has them.
     """
     hypothesis = require_hypothesis()
 
-    def tried(**values: Any) -> None:
+    def try_values(**values: Any) -> None:
         try:
             claim(**values)
         except ContractError as error:
-            raise ContractError(f"{error} (with {_describe_motion(values)})") from None
+            named = ", ".join(f"{name}={value!r}" for name, value in values.items())
+            raise ContractError(f"{error} (with {named})") from None
 
     phases = {hypothesis.Phase.generate, hypothesis.Phase.shrink} & set(hypothesis.settings.default.phases)
     settings = hypothesis.settings(
@@ -81,16 +84,16 @@ def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy
         report_multiple_bugs=False, suppress_health_check=list(hypothesis.HealthCheck),
     )  # fmt: skip
     try:
-        settings(hypothesis.given(**drawn)(tried))()
+        settings(hypothesis.given(**drawn)(try_values))()
     except hypothesis.errors.Flaky as error:
-        raise ContractError("the same case broke a property once and not again: is something left over?") from error
+        raise ContractError("the same case broke a property only once; keep no state between calls") from error
 
 
 def whole(least: int, most: int) -> Strategy:
     """Draw a whole number between two, both included; the least is the simplest.
 
-    It is made of bits. Hypothesis mixes constants of the code that happens to be imported into whole numbers of its
-    own, which would then differ from run to run, and leaves a folder behind for them.
+    It is made of bits, because hypothesis mixes constants of imported code into its own whole numbers. They would
+    differ from run to run, and hypothesis would leave a folder behind for them.
     """
     span = most - least + 1
     bits = span.bit_length() + SPARE_BITS
@@ -114,7 +117,7 @@ def one_of(values: Sequence[Any]) -> Strategy:
 
 
 def orders(count: int) -> Strategy:
-    """Draw an order of so many things, whole numbers from 0; the reverse is the simplest."""
+    """Draw an order of the numbers 0 to count - 1; the reverse is the simplest."""
 
     def order(number: int) -> list[int]:
         left, drawn = list(range(count))[::-1], []
@@ -127,41 +130,35 @@ def orders(count: int) -> Strategy:
 
 
 def shifts(least_mm: int = 20, most_mm: int = 150) -> Strategy:
-    """Draw a shift, three whole numbers of mm, either way and at least and at most so many along each axis."""
+    """Draw a shift, three whole numbers of mm, each of either sign and between the limits."""
     sizes = range(least_mm, most_mm + 1)
     return require_hypothesis().strategies.tuples(*[one_of([*sizes, *(-size for size in sizes)])] * 3)
 
 
 def motions(least_deg: int = 15, most_mm: int = 150) -> Strategy:
-    """Draw a RigidMotion that turns by at least so many degrees, and shifts by at most so many mm along each axis."""
+    """Draw a RigidMotion that rotates by at least `least_deg`, and shifts by at most `most_mm` along each axis."""
     builds = require_hypothesis().strategies.builds
     return builds(RigidMotion, axis=one_of(AXES), turn_deg=whole(least_deg, 180), shift_mm=shifts(0, most_mm))
 
 
 def places(most_tenths_mm: int = 30, most_tilt_deg: int = 0) -> Strategy:
-    """Draw a Place at most so far from the middle, of any yaw."""
+    """Draw a Place of any yaw, at most this far from the middle along each axis."""
     x, y = (signed(most_tenths_mm) for _ in range(2))
-    tilt = whole(0, most_tilt_deg)
-    return require_hypothesis().strategies.builds(
-        Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=whole(0, 359), tilt_deg=tilt
-    )
+    yaw, tilt = whole(0, 359), whole(0, most_tilt_deg)
+    return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=yaw, tilt_deg=tilt)
 
 
 def slides() -> Strategy:
-    """Draw a Place by which a candidate is off: at most 0.8 mm along each axis, and 5 degrees."""
+    """Draw a Place as the offset of a candidate: at most 0.8 mm along each axis, and 5 degrees."""
     x, y = (signed(8) for _ in range(2))
     return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=signed(5))
 
 
-def _describe_motion(values: dict[str, Any]) -> str:
-    return ", ".join(f"{name}={value!r}" for name, value in values.items())
-
-
 def require_hypothesis() -> Any:
-    """Return the library. Raises MissingLibraryError, which says how to install it, without it."""
+    """Return the library hypothesis. Raises MissingLibraryError if it is not installed."""
     try:
         return import_module("hypothesis")
     except ImportError as error:
         raise MissingLibraryError(
-            "properties are tried by hypothesis, which is not installed: pip install 'tactile-loc[testing]'"
+            "properties need hypothesis, which is not installed: pip install 'tactile-loc[testing]'"
         ) from error

@@ -1,18 +1,18 @@
-"""Checks for refiners: the truth stays, offsets shrink, and nothing depends on frame, scale or empty pixels."""
+"""Checks for refiners: the truth stays, offsets shrink, and frame, scale and empty pixels do not matter."""
 
 from __future__ import annotations
 
 import dataclasses
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert, is_rigid, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Poses, invert, is_rigid, make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array
+from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     OFFSETS,
@@ -28,16 +28,11 @@ from tactile_loc.testing.problems import (
 )
 from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, slides, whole
 
-# Answers to the same question, asked in another way, may differ by this many pixels of the sensing surface.
-TOLERANCE_PX = 0.25
-# Offsets of 0.7 to 1 mm must shrink to this share of themselves, on average.
-LEFT_OVER = 0.8
-# Answers to the very same question may differ by rounding, and by what that makes of a pixel on the verge of contact.
-ROUNDING_PX = 0.02
-# Another frame of the object, far from its own (metres).
-OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0.1))
-# By so much imprint IoU, 0 to 1, a part explains its own touch better than its mirror image does; ours differ by 0.09.
-LEAST_CHIRAL = 0.05
+TOLERANCE_PX = 0.25  # allowed difference between equivalent problems, pixels of the sensing surface
+LEFT_OVER = 0.8  # share to which offsets of 0.7 to 1 mm must shrink on average
+ROUNDING_PX = 0.02  # allowed difference between equal problems: rounding can change a pixel's contact
+OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0.1))  # far from the object's, metres
+LEAST_CHIRAL = 0.05  # imprint IoU by which a part explains its touch better than its mirror image; the block's is 0.09
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -54,26 +49,25 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
-    """Return what holds of any refiner, whatever is drawn: see `tactile_loc.testing.properties`."""
+    """Return the properties of a refiner of these capabilities: see `tactile_loc.testing.properties`."""
     return [property_object_frame, property_symmetric_copies, property_mirrored_part]
 
 
 def check_output(refiner: Refiner) -> None:
-    """`refine` returns a RefinedPose: rigid float64, contact_iou 0 to 1, converged a bool, iterations a whole one."""
-    for problem in _list_problems():
-        for offset in OFFSETS:
-            _require_sound(_refine(refiner, problem, offset))
+    """`refine` returns a RefinedPose: rigid float64, contact_iou 0 to 1, converged a bool, iterations an integer."""
+    for problem, offset in product(_list_problems(), OFFSETS):
+        _require_sound(_refine(refiner, problem, offset))
 
 
 def check_truth_stays(refiner: Refiner) -> None:
-    """A candidate that is the truth stays where it is."""
+    """A candidate at the true pose stays there."""
     for problem in _list_problems():
         error_px = problem.measure_error_m(_refine(refiner, problem)) / problem.touch.geometry.pixel_pitch_m
         require(error_px <= TOLERANCE_PX, f"the true pose must stay; it moved by {error_px:.2g} pixels")
 
 
 def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
-    """Neither touch, candidate nor mesh are written to, and the result has its own memory."""
+    """Touch, candidate and mesh are not written to, and the result has its own memory."""
     problem = press_block()
     candidate, mesh = problem.make_candidate(OFFSETS[0]), copy_mesh(problem.scene.object.mesh)
     scene = dataclasses.replace(problem.scene, object=dataclasses.replace(problem.scene.object, mesh=mesh))
@@ -88,20 +82,21 @@ def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
 
 
 def check_quarter_turn(refiner: Refiner) -> None:
-    """Turning the sensor under touch and candidate turns the answer: no direction of the image is special."""
+    """Rotating the sensor under touch and candidate rotates the answer: no direction of the image is special."""
     turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
+    sentence = "a rotated sensor must give the rotated answer"
     for problem in _list_problems():
-        turned = replace_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
+        rotated = replace_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
         for offset in OFFSETS:
             candidate = problem.make_candidate(offset)
             plain = refiner.refine(problem.touch, candidate, problem.scene)
             moved = dataclasses.replace(candidate, T_sensor_object=turn @ candidate.T_sensor_object)
-            other = refiner.refine(turned, moved, problem.scene)
-            _require_same(turn @ plain.T_sensor_object, other, problem, "a turned sensor must give the turned answer")
+            other = refiner.refine(rotated, moved, problem.scene)
+            _require_same(turn @ plain.T_sensor_object, other, problem, sentence)
 
 
 def check_scale(refiner: Refiner) -> None:
-    """Twice the object on twice the sensor has the answer twice as far: no length is built in."""
+    """Twice the object on twice the sensor gives twice the translation: no length is built in."""
     for camera in CAMERAS:
         small, large = press_block(camera), press_block(camera, scale=2.0)
         for x, y, yaw in OFFSETS:
@@ -111,14 +106,13 @@ def check_scale(refiner: Refiner) -> None:
 
 
 def check_object_frame(refiner: Refiner) -> None:
-    """The object's own frame is arbitrary: mesh and candidate given in another have the same answer at the sensor."""
-    for problem in _list_problems():
-        for offset in OFFSETS:
-            _require_any_frame(refiner, problem, offset, OTHER_FRAME)
+    """The object's own frame is arbitrary: mesh and candidate in another frame give the same answer."""
+    for problem, offset in product(_list_problems(), OFFSETS):
+        _require_any_frame(refiner, problem, offset, OTHER_FRAME)
 
 
 def check_ignores_masked_pixels(refiner: Refiner) -> None:
-    """What unobserved pixels hold changes nothing."""
+    """Unobserved pixels change nothing."""
     problem = press_block()
     observed = np.ones(problem.touch.geometry.shape, bool)
     observed[:, :20] = False
@@ -127,12 +121,12 @@ def check_ignores_masked_pixels(refiner: Refiner) -> None:
     plain = dataclasses.replace(problem.touch, geometry=geometry)
     garbage = replace_depth(plain, np.where(observed, plain.contact_shape.depth_m, np.float32(1e-4)))
     answers = [refiner.refine(touch, masked.make_candidate(OFFSETS[0]), masked.scene) for touch in (plain, garbage)]
-    sentence = "pixels outside geometry.observed_mask carry no information"
+    sentence = "pixels outside geometry.observed_mask must change nothing"
     _require_same(answers[0].T_sensor_object, answers[1], problem, sentence, 1e-3)
 
 
 def check_nearly_empty_contact(refiner: Refiner) -> None:
-    """A contact of one to a few pixels is answered by a sound result, never by an exception."""
+    """A contact of one to a few pixels gives a sound result, never an exception."""
     problem = press_block()
     for pixels in ([(30, 30)], [(30, 30), (30, 31)], [(5, 5), (40, 50), (60, 3)], [(30, c) for c in range(20, 40)]):
         depth = np.full(problem.touch.geometry.shape, problem.touch.press_depth_m, np.float32)
@@ -142,7 +136,7 @@ def check_nearly_empty_contact(refiner: Refiner) -> None:
 
 
 def check_degenerate_contact(refiner: Refiner) -> None:
-    """A contact that fixes hardly a direction is answered by a sound result: lines, bare planes, lone pixels."""
+    """A contact that constrains few directions gives a sound result: lines, planes, single pixels."""
     problem = press_block()
     rows, columns = np.indices(problem.touch.geometry.shape)
     contacts = {
@@ -150,7 +144,7 @@ def check_degenerate_contact(refiner: Refiner) -> None:
         "one column of pixels": columns == 30,
         "a diagonal of pixels": rows == columns,
         "half a plane": columns < 32,
-        "a plane but for one pixel": (rows != 30) | (columns != 30),
+        "a plane without one pixel": (rows != 30) | (columns != 30),
         "pixels without neighbours": (rows % 3 == 0) & (columns % 3 == 0),
     }
     for what, contact in contacts.items():
@@ -161,36 +155,33 @@ def check_degenerate_contact(refiner: Refiner) -> None:
 
 
 def check_candidate_without_contact(refiner: Refiner) -> None:
-    """A candidate that is nowhere near the sensor is answered by a sound result that does not claim to explain it."""
+    """A candidate far from the sensor gives a sound result that does not claim to explain the touch."""
     problem = press_block()
     result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     _require_sound(result)
     claims = result.contact_iou > 0 and problem.measure_error_m(result) > 0.1
-    require(not claims, f"a pose without contact explains nothing, but its contact_iou is {result.contact_iou:.2g}")
+    require(not claims, f"a pose without contact must have contact_iou 0, not {result.contact_iou:.2g}")
 
 
 def check_failure_is_said(refiner: Refiner) -> None:
-    """A candidate that is nowhere near the sensor, and left there, has not converged."""
+    """A candidate that stays far from the sensor has not converged."""
     problem = press_block()
     result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     claims = result.converged and result.contact_iou == 0
-    require(not claims, "a refiner that found nothing must say so by converged=False; the contacts do not even overlap")
+    require(not claims, "a result without overlap of the contacts must have converged=False")
 
 
 def check_many_are_one_by_one(refiner: Refiner) -> None:
-    """`refine_many` returns what `refine` does, candidate by candidate in their order; nothing for no candidates."""
+    """`refine_many` returns the results of `refine`, in the candidates' order; an empty list for no candidates."""
     for problem in _list_problems():
-        candidates = [
-            *(problem.make_candidate(offset) for offset in OFFSETS),
-            _move_candidate(problem),
-            problem.make_candidate(),
-        ]
+        candidates = [problem.make_candidate(offset) for offset in (*OFFSETS, (0.0, 0.0, 0.0))]
+        candidates.append(_move_candidate(problem))
         many = refiner.refine_many(problem.touch, candidates, problem.scene)
         require(len(many) == len(candidates), f"{len(candidates)} candidates must give as many poses, not {len(many)}")
         for candidate, result in zip(candidates, many, strict=True):
             _require_sound(result)
             alone = refiner.refine(problem.touch, candidate, problem.scene)
-            sentence = "refine_many must give what refine gives, in the candidates' order"
+            sentence = "refine_many must give the same as refine, in the candidates' order"
             _require_same(alone.T_sensor_object, result, problem, sentence, ROUNDING_PX)
             same = alone.converged == result.converged and abs(alone.contact_iou - result.contact_iou) < 1e-2
             found, right = (f"{r.contact_iou:.3f}, {r.converged}" for r in (result, alone))
@@ -198,9 +189,7 @@ def check_many_are_one_by_one(refiner: Refiner) -> None:
     try:
         none = refiner.refine_many(problem.touch, [], problem.scene)
     except Exception as error:
-        raise ContractError(
-            f"no candidates must give no poses, not an exception ({type(error).__name__}: {error})"
-        ) from error
+        raise ContractError(f"no candidates must give an empty list, not {type(error).__name__}: {error}") from error
     require(isinstance(none, list) and not none, f"no candidates must give an empty list, not {none!r}")
 
 
@@ -208,8 +197,7 @@ def check_deterministic(refiner: Refiner) -> None:
     """The same touch and candidate give the same pose, to the bit."""
     problem = press_block()
     first, again = (_refine(refiner, problem, OFFSETS[1]) for _ in range(2))
-    same = np.array_equal(first.T_sensor_object, again.T_sensor_object)
-    require(same, "the same touch and candidate must give the same pose, or deterministic=False be declared")
+    require_equal(first.T_sensor_object, again.T_sensor_object, "the same touch and candidate must give the same pose")
 
 
 def check_offsets_shrink(refiner: Refiner) -> None:
@@ -218,12 +206,12 @@ def check_offsets_shrink(refiner: Refiner) -> None:
 
 
 def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
-    """The same for a press of 40 %, which shows less of the object: candidates are cut at the touch's press depth."""
+    """The same at a press of 40 %, which shows less of the object: candidates are cut at the touch's press depth."""
     _require_shrinking(refiner, [press_block(camera, press=0.4) for camera in CAMERAS], "a light press")
 
 
 def property_object_frame(refiner: Refiner) -> None:
-    """The mesh moved by X in its own frame, candidates at T @ inv(X): the answer @ X is the same, to TOLERANCE_PX."""
+    """With the mesh moved by X in its own frame, and candidates T @ inv(X), answer @ X is the same, to TOLERANCE_PX."""
 
     def claim(motion: RigidMotion, off: Place, camera: str) -> None:
         _require_any_frame(refiner, press_block(camera), off.slide, motion.T)
@@ -232,29 +220,28 @@ def property_object_frame(refiner: Refiner) -> None:
 
 
 def property_symmetric_copies(refiner: Refiner) -> None:
-    """Of a symmetric part, a candidate T @ S, S one of its rotations, has T's answer @ S, to TOLERANCE_PX."""
+    """A symmetric part's candidate T @ S, S one of its rotations, has the answer of T, @ S, to TOLERANCE_PX."""
 
     def claim(element: int, off: Place, camera: str) -> None:
         problem, S = press_prism(camera), make_prism().symmetry.list_elements()[element]
         candidate = problem.make_candidate(off.slide)
         copy = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ S)
         plain, other = (refiner.refine(problem.touch, c, problem.scene) for c in (candidate, copy))
-        sentence = "poses that symmetry makes alike must have alike answers"
-        _require_same(plain.T_sensor_object @ S, other, problem, sentence)
+        _require_same(plain.T_sensor_object @ S, other, problem, "symmetric poses must have symmetric answers")
 
     hold(claim, element=whole(1, len(make_prism().symmetry.rotations) - 1), off=slides(), camera=_draw_cameras())
 
 
 def property_mirrored_part(refiner: Refiner) -> None:
-    """The part's mirror image, from any yaw, is moved by rotations alone, and explains the touch less than the part.
+    """The part's mirror image, from any yaw, gets a rigid pose, and explains the touch worse than the part does.
 
-    Less by LEAST_CHIRAL of imprint IoU: contacts of the two may well overlap, the depths in them do not agree.
+    Its imprint IoU is lower by LEAST_CHIRAL: the contacts of the two may overlap, but their depths disagree.
     """
 
     def claim(yaw_deg: int, camera: str) -> None:
         problem = press_block(camera)
         other = dataclasses.replace(problem.scene, object=make_mirrored_block())
-        answer, image = _refine(refiner, problem), _refine_turned(refiner, problem, other, np.radians(yaw_deg))
+        answer, image = _refine(refiner, problem), _refine_rotated(refiner, problem, other, np.radians(yaw_deg))
         _require_sound(image)
         right, wrong = (
             float(scene.imprint_ious(found.T_sensor_object[None], problem.touch)[0])
@@ -270,20 +257,17 @@ def _draw_cameras() -> Strategy:
     return one_of(list(CAMERAS))
 
 
-def _require_any_frame(
-    refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float], X: NDArray[np.float64]
-) -> None:
-    """Raise ContractError unless the object in another frame, X (4, 4), metres, has the same answer at the sensor."""
+def _require_any_frame(refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float], X: Poses) -> None:
+    """Raise ContractError unless the answer is the same for the object moved by X (4, 4), metres, in its own frame."""
     moved = make_plain_object("moved block", transform_mesh(problem.scene.object.mesh, X))
     candidate = problem.make_candidate(offset)
     there = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ invert(X))
     answer = refiner.refine(problem.touch, there, dataclasses.replace(problem.scene, object=moved)).T_sensor_object @ X
-    sentence = "the answer must not depend on the object's own frame"
-    _require_same(answer, _refine(refiner, problem, offset), problem, sentence)
+    _require_same(answer, _refine(refiner, problem, offset), problem, "the object's own frame must not matter")
 
 
-def _refine_turned(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_rad: float) -> RefinedPose:
-    """Refine the scene's object, its centroid where that of the true one is, turned by a yaw in its own frame."""
+def _refine_rotated(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_rad: float) -> RefinedPose:
+    """Refine the scene's object from the true pose, rotated by a yaw about its centroid, which is the true one's."""
     R = problem.truth[:3, :3] @ rotation_about([0, 0, 1], yaw_rad)
     centroid_m = problem.truth[:3, :3] @ problem.scene.object.mesh.centroid_m + problem.truth[:3, 3]
     start = make_transform(R, centroid_m - R @ scene.object.mesh.centroid_m)
@@ -295,7 +279,7 @@ def _list_problems() -> list[PressedBlock]:
 
 
 def _move_candidate(problem: PressedBlock) -> Candidate:
-    """A candidate 0.2 m beside the sensor in both directions."""
+    """A candidate 0.2 m from the sensor in both directions."""
     away = problem.truth.copy()
     away[:2, 3] += 0.2
     return Candidate(away, 0, 0.0)
@@ -309,9 +293,7 @@ def _survives(refiner: Refiner, problem: PressedBlock, candidate: Candidate, wha
     try:
         return refiner.refine(problem.touch, candidate, problem.scene)
     except Exception as error:
-        raise ContractError(
-            f"{what} must be answered by converged=False, not by an exception ({type(error).__name__}: {error})"
-        ) from error
+        raise ContractError(f"{what} must give converged=False, not {type(error).__name__}: {error}") from error
 
 
 def _require_sound(result: RefinedPose) -> None:
@@ -320,18 +302,14 @@ def _require_sound(result: RefinedPose) -> None:
     rigid = is_rigid(result.T_sensor_object)
     require(rigid, "the refined pose must be rigid: a proper rotation, finite, last row 0 0 0 1")
     fit = isinstance(result.contact_iou, float) and 0.0 <= result.contact_iou <= 1.0
-    require(fit, f"contact_iou is a share, a float from 0 to 1, not {result.contact_iou!r}")
+    require(fit, f"contact_iou must be a float from 0 to 1, not {result.contact_iou!r}")
     require(isinstance(result.converged, bool | np.bool_), f"converged must be a bool, not {result.converged!r}")
     counted = isinstance(result.iterations, int | np.integer) and result.iterations >= 0
     require(counted, f"iterations must be a whole number, not {result.iterations!r}")
 
 
 def _require_same(
-    T: NDArray[np.float64],
-    result: RefinedPose,
-    problem: PressedBlock,
-    sentence: str,
-    tolerance_px: float = TOLERANCE_PX,
+    T: Poses, result: RefinedPose, problem: PressedBlock, sentence: str, tolerance_px: float = TOLERANCE_PX
 ) -> None:
     distance_m = float(PoseMetric(problem.scene.object).distance(T, result.T_sensor_object))
     apart = distance_m / problem.touch.geometry.pixel_pitch_m
@@ -342,6 +320,6 @@ def _require_shrinking(refiner: Refiner, problems: list[PressedBlock], press: st
     before = np.mean([p.measure_error_m(p.make_candidate(o)) for p in problems for o in OFFSETS])
     after = np.mean([p.measure_error_m(_refine(refiner, p, o)) for p in problems for o in OFFSETS])
     require(
-        after <= LEFT_OVER * before, f"after {press}, candidates {before * 1e3:.2f} mm off on average must come "
-        f"nearer; they are {after * 1e3:.2f} mm off (refines=False declares a refiner that leaves poses)",
+        after <= LEFT_OVER * before, f"after {press}, candidates must come nearer to the truth; their mean error went "
+        f"from {before * 1e3:.2f} to {after * 1e3:.2f} mm; a refiner that leaves poses declares refines=False",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Runs the contract checks of a component without a test runner, and says what came of each."""
+"""Run the contract checks of a component without a test runner, and return the result of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_loc.testing.properties import require_hypothesis
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What came of one check: its name, what it demands, what is wrong ("" if nothing is), and how long it took."""
+    """The result of one check: its name, its requirement, the problem ("" if there is none), and its duration."""
 
     name: str
     demands: str
@@ -27,23 +27,22 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """Whether the component keeps this contract."""
+        """Whether the component fulfils the requirement."""
         return not self.problem
 
 
 def run_checks(component: Component, properties: bool = False) -> list[CheckResult]:
-    """Run all checks that apply to the component, in their order, and properties if asked for; say what came of each.
+    """Run all checks that apply to the component, in order, then its `properties` if asked for.
 
-    An encoder that needs training is trained first, on `make_training_problem()`; that is a result of its own where
-    it fails, and no other follows. A check that raises anything but ContractError has failed, and the exception is
-    named. Raises TypeError for anything that is no component, such as a class instead of an instance, and
-    MissingLibraryError for properties without hypothesis.
+    An encoder that needs training is trained first, on `make_training_problem()`. If that fails, it is the only result.
+    A check that raises another exception than ContractError has failed, and the result names the exception. Raises
+    TypeError if `component` is not a component, and MissingLibraryError for properties without hypothesis.
     """
     return list(iter_checks(component, properties))
 
 
 def iter_checks(component: Component, properties: bool = False) -> Iterator[CheckResult]:
-    """Yield what `run_checks` returns, each as soon as it is known."""
+    """Yield the results of `run_checks`, each as soon as it is known."""
     if properties:
         require_hypothesis()
     chosen = _select_checks(component, properties)
@@ -57,14 +56,14 @@ def iter_checks(component: Component, properties: bool = False) -> Iterator[Chec
 
 
 def train(encoder: Encoder) -> None:
-    """An encoder that needs training learns from a tiny problem, made in simulation."""
+    """An encoder that needs training learns from a tiny simulated problem."""
     from tactile_loc.testing.problems import make_training_problem
 
     encoder.fit(make_training_problem())
 
 
 def _select_checks(component: Component, properties: bool) -> list[Check]:
-    """The checks that apply; those of every slot alone where the capabilities cannot tell more."""
+    """Return the checks that apply; only those of every slot if the capabilities are not declared."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
         return contract.checks(Capabilities())
     return [*list_checks(component), *(list_properties(component) if properties else [])]
@@ -78,17 +77,17 @@ def _run_check(check: Callable[..., None], run: Callable[[], None]) -> CheckResu
 
 
 def _describe_problem(run: Callable[[], None]) -> str:
-    """What is wrong, as one line; nothing if nothing is."""
+    """Return the problem in one line, or an empty string."""
     try:
         run()
     except ContractError as error:
         return " ".join(str(error).split()) or "the contract is broken"
-    except Exception as error:  # noqa: BLE001 - a stranger's component may raise anything
+    except Exception as error:  # noqa: BLE001 - a plugin's component may raise anything
         return " ".join(f"{type(error).__name__}: {error} ({_locate_error(error)})".split())
     return ""
 
 
 def _locate_error(error: Exception) -> str:
-    """Where an exception was raised: "refiner.py, line 33"."""
+    """Return the place where an exception was raised, such as "refiner.py, line 33"."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{Path(last.filename).name}, line {last.lineno}"

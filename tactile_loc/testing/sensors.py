@@ -1,4 +1,4 @@
-"""Checks for sensors: a geometry that stays, and observations that become contact shapes or are refused."""
+"""Checks for sensors: the geometry is constant, and observations become contact shapes or are refused."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.sensor import SensorModel
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close
+from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close, require_equal
 from tactile_loc.testing.properties import hold, whole
 
 
@@ -25,12 +25,12 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
-    """Return what holds of any sensor, whatever is drawn: see `tactile_loc.testing.properties`."""
+    """Return the properties of a sensor of these capabilities: see `tactile_loc.testing.properties`."""
     return [property_imprint_stays, property_image_size]
 
 
 def check_geometry(sensor: SensorModel) -> None:
-    """`geometry` is a SensorGeometry, of plausible size, and the same whenever it is asked for."""
+    """`geometry` is a SensorGeometry of plausible size, and always the same."""
     geometry = sensor.geometry
     require(isinstance(geometry, SensorGeometry), f"geometry must be a SensorGeometry, not {type(geometry).__name__}")
     same = geometry.describe() == sensor.geometry.describe()
@@ -38,30 +38,27 @@ def check_geometry(sensor: SensorModel) -> None:
     json.dumps(geometry.describe())
     x0, x1, y0, y1 = geometry.rectangle
     size_mm = 1e3 * max(x1 - x0, y1 - y0)
-    require(
-        1 <= size_mm <= 1000, f"lengths are metres: a sensing surface of {size_mm:.4g} mm is none of a tactile sensor"
-    )
-    deep = geometry.max_depth_m <= 0.05
-    require(deep, f"lengths are metres: a press of {1e3 * geometry.max_depth_m:.4g} mm is none of a tactile sensor")
+    plausible = 1 <= size_mm <= 1000
+    require(plausible, f"lengths are metres: a sensing surface of {size_mm:.4g} mm is implausible")
+    deepest_mm = 1e3 * geometry.max_depth_m
+    require(deepest_mm <= 50, f"lengths are metres: a maximal depth of {deepest_mm:.4g} mm is implausible")
 
 
 def check_contact_shape(sensor: SensorModel) -> None:
-    """`contact_shape` returns float32 metres of the geometry's image size, between 0 and a press within the range."""
+    """`contact_shape` returns float32 metres in the geometry's image size, from 0 to a press depth in range."""
     _, shape = observe(sensor)
     require(isinstance(shape, ContactShape), f"contact_shape must return a ContactShape, not {type(shape).__name__}")
     depth, geometry = shape.depth_m, sensor.geometry
     require(depth.shape == geometry.shape, f"a contact shape has the image's size {geometry.shape}, not {depth.shape}")
     require(depth.dtype == np.float32, f"contact depths are float32, not {depth.dtype}")
-    deepest = geometry.max_depth_m * (1 + 1e-6)
-    require(
-        0 < shape.press_depth_m <= deepest, f"the press depth must be within the sensor's, not {shape.press_depth_m} m"
-    )
+    in_range = 0 < shape.press_depth_m <= geometry.max_depth_m * (1 + 1e-6)
+    require(in_range, f"the press depth must be within the sensor's maximal depth, not {shape.press_depth_m} m")
     within = bool((depth >= 0).all() and (depth <= np.float32(shape.press_depth_m)).all())
-    require(within, "contact depths lie between 0 and the press depth, which marks no contact; NaN is no depth")
+    require(within, "contact depths must be from 0 to the press depth, which marks no contact, and not NaN")
 
 
 def check_depths_are_kept(sensor: SensorModel) -> None:
-    """Of an observation that is a contact shape already, depths below the press depth stay; the rest is no contact."""
+    """If the observation is depths, those below the press depth are kept; the other pixels have no contact."""
     _require_kept(sensor, make_dome(sensor.geometry))
 
 
@@ -74,7 +71,7 @@ def check_observation_untouched(sensor: SensorModel) -> None:
 
 
 def check_refuses_nonsense(sensor: SensorModel) -> None:
-    """An observation of the wrong size, shape or type raises TouchError, a sentence for the user."""
+    """An observation of the wrong size, shape or type raises TouchError, which the user reads."""
     image = observe(sensor)[0]
     wrong = {
         "an image of another size": np.concatenate([image, image[:3]]),
@@ -96,14 +93,14 @@ def check_deterministic(sensor: SensorModel) -> None:
     """The same observation gives the same contact shape."""
     image, first = observe(sensor)
     again = sensor.contact_shape(image)
-    same = np.array_equal(first.depth_m, again.depth_m) and first.press_depth_m == again.press_depth_m
-    require(same, "the same observation must give the same contact shape, or deterministic=False be declared")
+    for a, b in ((first.depth_m, again.depth_m), (first.press_depth_m, again.press_depth_m)):
+        require_equal(a, b, "the same observation must give the same contact shape")
 
 
 def property_imprint_stays(sensor: SensorModel) -> None:
-    """A lopsided imprint anywhere, of any press, stays in its pixels, at its depths to 0.1 um: nothing is mirrored.
+    """An asymmetric imprint keeps its pixels, and its depths to 0.1 um, at any place and press: nothing is mirrored.
 
-    Of depths that are given in metres; what an image shows is known to nobody here.
+    This is tested with depths in metres, since the truth behind an image is not known here.
     """
 
     def claim(column_percent: int, row_percent: int, press_percent: int) -> None:
@@ -113,9 +110,9 @@ def property_imprint_stays(sensor: SensorModel) -> None:
 
 
 def property_image_size(sensor: SensorModel) -> None:
-    """An observation whose every pixel is repeated is refused by TouchError, or read as what it repeats, to 1 um.
+    """A magnified observation, each pixel repeated, is refused by TouchError or read as the original, to 1 um.
 
-    A sensor may take images of its camera's own size; it must not cut a piece out of one of another.
+    A sensor may accept images of its camera's own size, but must not crop images of another size.
     """
     image, shape = observe(sensor)
 
@@ -137,9 +134,9 @@ def make_dome(geometry: SensorGeometry) -> NDArray[np.float64]:
 
 
 def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArray[np.float64]:
-    """Return depths (H, W) in metres of a wedge that begins at so many percent of width and height; NaN elsewhere.
+    """Return depths (H, W) in metres of a wedge at `column` and `row`, percent of width and height; NaN elsewhere.
 
-    It is lopsided: deepest at its left, and wider than high. `press`: the deepest press, percent of the sensor's.
+    It is asymmetric: deepest at its left, and wider than high. `press` is its depth, percent of the maximal depth.
     """
     v, u = (100 * (np.arange(n) + 0.5) / n for n in geometry.shape)
     u, v = u[None, :] - column, v[:, None] - row
@@ -148,7 +145,7 @@ def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> N
 
 
 def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
-    """Return an observation that the sensor takes, depths or else an RGB image, and its contact shape."""
+    """Return an observation that the sensor accepts, depths or else an RGB image, and its contact shape."""
     depth = make_dome(sensor.geometry)
     try:
         return depth, sensor.contact_shape(depth.copy())
@@ -159,16 +156,16 @@ def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
 
 
 def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
-    """Raise ContractError unless the sensor keeps depths (H, W), metres; one that takes images alone is let off."""
+    """Raise ContractError unless the sensor keeps depths (H, W), metres, or accepts only images."""
     try:
         shape = sensor.contact_shape(depth_m.copy())
-    except TouchError:  # it cannot be compared with a known truth here
+    except TouchError:  # the truth of an image is not known here
         return
     kept = depth_m < shape.press_depth_m
-    require_close(shape.depth_m[kept], depth_m[kept], 1e-7, "depths that are given in metres must be kept")
-    require(not shape.contact[~kept].any(), "a pixel at the press depth or beyond, or NaN, is not in contact")
-    require(shape.contact.any(), "a pixel nearer than the press depth is in contact")
+    require_close(shape.depth_m[kept], depth_m[kept], 1e-7, "depths in metres must be kept")
+    require(not shape.contact[~kept].any(), "a pixel at the press depth or deeper, or NaN, must not be in contact")
+    require(shape.contact.any(), "a pixel above the press depth must be in contact")
 
 
 def _make_error(what: str, outcome: str) -> ContractError:
-    return ContractError(f"{what} must raise TouchError, which the command line shows as one sentence; it {outcome}")
+    return ContractError(f"{what} must raise TouchError, which the user reads; it {outcome}")

@@ -166,7 +166,7 @@ def test_curved_surfaces_keep_their_radius():
 
 
 def rotations_of(symmetry: str) -> set[tuple[str, int]]:
-    """The orders from 2 to 6 that a single-term symmetry implies for turns about its axis."""
+    """The orders from 2 to 6 that a single-term symmetry implies for rotations about its axis."""
     if symmetry == "none":
         return set()
     axis, order = symmetry[0], symmetry[1:]
@@ -187,7 +187,7 @@ def test_exactly_the_declared_rotations_map_the_object_onto_itself(name, about):
 def test_no_half_turn_beyond_the_declared_one_about_any_axis(name):
     # A rotation onto itself has its axis along a principal axis of inertia through the centroid. Where the principal
     # moments differ the only candidates are half turns about those three axes; where two agree, as for
-    # the damping pin, the turns about z are tested elsewhere and any further axis would lie across z.
+    # the damping pin, the rotations about z are tested elsewhere and any further axis would lie across z.
     mesh = shipped(name)
     moments, axes = np.linalg.eigh(mesh.moment_inertia)
     gaps = np.diff(moments) / moments.max()

@@ -1,4 +1,4 @@
-"""Touches are ambiguous where, and only where, a distant pose makes the same contact."""
+"""A touch is ambiguous if, and only if, a distant pose makes the same contact."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_noise_that_is_another_difference_than_the_shapes_hides_nothing():
 
 @pytest.fixture(scope="module")
 def plates(store, make_object) -> dict[str, Localizer]:
-    """A plate of 17 x 6 mm, and one with a notch in one corner, by the symmetry that is declared of them."""
+    """A plate of 17 x 6 mm, and one with a notch in one corner, by declared symmetry."""
     plate = trimesh.creation.box((0.017, 0.006, 0.004))
     corner = trimesh.creation.box((0.004, 0.004, 0.02), make_transform(np.eye(3), [0.0085, 0.003, 0.0]))
     notched = trimesh.boolean.difference([plate, corner], engine="manifold")
@@ -65,7 +65,7 @@ def plates(store, make_object) -> dict[str, Localizer]:
 
 
 def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:
-    """The plate's face on the sensor, its middle `x_m` metres along itself from the sensor's."""
+    """The plate's face on the sensor, its middle `x_m` metres from the sensor's along the plate."""
     R = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)
     scene = localizer.scene.press(5e-4)
     T = scene.bring_to_contact(make_transform(R, R @ [x_m, 0.001, 0.0])[None])[0][0]
@@ -75,14 +75,14 @@ def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:
 
 
 def test_two_poses_that_look_the_same_are_ambiguous_unless_they_are_the_same(plates):
-    """Of a plate, turned by half; declared as its symmetry, that is the same pose."""
+    """A plate rotated by 180 degrees is a rival, unless that is declared as its symmetry."""
     whole = [touch_at(plates["alike"], x) for x in (0.0, 0.001, -0.002)]
     assert (ratios(plates["alike"], whole) < 1).all()
     assert (ratios(plates["symmetric"], whole) > 3).all()
 
 
 def test_a_notch_tells_poses_apart(plates):
-    """It is in view, or the end that has none is."""
+    """The notch is in view, or the end without a notch is."""
     assert (ratios(plates["notched"], [touch_at(plates["notched"], x) for x in (0.0, 0.012)]) > 2).all()
 
 

@@ -1,4 +1,4 @@
-"""Pictures of evaluations."""
+"""Figures of evaluations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several contacts on a coarse grid: what each further one must do, and that interruptions leave no trace."""
+"""Several contacts on a coarse grid: the effect of each further contact, and resuming with the same results."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def nearest(localizer: Localizer, touch) -> int:
 
 
 def certain(localizer: Localizer, touch) -> PosePosterior:
-    """Sure of the grid pose nearest to the truth, and of nothing else."""
+    """A posterior that is certain of the grid pose nearest to the truth."""
     grid = localizer.model.grid
     log_p = np.full(len(grid), -30.0)
     log_p[nearest(localizer, touch)] = 0.0
@@ -100,7 +100,7 @@ def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
 
 def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
     monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
-    localizer = fresh(store, temperature=0.1)  # nobody else's: what is found here is stored
+    localizer = fresh(store, temperature=0.1)  # used by no other test, since results are stored
     found = evaluate_fusion(localizer, (1, 3), 4, SOURCE)
     assert (found.normalise_errors("best-1", 1) < 0.2).all()
     assert found.select_errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m

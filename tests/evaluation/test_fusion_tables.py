@@ -1,4 +1,4 @@
-"""Tables of several contacts: the numbers in them are those of the errors."""
+"""Tables of several contacts hold the numbers of the errors."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def test_turns_about_a_continuous_axis_are_no_error_and_shifts_along_it_are(cyli
 @pytest.mark.parametrize("spread", [1.0, 0.05])
 @pytest.mark.parametrize("symmetry", ["zinf", "zinf*x2", "axis(1,2,3)inf"])
 def test_the_best_roll_is_that_of_two_thousand(cylinder, true_pose, symmetry, spread):
-    """Of poses far off and near; what is compared needs not be round."""
+    """Poses far from and near to the truth, also of an object that is not round."""
     obj = ObjectModel("rolled", cylinder.mesh, SymmetryGroup.parse(symmetry, [0, 0, 0.002]))
     rng = np.random.default_rng(2)
     points_m, corners_m = cylinder.mesh.sample(200, rng), cylinder.mesh.hull_corners_m

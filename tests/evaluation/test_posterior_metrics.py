@@ -1,4 +1,4 @@
-"""Numbers that are known of posteriors that are known."""
+"""Known metrics of known posteriors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The protocol on a coarse grid: what must hold of every touch, and that interruptions leave no trace."""
+"""The protocol on a coarse grid: relations between the lines of every touch, and resuming with the same results."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def fresh(store: StageStore, **settings) -> Localizer:
 
 @pytest.fixture(scope="module")
 def plain(localizer: Localizer) -> Evaluation:
-    """Without refinement, whose threads may add up differently: equal to the bit."""
+    """Without refinement, whose threads may sum in another order, results are equal to the bit."""
     return evaluate(fresh(localizer.store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
 
 
@@ -62,7 +62,7 @@ def test_a_line_with_more_to_choose_from_is_never_farther(evaluation, less, more
 
 
 def test_lines_differ(evaluation):
-    """The touches are hard enough to tell the lines apart."""
+    """The touches are hard enough to separate the lines."""
     assert (evaluation.select_errors("best-50") < evaluation.select_errors("best-1")).any()
     assert evaluation.select_errors("best-50").mean() < evaluation.select_errors("random").mean()
     assert len(np.unique(evaluation.select_errors("random"))) == COUNT
@@ -106,7 +106,7 @@ def test_a_seed_always_gives_the_same_and_another_seed_others(plain, localizer, 
 
 
 def test_the_number_of_touches_does_not_change_the_first_ones(evaluation, localizer):
-    """With refinement, up to what its threads may add up differently."""
+    """With refinement, results are equal up to the rounding of its threads."""
     fewer = evaluate(localizer, 2, SimulatedTouches("strong", 3))
     np.testing.assert_allclose(fewer.errors_m, evaluation.errors_m[:2], atol=1e-8)
 
@@ -161,7 +161,7 @@ def test_the_key_holds_whatever_changes_the_errors(localizer):
 
 
 def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
-    """The pin turned by half about its axis looks the same: such an estimate is as good."""
+    """The pin rotated by 180 degrees about its axis looks the same, so such an estimate is correct."""
     evaluator = TouchEvaluator(localizer)
     touch = SimulatedTouches("none", 0).draw_touch(localizer, 0)
     truth = touch.T_sensor_object

@@ -1,4 +1,4 @@
-"""Touches as robots make them: where the object is, what is refused, and how far off sensors are."""
+"""Touches of a robot: the object's pose, refused presses, and errors of sensor poses."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_the_same_seed_makes_the_same_example(make_box):
 
 
 def test_what_shows_no_usable_touch_is_counted(make_box):
-    """A plate larger than the sensor, met flat by chance never: the noise hides whole contacts instead."""
+    """A plate larger than the sensor is never met flat by chance; here the noise hides whole contacts."""
     box = make_box(0.020, 0.012, 0.008)
     example = touches_of(box, noise=NOISE["strong"], press=(0.05, 0.1)).draw_example(20, np.random.default_rng(3))
     assert len(example[0]) == 20

@@ -1,4 +1,4 @@
-"""A sensor that slides and turns over an object: in contact, smoothly, and as far off as it is said to be."""
+"""A sensor slides and rotates over an object: in contact, smoothly, and with the stated pose error."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_it_moves_smoothly_and_says_where_it_was(frames):
     gel = np.array([0, 0, GEOMETRY.standoff_m])
     shift_m = np.linalg.norm(step[:, :3, :3] @ gel + step[:, :3, 3] - gel, axis=1)
     assert 0 < shift_m[: JUMP - 1].max() < MOST_RISE_M + 5e-4
-    assert shift_m[JUMP - 1] < 1e-12  # it is the object that jumps
+    assert shift_m[JUMP - 1] < 1e-12  # the object jumps, not the sensor
 
 
 def test_a_slip_is_as_far_as_asked_for(box):

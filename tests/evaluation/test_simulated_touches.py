@@ -1,4 +1,4 @@
-"""The touches that an evaluation asks about: always the same, as shapes and as images of the same poses."""
+"""The touches of an evaluation are always the same, as shapes and as images of the same poses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def folder(store, tmp_path_factory) -> Path:
 
 def located(folder: Path, store) -> Localizer:
     sensor = {"name": "calibrated", "path": str(folder)}
-    grid = {"name": "face", "spacing_mm": 8, "min_contact_percent": 2}  # its images show nothing of smaller contacts
+    grid = {"name": "face", "spacing_mm": 8, "min_contact_percent": 2}  # smaller contacts do not show in its images
     return Localizer.create("pin", store=store, sensor=sensor, grid=grid, refiner="none")
 
 
@@ -103,7 +103,7 @@ def test_the_key_holds_the_calibration(localizer, folder, store, tmp_path):
 
 
 def write_altered(folder: Path, to: Path) -> Path:
-    """The same calibration but for one weight."""
+    """The same calibration with one other weight."""
     calibration = read_calibration(folder)
     with torch.no_grad():
         calibration.estimator._network.linear.bias += 0.01

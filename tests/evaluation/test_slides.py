@@ -1,4 +1,4 @@
-"""A slide's truth: where it says that the object is, the object presses on the gel as deep as it says."""
+"""A slide's true poses and presses agree: at its true pose, the object presses the gel by the stated press."""
 
 from __future__ import annotations
 

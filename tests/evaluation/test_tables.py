@@ -1,4 +1,4 @@
-"""The tables of an evaluation say the same in Markdown, CSV and JSON."""
+"""The tables of an evaluation agree in Markdown, CSV and JSON."""
 
 from __future__ import annotations
 

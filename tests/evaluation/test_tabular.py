@@ -1,4 +1,4 @@
-"""What all tables of evaluations share."""
+"""Shared parts of the tables of evaluations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lists of approaches: poses in either frame, and one sentence for what is wrong."""
+"""Lists of approaches: poses in either frame, and one sentence for each error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays of files that lie: about their size, about what they inflate to, about what they are."""
+"""Array files whose headers are wrong: about their size, their inflated size, and their kind."""
 
 from __future__ import annotations
 

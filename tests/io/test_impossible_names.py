@@ -1,4 +1,4 @@
-"""Names that no file can have, and what is no file: refused as any that is missing."""
+"""Impossible file names, and paths that are no files, are refused like missing files."""
 
 from __future__ import annotations
 

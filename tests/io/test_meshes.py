@@ -213,7 +213,7 @@ def test_an_open_surface_is_noted_and_used(tmp_path):
 
 
 def test_degenerate_faces_and_stray_vertices_do_not_count(tmp_path):
-    """They would enlarge the object's box, which bounds where it can touch."""
+    """Stray vertices would enlarge the object's bounding box."""
     box = trimesh.creation.box(SIDES_M)
     lines = [f"v {x} {y} {z}" for x, y, z in box.vertices] + ["v 0.5 0 0", "v 0.6 0 0", "v 0.7 0 0"]
     lines += [f"f {a} {b} {c}" for a, b, c in box.faces + 1]
@@ -226,7 +226,7 @@ def test_degenerate_faces_and_stray_vertices_do_not_count(tmp_path):
 
 
 def test_reading_does_not_move_turn_or_reorder_the_surface(tmp_path):
-    """A touch's pose is of the file's own frame: no centring, no axis conventions."""
+    """Poses refer to the file's own frame: nothing is centred, and no axes are swapped."""
     hook = load_object("hook").mesh
     trimesh.Trimesh(hook.vertices_m * 1e3, hook.faces, process=False).export(tmp_path / "hook.stl")
     again = load_object(tmp_path / "hook.stl", "mm", "none").mesh

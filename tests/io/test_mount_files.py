@@ -1,4 +1,4 @@
-"""Where a sensor is mounted, as a file: what was written is read, a drawing's pose is enough, wrong keys are named."""
+"""Mount files: a written mount is read again, a pose from a drawing is enough, wrong keys are named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A prior's file is in mm and degrees, and comes out as the prior it describes."""
+"""A prior's file, in mm and degrees, becomes the prior that it describes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensor files that are written come back as the same sensor; tests of the `file` sensor read those of people."""
+"""Written sensor files are read as the same sensor; the tests of the `file` sensor read files written by hand."""
 
 from __future__ import annotations
 

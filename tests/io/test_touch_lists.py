@@ -1,4 +1,4 @@
-"""A list of touches: files and sensors beside it, poses in metres, and sentences that name the touch."""
+"""A list of touches: files and sensors beside it, poses in metres, and errors that name the touch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.1, -0.02, 0.3])
 
 @pytest.fixture
 def folder(tmp_path, flat_camera) -> Path:
-    """a.npz knows no pose, b.npz has one; c.png is only there."""
+    """a.npz has no pose, b.npz has one; c.png is empty."""
     depth = np.full(flat_camera.shape, 0.002, np.float32)
     depth[10:20, 20:30] = 0.001
     for name, pose in (("a", None), ("b", T)):

@@ -1,4 +1,4 @@
-"""What the tests of the store share: a stage of five pieces, and ways to look at and harm what it left."""
+"""Helpers for tests of the store: a stage of five pieces, and functions to inspect and damage its files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROJECT = Path(__file__).parents[2]
 
 
 class Five:
-    """Builds five pieces and their sum, counts which were computed, and may break off at one of them."""
+    """Builds five pieces and their sum, counts the computed ones, and may stop at one of them."""
 
     def __init__(self, stop_at: int | None = None, error: BaseException | None = None) -> None:
         self.stop_at, self.error = stop_at, error or KeyboardInterrupt()
@@ -33,7 +33,13 @@ class Five:
         return np.random.default_rng(i).normal(size=(40, 3))
 
     def __call__(self, workspace: Workspace) -> None:
-        pieces = [workspace.load_or_make(f"piece{i}", lambda i=i: self.piece(i), keep=i < 3) for i in range(5)]
+        pieces = []
+        for i in range(5):
+            piece = workspace.load(f"piece{i}", keep=i < 3)
+            if piece is None:
+                piece = self.piece(i)
+                workspace.save_array(f"piece{i}", piece, keep=i < 3)
+            pieces.append(piece)
         workspace.save_array("sum", np.sum(pieces, axis=0))
         workspace.save_json("meta", {"n": 5, "a": [1.5, None]})
 

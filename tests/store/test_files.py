@@ -119,7 +119,7 @@ def test_what_killed_processes_left_in_a_folder_goes_and_nothing_else(tmp_path):
     (tmp_path / ".tmp-new-a.txt").mkdir()
     (tmp_path / f".tmp-{'0' * 32}-b.txt").mkdir()
     (tmp_path / f".tmp-{'0' * 32}-b.txt" / "b.txt").touch()
-    (tmp_path / ".tmp-old-c").mkdir()  # a folder that was set aside: the only whole one, perhaps
+    (tmp_path / ".tmp-old-c").mkdir()  # a folder that was set aside, perhaps the only whole one
     (tmp_path / "d.txt").touch()
 
     def while_writing(temporary):
@@ -164,7 +164,7 @@ def replace(folder: Path, text: str, **options: bool) -> None:
 
 
 def text(folder: Path) -> str:
-    """What all files of a folder say."""
+    """Return the text that all files of a folder share."""
     (found,) = {(folder / name).read_text() for name in NAMES}
     assert sum(path.is_file() for path in folder.rglob("*")) == len(NAMES)
     return found

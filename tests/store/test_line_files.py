@@ -1,4 +1,4 @@
-"""Files that grow by lines: whole ones, whatever happens."""
+"""Files that grow by lines hold whole lines only, after any interruption."""
 
 from __future__ import annotations
 

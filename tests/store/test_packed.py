@@ -1,4 +1,4 @@
-"""Packed arrays come back as they were, and what is no such says so."""
+"""Packed arrays are read unchanged, and other files are refused."""
 
 from __future__ import annotations
 

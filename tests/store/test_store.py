@@ -135,7 +135,7 @@ def compute():
     return np.random.default_rng(os.getpid()).normal(size=100)
 
 store = StageStore(root)
-artifact = store.build(StageKey("bank", 1, {}), lambda workspace: workspace.load_or_make("x", compute))
+artifact = store.build(StageKey("bank", 1, {}), lambda workspace: workspace.save_array("x", compute()))
 print("RESULT", len(store.built), artifact.load_array("x").tobytes().hex())
 """
 

@@ -145,7 +145,7 @@ def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, make)
     monkeypatch.undo()
-    artifact = store.build(KEY, lambda workspace: workspace.load_or_make("x", lambda: np.array([3])))
+    artifact = store.build(KEY, lambda workspace: workspace.load("x"))
     np.testing.assert_array_equal(artifact.load_array("x"), [1])
 
 
@@ -256,8 +256,9 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
 store, key = StageStore(Path(sys.argv[1])), StageKey("bank", 1, {})
 
 def make(workspace):
-    workspace.load_or_make("small", lambda: np.arange(100))
-    workspace.load_or_make("large", lambda: np.zeros(1_000_000))
+    if workspace.load("small") is None:
+        workspace.save_array("small", np.arange(100))
+    workspace.save_array("large", np.zeros(1_000_000))
 
 try:
     store.build(key, make)
@@ -307,7 +308,7 @@ def test_file_in_the_place_of_a_folder(store: StageStore, blocked: str) -> None:
 
 def test_errors_of_make_pass_through(store: StageStore) -> None:
     def make(workspace: Workspace) -> None:
-        workspace.load_or_make("x", lambda: np.load("/nowhere/x.npy"))
+        workspace.save_array("x", np.load("/nowhere/x.npy"))
 
     with pytest.raises(FileNotFoundError):
         store.build(KEY, make)

@@ -1,4 +1,4 @@
-"""Components that break one contract each: BROKEN says which check must notice which component."""
+"""Components that break one contract each: BROKEN pairs each check with a component that it must notice."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def drifting(base: type, method: str, change: Any) -> Any:
 
 
 def scribbled(result: Any, array: np.ndarray) -> Any:
-    """Write to an array that somebody else owns."""
+    """Write to an array of the caller."""
     array.flat[0] = 0.123
     return result
 
@@ -202,7 +202,7 @@ def unmasked_pixels(self, depth, seen, press, geometry):
 
 
 def knows_nothing(pair, depth, seen, *_):
-    """Weights of zero as soon as anything is not seen."""
+    """Weights of zero if any pixel is unseen."""
     return pair[0], pair[1] * seen.all(axis=(1, 2))[:, None]
 
 
@@ -244,7 +244,7 @@ def refuses_weights(self, queries, weights=None):
 
 
 def first_rows_of_weighted(self, queries, weights=None):
-    """Looks for weighted queries at the first rows only."""
+    """Compares weighted queries with the first rows only."""
     scores = FaissMatcher.scores(self, queries, weights)
     if weights is not None and (weights < 1).any():
         scores[:, 900:] = -INFINITE
@@ -304,7 +304,7 @@ def saying(**fields):
 
 
 def turned_about_the_origin(result, *_):
-    """Turns the object about the origin of its own frame, wherever that is."""
+    """Rotates the object about the origin of its own frame."""
     turn = make_transform(rotation_about([0, 0, 1], 0.02), np.zeros(3))
     return dataclasses.replace(result, T_sensor_object=result.T_sensor_object @ turn)
 
@@ -326,7 +326,7 @@ def needs_one(self, touch, candidates, scene):
 
 
 def together(self, touch, candidates, scene):
-    """All candidates stop as soon as the first has."""
+    """All candidates stop with the first."""
     many = IcpRefiner.refine_many(self, touch, candidates, scene)
     return [dataclasses.replace(result, converged=many[0].converged) for result in many]
 
@@ -364,7 +364,7 @@ def with_log_p(change):
 
 
 def without_bound(self, posteriors, T_base_sensor, prior=None):
-    """Takes the nearest pose of the second touch's grid, however far it is."""
+    """Uses the nearest pose of the second touch's grid at any distance."""
     first, second = posteriors
     T = np.linalg.inv(T_base_sensor[1]) @ T_base_sensor[0] @ first.grid.T_sensor_object
     return PosePosterior(first.grid, first.log_p + second.log_p[second.grid.nearest(T)[1]])
@@ -377,7 +377,7 @@ def from_the_base(self, posteriors, T_base_sensor, prior=None):
 
 
 def in_sensor_frames(self, posteriors, T_base_sensor, prior=None):
-    """Looks the second touch up at the first one's poses as they are."""
+    """Reads the second touch at the first one's poses, without transforming them."""
     first, second = posteriors
     return PosePosterior(first.grid, first.log_p + second.log_p[second.grid.nearest(first.grid.T_sensor_object)[1]])
 

@@ -1,4 +1,4 @@
-"""Components that break one property each: BROKEN says which property must notice which component."""
+"""Components that break one property each: BROKEN pairs each property with a component that it must notice."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def flipped(shape: ContactShape, *_):
 
 
 def cut_out(self, image):
-    """Takes the corner of a large image for the whole."""
+    """Crops the corner of a large image."""
     return GelSlim.contact_shape(self, image[: self.geometry.height_px, : self.geometry.width_px])
 
 
@@ -87,7 +87,7 @@ def places_turned_about_the_origin(places, *_):
 
 
 def few(grid):
-    """The same grid, with few directions: quickly made."""
+    """The same grid with few directions, for speed."""
     return type(grid)(WholeGrid.Options(directions=1000))
 
 
@@ -105,7 +105,7 @@ GRID = [
 
 
 def cropped(self, depth, press, geometry):
-    """Takes the corner of a large image for the whole."""
+    """Crops the corner of a large image."""
     rows, columns = encoders.CAMERA.shape
     return PixelEncoder.encode(self, depth[:, :rows, :columns], press, encoders.CAMERA)
 

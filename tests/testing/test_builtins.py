@@ -38,7 +38,7 @@ VARIANTS = [
 
 
 def built_ins() -> Iterator[Component]:
-    """All components of this distribution; those of plugins that happen to be installed test themselves."""
+    """All components of this distribution; installed plugins have their own tests."""
     for found in registry().components:
         if found.distribution == BUILT_IN:
             key = (found.spec.slot, found.spec.name)
@@ -46,7 +46,7 @@ def built_ins() -> Iterator[Component]:
 
 
 def quick(component: Component) -> Component:
-    """The same, or with fewer places: properties list them often."""
+    """The same component, or a grid with fewer places, since properties list them often."""
     return WholeGrid(WholeGrid.Options(directions=1000)) if isinstance(component, WholeGrid) else component
 
 
@@ -65,7 +65,7 @@ def test_property(component, check):
 
 
 def try_on(component: Component, check: Check) -> None:
-    """Run a check; one of a renderer that cannot run here is skipped, an encoder that learns is trained first."""
+    """Run a check; skip a renderer that cannot run here, and train an encoder first."""
     if isinstance(component, Renderer):
         skip_without_opengl(component)
     if component.capabilities.needs_training:
@@ -75,7 +75,7 @@ def try_on(component: Component, check: Check) -> None:
 
 @lru_cache
 def train(encoder: Encoder) -> None:
-    """Train each encoder once, however many checks it takes part in."""
+    """Train each encoder once, for all checks."""
     encoder.fit(make_training_problem())
 
 

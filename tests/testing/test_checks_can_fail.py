@@ -1,4 +1,4 @@
-"""Each check notices a component that breaks its contract, and says so in a sentence."""
+"""Each check notices a component that breaks its contract, and reports it in one sentence."""
 
 from __future__ import annotations
 

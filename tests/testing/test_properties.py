@@ -1,4 +1,4 @@
-"""Each property notices a component that breaks it, and names a case; draws are the same whenever it is tried."""
+"""Each property notices a component that breaks it, and names a case; draws are always the same."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MODULES = (sensors, renderers, grids, encoders, matchers, refiners, fusers)
 
 @pytest.fixture
 def unsimplified() -> Iterator[None]:
-    """The first case that fails is told: simplifying takes as many draws again as fit in a second or two."""
+    """Report the first failing case, since simplifying takes another second or two."""
     hypothesis.settings.register_profile("unsimplified", phases=[Phase.generate])
     hypothesis.settings.load_profile("unsimplified")
     yield

@@ -1,4 +1,4 @@
-"""Checks without a test runner: what came of each, whatever a component raises."""
+"""Checks without a test runner: the result of each, for any error of a component."""
 
 from __future__ import annotations
 

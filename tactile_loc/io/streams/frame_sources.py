@@ -1,6 +1,6 @@
-"""Where frames come from while one waits for them: a camera, a folder that images are put into, a video.
+"""Sources of live frames: a camera, a folder that receives images, or a video.
 
-A source either gives every frame in turn, or the newest: those that came while nobody asked are dropped, and counted.
+A source gives either every frame in turn, or the newest: frames that arrive in between are dropped and counted.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from tactile_loc.core.errors import MissingLibraryError, SourceError, TactileLoc
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
-from tactile_loc.io.streams.videos import TO_INSTALL, read_video, read_video_facts
+from tactile_loc.io.streams.videos import TO_READ, read_video, read_video_facts
 from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
 
 SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
 POLL_S = 0.05
-SETTLED_S = 1.0  # a file that cannot be read and has not grown for so long will not be whole any more
-LACKING, FEW = 0.02, 3  # of a video's frames, and at least: what containers miscount; more has broken off
-LEAVES_S = 2.0  # what a camera's thread is given to end
+SETTLED_S = 1.0  # an unreadable file that has not grown for this time is damaged, not incomplete
+LACKING, FEW = 0.02, 3  # share of a video's frames, and their least number, by which containers miscount
+LEAVES_S = 2.0  # time for a camera's thread to end
 
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
-    """One frame: an `image` (H, W, 3) uint8, or a file at `path`; or, in a sentence, the `problem` with it.
+    """One frame: an `image` (H, W, 3) uint8, or a file at `path`, or the `problem` that makes it unusable.
 
-    `number` counts all frames of the source from 0, dropped ones too. `time_s` is since 1970; in a video since its
-    beginning.
+    `number` counts all frames of the source from 0, including dropped ones. `time_s` is since 1970, or since the
+    beginning of a video.
     """
 
     number: int
@@ -45,7 +45,7 @@ class SourceFrame:
     problem: TactileLocError | None = None
 
     def read_touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
-        """Return what a sensor reads in it, as `read_touch` does. Raises NoContactError, or TouchError."""
+        """Return the touch that a sensor reads from the frame, as `read_touch` does. Raises TouchError."""
         if self.problem is not None:
             raise self.problem
         if self.image is not None:
@@ -57,22 +57,22 @@ Frames = Generator[SourceFrame, None, None]
 
 
 class FrameSource(Protocol):
-    """What gives frames. `dropped` are those that nobody got, because newer ones had come."""
+    """A source of frames."""
 
     @property
     def about(self) -> str:
-        """What it is, in words."""
+        """The source in words."""
 
     @property
     def dropped(self) -> int:
-        """How many frames nobody got so far."""
+        """The number of frames dropped so far, because newer ones had arrived."""
 
     def read_frames(self) -> Frames:
-        """Yield frames as they come, until there are no more. Raises SourceError when the source goes away."""
+        """Yield frames as they arrive, until the source ends. Raises SourceError when the source is lost."""
 
 
 class _Newest:
-    """The newest of the frames that another thread gets, while it goes on; `dropped` are those that nobody took."""
+    """The newest of the frames that another thread reads; `dropped` counts those that nobody took."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -82,7 +82,7 @@ class _Newest:
         self.dropped = 0
 
     def follow(self, frames: Iterator[SourceFrame]) -> Frames:
-        """Yield the newest frame, again and again, until there are no more. Raises what ended the other thread."""
+        """Yield the newest frame, again and again, to the end. Raises the error that ended the other thread."""
         left = threading.Event()
         thread = threading.Thread(target=self._fill, args=(frames, left), name="frames", daemon=True)
         thread.start()
@@ -109,7 +109,7 @@ class _Newest:
             self._changed.notify()
 
     def _take(self) -> SourceFrame | None:
-        """Wait for a frame; None when there will be none."""
+        """Wait for a frame; return None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not None or self._ended)
             frame, self._frame = self._frame, None
@@ -119,7 +119,7 @@ class _Newest:
 
 
 class Camera:
-    """A camera that OpenCV opens: its number, or the name of a device. The newest frame counts."""
+    """A camera that OpenCV opens, by its number or device name. It gives the newest frame."""
 
     def __init__(self, device: str) -> None:
         self.device, self.about = device, f"camera {device}"
@@ -127,11 +127,11 @@ class Camera:
 
     @property
     def dropped(self) -> int:
-        """How many frames nobody got so far."""
+        """The number of frames dropped so far."""
         return self._newest.dropped
 
     def read_frames(self) -> Frames:
-        """Yield the newest frame, again and again. Raises SourceError where there is no camera, or it goes away."""
+        """Yield the newest frame, again and again. Raises SourceError when the camera is missing or lost."""
         return self._newest.follow(self._grab(self._open()))
 
     def _open(self) -> Any:
@@ -139,13 +139,14 @@ class Camera:
             import cv2
         except ImportError as error:
             raise MissingLibraryError(
-                "OpenCV, which reads cameras, is not installed: pip install 'tactile-loc[camera]'"
+                "cameras are read with OpenCV, which is not installed: pip install 'tactile-loc[camera]'"
             ) from error
         found = cv2.VideoCapture(int(self.device) if self.device.isdigit() else self.device)
         if not found.isOpened():
             found.release()
             raise SourceError(
-                f"{self.about} cannot be opened; is it plugged in, may you read it, and does no other program use it?"
+                f"{self.about} cannot be opened; check its connection and permissions, and close other programs that "
+                "use it"
             )
         return found
 
@@ -158,11 +159,11 @@ class Camera:
                 number += 1
         finally:
             opened.release()
-        raise SourceError(f"{self.about} gives no image any more, after {number}; is it still plugged in?")
+        raise SourceError(f"{self.about} stopped after {number} images; check its connection")
 
 
 class Video:
-    """A video: every frame, or, as a camera would give them, the newest at the video's own rate."""
+    """A video: every frame, or the newest at the video's own rate, as from a camera."""
 
     def __init__(self, path: Path, every: bool) -> None:
         self.path, self.every, self.about = path, every, f"video {path}"
@@ -170,11 +171,11 @@ class Video:
 
     @property
     def dropped(self) -> int:
-        """How many frames nobody got so far."""
+        """The number of frames dropped so far."""
         return self._newest.dropped
 
     def read_frames(self) -> Frames:
-        """Yield its frames. Raises SourceError when it cannot be read, or breaks off before its end."""
+        """Yield the frames. Raises SourceError when the video cannot be read or is truncated."""
         return self._read() if self.every else self._newest.follow(self._play())
 
     def _read(self) -> Frames:
@@ -185,9 +186,7 @@ class Video:
         except TactileLocError as error:
             raise SourceError(str(error)) from error
         if facts.count is not None and number < facts.count - max(FEW, LACKING * facts.count):
-            raise SourceError(
-                f"{self.path} breaks off after {number} of {facts.count} frames; is it whole? {TO_INSTALL}"
-            )
+            raise SourceError(f"{self.path} ends after {number} of {facts.count} frames; {TO_READ}")
 
     def _play(self) -> Iterator[SourceFrame]:
         start = time.monotonic()
@@ -197,21 +196,21 @@ class Video:
 
 
 class ImageFolder:
-    """A folder that images, or contact shapes, are put into; in the order in which they were written, then of names.
+    """A folder that receives images or contact shapes, ordered by the time of writing, then by name.
 
-    With `every`, each of those that are there, and that is all; otherwise the newest of those that have come, and then
-    it waits for more. A file that is written anew is another frame.
+    With `every`, each file that is there is a frame, and the source ends. Otherwise it gives the newest file, and waits
+    for more. A file that is written again is another frame.
     """
 
     def __init__(self, path: Path, every: bool) -> None:
         self.path, self.every, self.about = path, every, f"folder {path}"
         self.dropped = 0
         self._number = 0
-        self._seen: dict[str, int] = {}  # when each file was written, ns
-        self._growing: dict[str, tuple[int, float]] = {}  # size, and since when it has been that
+        self._seen: dict[str, int] = {}  # time of writing of each file, ns
+        self._growing: dict[str, tuple[int, float]] = {}  # size, and the time of its last change
 
     def read_frames(self) -> Frames:
-        """Yield its files as frames. Raises SourceError when the folder is not there, or vanishes."""
+        """Yield the files as frames. Raises SourceError when the folder is missing or vanishes."""
         while True:
             waiting = self._list_waiting()
             yield from self._take_each(waiting) if self.every else self._take_newest(waiting)
@@ -220,11 +219,11 @@ class ImageFolder:
             time.sleep(POLL_S)
 
     def _list_waiting(self) -> list[tuple[int, Path]]:
-        """When the files that nobody got yet were written, and where they are, the oldest first."""
+        """Return the files that are not frames yet, oldest first, each with its time of writing."""
         try:
             found = sorted((_read_time_ns(path), path) for path in self.path.iterdir() if _is_frame(path))
         except OSError as error:
-            raise SourceError(f"{self.path} cannot be read any more ({error.strerror}); is it still there?") from error
+            raise SourceError(f"{self.path} cannot be read ({error.strerror}); check that the folder exists") from error
         waiting = [(when, path) for when, path in found if self._seen.get(path.name) != when]
         self._growing = {path.name: self._growing[path.name] for _, path in waiting if path.name in self._growing}
         return waiting
@@ -235,7 +234,7 @@ class ImageFolder:
                 yield self._count(frame, when, path)
 
     def _take_newest(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
-        """The newest that is whole; those before it are dropped."""
+        """Yield the newest readable file, and drop the older ones."""
         for place in reversed(range(len(waiting))):
             when, path = waiting[place]
             if (frame := self._read_frame(path)) is not None:
@@ -251,7 +250,7 @@ class ImageFolder:
         return replace(frame, number=self._number - 1)
 
     def _read_frame(self, path: Path) -> SourceFrame | None:
-        """A file as a frame; None while somebody may still be writing it."""
+        """Return a file as a frame; None while it may still be being written."""
         problem = None
         try:
             image = read_colour_image(path)
@@ -265,7 +264,7 @@ class ImageFolder:
         return SourceFrame(0, time.time(), path.name, image, path, problem)
 
     def _may_grow(self, path: Path) -> bool:
-        """Whether a file that cannot be read has grown a moment ago."""
+        """Return whether an unreadable file has grown within the last SETTLED_S."""
         size, now = path.stat().st_size if path.exists() else -1, time.monotonic()
         before, since = self._growing.get(path.name, (size, now))
         self._growing[path.name] = (size, since if size == before else now)
@@ -277,7 +276,7 @@ def _is_frame(path: Path) -> bool:
 
 
 def _read_time_ns(path: Path) -> int:
-    """When a file was written, ns; 0 for one that has just been taken away."""
+    """Return a file's time of writing, ns; 0 if it has just been removed."""
     try:
         return path.stat().st_mtime_ns
     except FileNotFoundError:
@@ -285,18 +284,16 @@ def _read_time_ns(path: Path) -> int:
 
 
 def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSource:
-    """Return a camera, or what `path` is: a folder of images, or a video. `every` frame, or the newest.
+    """Return the source for a camera, or for a folder of images or a video at `path`: `every` frame, or the newest.
 
-    Raises SourceError where both or neither are given, there is nothing at `path`, or a camera's `every` frame is
-    asked for.
+    Raises SourceError when both or neither are given, `path` does not exist, or a camera is asked for `every` frame.
     """
-    if (path is None) == (camera is None):
+    if path is not None and camera is None:
+        if not path.exists():
+            raise SourceError(f"there is no {path}; give a folder of images, or a video")
+        return ImageFolder(path, every) if path.is_dir() else Video(path, every)
+    if camera is None or path is not None:
         raise SourceError("give one source of images: --camera with its number, a folder, or a video")
-    if camera is not None and every:
-        raise SourceError("a camera never ends, so --once is for folders and videos; leave it out")
-    if camera is not None:
-        return Camera(camera)
-    assert path is not None
-    if not path.exists():
-        raise SourceError(f"there is no {path}; give a folder of images, or a video")
-    return ImageFolder(path, every) if path.is_dir() else Video(path, every)
+    if every:
+        raise SourceError("--once is for folders and videos, since a camera never ends; leave it out")
+    return Camera(camera)

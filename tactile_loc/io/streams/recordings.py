@@ -1,9 +1,10 @@
-"""Recordings of ROS topics, without ROS: read from MCAP and from bags of ROS 1 and 2, written as MCAP."""
+"""Recordings of ROS topics, without ROS: MCAP files and bags of ROS 1 and 2 are read, MCAP files are written."""
 
 from __future__ import annotations
 
 import os
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +29,12 @@ from tactile_loc.io.streams.ros_messages import (
 )
 from tactile_loc.store.files import write_atomically
 
-FORMATS = "an MCAP file (.mcap), a bag of ROS 1 (.bag), or the folder of a bag of ROS 2"
+FORMATS = "an MCAP file (.mcap), a ROS 1 bag (.bag), or the folder of a ROS 2 bag"
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """A message of a recording as its bytes; when it was logged and published, ns."""
+    """A message of a recording as bytes, with the times when it was logged and published, ns."""
 
     topic: Topic
     log_time_ns: int
@@ -46,19 +47,19 @@ class Message:
         types = load_types(topic.message_encoding)
         if types is None:
             raise RecordingError(
-                f"the messages of {topic.name} are written as {topic.message_encoding or 'nothing that is named'}; "
-                "only those of ROS 2 (cdr) and ROS 1 (ros1) can be read"
+                f"the messages of {topic.name} have the unknown encoding {topic.message_encoding!r}; record them by "
+                "ROS 2 (cdr) or ROS 1 (ros1)"
             )
         read = types.deserialize_cdr if topic.message_encoding == CDR else types.deserialize_ros1
         try:
             return read(self.data, topic.type)
-        except Exception as error:  # whatever stray bytes make of generated code
-            raise RecordingError(f"a message of {topic.name} is no {topic.type}: it is damaged") from error
+        except Exception as error:  # generated code raises anything for damaged bytes
+            raise RecordingError(f"a message of {topic.name} is not a {topic.type}; record it again") from error
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What a recording holds: how many messages of each topic, and what is wrong with it, if something is."""
+    """The number of messages of each topic in a recording, and its damage in words, if any."""
 
     counts: dict[Topic, int]
     damage: str = ""
@@ -70,10 +71,10 @@ class Contents:
 
 
 class Recording:
-    """A recording, read from its beginning to its end, or to where it is damaged: `damage` then says what is wrong.
+    """A recording, read to its end, or to the first damage, which `damage` then describes.
 
-    An MCAP file, a bag of ROS 1 (.bag) or the folder of a bag of ROS 2. Messages come in the order of an MCAP file, or
-    of a bag's times. Raises RecordingError when there is no such file or it is no recording, and MissingLibraryError.
+    It is an MCAP file, a ROS 1 bag (.bag) or the folder of a ROS 2 bag. Messages are in the order of the MCAP file, or
+    of a bag's times. Raises RecordingError when the file is missing or not a recording, and MissingLibraryError.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -84,10 +85,10 @@ class Recording:
             raise RecordingError(f"there is no recording {self.path}; check the path")
         self._in_mcap = os.path.isfile(self.path) and self.path.suffix.lower() == ".mcap"
         if not (self._in_mcap or os.path.isdir(self.path) or self.path.suffix.lower() == ".bag"):
-            raise RecordingError(f"{self.path} is no recording; give {FORMATS}")
+            raise RecordingError(f"{self.path} is not a recording; give {FORMATS}")
 
     def read_messages(self, *names: str) -> Iterator[Message]:
-        """Yield the messages of the topics of these names, or all. Raises RecordingError when there is none to read."""
+        """Yield the messages of the topics of these names, or all. Raises RecordingError if none can be read."""
         self.damage = ""
         found = 0
         for message in self._read_mcap() if self._in_mcap else self._read_bag():
@@ -97,17 +98,15 @@ class Recording:
         if self.damage and not found:
             raise RecordingError(f"{self.path} cannot be read as a recording ({self.damage}); give {FORMATS}")
         if self.damage:
-            self.damage = f"{self.path} is damaged or ends early ({self.damage}); its first {found} messages are read"
+            self.damage = f"{self.path} is damaged or ends early ({self.damage}); its first {found} messages are used"
 
     def read_contents(self) -> Contents:
-        """Return what the recording holds. Raises RecordingError when there is nothing that can be read."""
-        counts: dict[Topic, int] = {}
-        for message in self.read_messages():
-            counts[message.topic] = counts.get(message.topic, 0) + 1
+        """Return the recording's contents. Raises RecordingError when no message can be read."""
+        counts = Counter(message.topic for message in self.read_messages())
         return Contents(counts, self.damage)
 
     def read_frame_tree(self) -> FrameTree:
-        """Return the frames that topics of type TFMessage speak of. Raises FrameError when they are no tree."""
+        """Return the tree of the frames in topics of type TFMessage. Raises FrameError when they make no tree."""
         tree = FrameTree()
         for message in self.read_messages():
             if message.topic.type == TF:
@@ -136,7 +135,7 @@ class Recording:
                 yield Message(topics[record.channel_id], record.log_time, record.publish_time, record.data)
 
     def _read_records(self) -> Iterator[Any]:
-        """The records of the data section, to its end or to where it is damaged."""
+        """Yield the records of the data section, to its end or to the first damage."""
         from mcap.exceptions import EndOfFile
         from mcap.records import DataEnd
         from mcap.stream_reader import StreamReader
@@ -149,7 +148,7 @@ class Recording:
                         return
                     yield record
             except _list_damages() as error:
-                self.damage = "it breaks off" if isinstance(error, EndOfFile) else summarize(error)
+                self.damage = "it is truncated" if isinstance(error, EndOfFile) else summarize(error)
 
     def _read_bag(self) -> Iterator[Message]:
         from rosbags.highlevel import AnyReader
@@ -167,44 +166,42 @@ class Recording:
 def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topic:
     """Return the topic of images called `name`, or the only one.
 
-    Raises RecordingError, which names those there are, when there is none, another or several.
+    Raises RecordingError, which lists the topics, when there is no such topic, or several without a `name`.
     """
-    names = [topic.name for topic in contents.images]
-    listed = ", ".join(names)
-    if not names:
+    topics = {topic.name: topic for topic in contents.images}
+    if not topics:
         held = ", ".join(f"{topic.name} ({topic.type})" for topic in contents.counts) or "nothing"
-        raise RecordingError(f"{path} holds no images: no topic of type {' or '.join(IMAGE_TYPES)}; it holds {held}")
-    if name is None and len(names) > 1:
-        raise RecordingError(f"{path} holds images on several topics; choose one by --image-topic: {listed}")
-    if name is not None and name not in names:
-        raise RecordingError(
-            f"{path} has no images on {name}; there are images on {listed}.{did_you_mean(name, names)}"
-        )
-    return contents.images[0 if name is None else names.index(name)]
+        raise RecordingError(f"{path} has no topic of images ({' or '.join(IMAGE_TYPES)}); its topics: {held}")
+    listed = f"choose one by --image-topic: {', '.join(topics)}"
+    if name is None and len(topics) > 1:
+        raise RecordingError(f"{path} has images on several topics; {listed}")
+    if name is not None and name not in topics:
+        raise RecordingError(f"{path} has no images on {name}; {listed}.{did_you_mean(name, topics)}")
+    return topics[name or next(iter(topics))]
 
 
 class RecordingWriter:
-    """Writes messages to a file as MCAP."""
+    """Writes messages to an MCAP file."""
 
     def __init__(self, file: IO[bytes]) -> None:
         require_libraries()
         from mcap.writer import Writer
 
-        self._writer: Any = Writer(file)  # whose methods are untyped
+        self._writer: Any = Writer(file)  # its methods are untyped
         self._writer.start(profile="ros2", library="tactile-loc")
         self._channels: dict[Topic, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
 
     def copy(self, message: Message) -> None:
-        """Write a message of another recording as it is."""
+        """Copy a message of another recording."""
         self._add(message.topic, message.data, message.log_time_ns, message.publish_time_ns)
 
     def write(self, name: str, type_name: str, message: Any, log_time_ns: int) -> None:
-        """Write a message of a type that ROS comes with to the topic of this name."""
+        """Write a message of a standard ROS type to the topic of this name."""
         self._add(make_topic(name, type_name), encode(message, type_name), log_time_ns, log_time_ns)
 
     def copy_extra(self, record: Any) -> None:
-        """Write an attachment or metadata of another recording as it is."""
+        """Copy an attachment or metadata of another recording."""
         if hasattr(record, "metadata"):
             self._writer.add_metadata(record.name, record.metadata)
         else:
@@ -213,7 +210,7 @@ class RecordingWriter:
             )
 
     def finish(self) -> None:
-        """Write what ends the file."""
+        """Write the end of the file."""
         self._writer.finish()
 
     def _add(self, topic: Topic, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -233,7 +230,7 @@ class RecordingWriter:
 
 
 def write_recording(path: Path, write: Callable[[RecordingWriter], object]) -> Path:
-    """Have `write` fill a recording, whole or not there, and return its path.
+    """Have `write` fill a recording, save it atomically, and return its path.
 
     Raises OutputError, and MissingLibraryError without mcap.
     """
@@ -255,19 +252,19 @@ def _read_topic(channel: Any, schema: Any) -> Topic:
 
 
 def _read_bag_topic(connection: Any, encoding: str) -> Topic:
-    definition = connection.msgdef.data.encode() or find_definition(connection.msgtype)  # older bags have none
+    definition = connection.msgdef.data.encode() or find_definition(connection.msgtype)  # missing in older bags
     kind = "ros2idl" if connection.msgdef.format.name == "IDL" else "ros2msg" if encoding == CDR else "ros1msg"
     return Topic(connection.topic, connection.msgtype, definition, kind, encoding)
 
 
 def _complete_type(name: str) -> str:
-    """A type's name as ROS 2 has it: package/msg/Name."""
+    """Return a type's name in ROS 2: package/msg/Name."""
     package, _, kind = name.partition("/")
     return name if "/" in kind or not kind else f"{package}/msg/{kind}"
 
 
 def _list_damages() -> tuple[type[Exception], ...]:
-    """What reading damaged bytes raises."""
+    """Return the errors that reading damaged bytes raises."""
     import apsw
     from mcap.exceptions import McapError
     from rosbags.highlevel import AnyReaderError
@@ -276,5 +273,5 @@ def _list_damages() -> tuple[type[Exception], ...]:
     from zstandard import ZstdError
 
     of_libraries = (McapError, AnyReaderError, Ros1Error, Ros2Error, ZstdError, struct.error, apsw.Error)
-    of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)  # on stray bytes
-    return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # lengths are damaged, too
+    of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)
+    return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # MemoryError: of damaged lengths

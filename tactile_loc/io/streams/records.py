@@ -1,4 +1,4 @@
-"""What the JSON documents of results have in common: frozen records, reading, writing, and the versions in them."""
+"""Shared parts of the JSON documents of results: frozen records, reading, writing, and library versions."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ class Record(BaseModel):
 
 
 def write_record(path: str | Path, record: Record) -> Path:
-    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
+    """Write a record as JSON, atomically, and return the path. Raises OutputError if that fails."""
     text = record.model_dump_json(indent=1) + "\n"
     return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Return the table of keys that a result's JSON file holds. Raises ResultError when it holds none."""
+    """Return the JSON object in a result's file. Raises ResultError when there is none."""
     try:
         found = read_json(path)
     except OSError as error:
-        raise ResultError(f"{path} cannot be read ({error.strerror or error})") from error
+        raise ResultError(f"{path} cannot be read ({error.strerror or error}); check the path") from error
     except ValueError as error:
-        raise ResultError(f"{path} is damaged: it is no JSON ({error}); make the result again") from error
+        raise ResultError(f"{path} is damaged: it is not JSON ({error}); make the result again") from error
     if not isinstance(found, dict):
-        raise ResultError(f"{path} is no result: it holds a {type(found).__name__}, not a table of keys")
+        raise ResultError(f"{path} is not a result: it holds a {type(found).__name__}; give a result's JSON file")
     return found
 
 
 def read_versions() -> dict[str, str]:
-    """Return the versions of tactile-loc, python and those of its libraries that are installed."""
+    """Return the versions of tactile-loc, python and the installed libraries."""
     found = {"tactile-loc": metadata.version("tactile-loc"), "python": platform.python_version()}
     for name in LIBRARIES:
         try:

@@ -1,7 +1,7 @@
-"""ROS's messages as arrays, and back: images, transforms, poses with covariance. Of ROS itself nothing is needed.
+"""ROS messages as arrays, and back: images, transforms, poses with covariance. ROS itself is not needed.
 
-A message is any object with the fields that its ROS definition names: one of rclpy's, rospy's or rosbags'. Messages are
-made, and turned into bytes, by rosbags.
+A message is any object with the fields of its ROS definition, from rclpy, rospy or rosbags. rosbags creates messages
+and serializes them.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ TF = "tf2_msgs/msg/TFMessage"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
-STATIC = "/tf_static"  # the topic of transforms that hold for all times
+STATIC = "/tf_static"  # the topic of constant transforms
 NS = 1_000_000_000
-CDR, ROS1 = "cdr", "ros1"  # how ROS 2 and ROS 1 write a message's bytes
-UNKNOWN = -1.0  # the covariance's first number where it is not known, as in sensor_msgs/Imu
+CDR, ROS1 = "cdr", "ros1"  # the encodings of messages in ROS 2 and ROS 1
+UNKNOWN = -1.0  # first number of an unknown covariance, as in sensor_msgs/Imu
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """How an image's pixels are stored: the type of a number, how many a pixel, and which of them, in our order."""
+    """The storage of an image's pixels: type of the numbers, numbers per pixel, and those kept, in our order."""
 
     dtype: str
     channels: int = 1
@@ -54,8 +54,8 @@ ENCODINGS = {
 def decode_image(message: Any) -> NDArray[Any]:
     """Return a sensor_msgs Image or CompressedImage as colours (H, W, 3) uint8, grey (H, W) uint8 or depths (H, W).
 
-    Depths (encoding 32FC1) are float32 in metres. Raises RecordingError for an encoding that is none of these, and
-    TouchError for an image that is damaged.
+    Depths (encoding 32FC1) are float32 in metres. Raises RecordingError for another encoding, and TouchError for a
+    damaged image.
     """
     return _decode_raw(message) if hasattr(message, "encoding") else _decode_compressed(message)
 
@@ -67,12 +67,12 @@ def _decode_raw(message: Any) -> NDArray[Any]:
             f"images of the encoding {message.encoding!r} cannot be read; convert them to one of {', '.join(ENCODINGS)}"
         )
     dtype = np.dtype(encoding.dtype).newbyteorder(">" if message.is_bigendian else "<")
-    used = message.width * encoding.channels * dtype.itemsize  # bytes of a row; the others fill it up
+    used = message.width * encoding.channels * dtype.itemsize  # bytes of a row, without padding
     data = np.frombuffer(message.data, np.uint8)
     if message.step < used or len(data) < message.height * message.step or not used:
         raise TouchError(
-            f"the image has {len(data)} bytes in rows of {message.step}; {message.width} x {message.height} pixels of "
-            f"{message.encoding} take {message.height * used}"
+            f"the image is damaged: it has {len(data)} bytes in rows of {message.step}, but {message.width} x "
+            f"{message.height} pixels of {message.encoding} need {message.height * used}"
         )
     rows = data[: message.height * message.step].reshape(message.height, message.step)[:, :used]
     pixels = np.ascontiguousarray(rows).view(dtype).reshape(message.height, message.width, encoding.channels)
@@ -85,11 +85,10 @@ def _decode_compressed(message: Any) -> NDArray[Any]:
     try:
         mode, values = load_image(BytesIO(bytes(message.data)))
     except UNREADABLE as error:
-        raise TouchError(f"the compressed image ({message.format}) is damaged, or is no PNG or JPEG") from error
+        raise TouchError(f"the compressed image ({message.format}) is damaged, or not a PNG or JPEG") from error
     if mode not in ("RGB", "L"):
         raise RecordingError(
-            f"compressed images of the kind {mode} ({message.format}) cannot be read; they must be colour or grey, "
-            "of 8 bits"
+            f"compressed images of mode {mode} ({message.format}) cannot be read; convert them to 8-bit colour or grey"
         )
     return values
 
@@ -100,7 +99,7 @@ def read_stamp_ns(header: Any) -> int:
 
 
 def add_transforms(tree: FrameTree, message: Any, fixed: bool) -> None:
-    """Add the transforms of a tf2_msgs TFMessage to a tree. Raises FrameError for what is no rotation."""
+    """Add the transforms of a tf2_msgs TFMessage to a tree. Raises FrameError for a rotation without direction."""
     for one in message.transforms:
         q, t = one.transform.rotation, one.transform.translation
         T = read_transform(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]), one.child_frame_id)
@@ -108,27 +107,28 @@ def add_transforms(tree: FrameTree, message: Any, fixed: bool) -> None:
 
 
 def read_transform(t_m: NDArray[np.float64], q_xyzw: NDArray[np.float64], name: str = "it") -> NDArray[np.float64]:
-    """Return the transform (4, 4) of a translation (3,), metres, and a quaternion (4,), scalar last, as ROS has them.
+    """Return the transform (4, 4) of a translation (3,), metres, and a quaternion (4,), scalar last, as in ROS.
 
-    Raises FrameError, which calls it `name`, unless they are finite and the quaternion has a direction.
+    Raises FrameError, which names the frame `name`, for infinite numbers or a quaternion of length zero.
     """
     length = float(np.linalg.norm(q_xyzw))
     if not (np.isfinite(t_m).all() and np.isfinite(length) and length > 1e-6):
-        raise FrameError(f"the transform of {name!r} has the rotation {q_xyzw.tolist()}, which is none")
+        numbers = f"translation {t_m.tolist()} and quaternion {q_xyzw.tolist()}"
+        raise FrameError(f"the transform of {name!r} is not rigid: {numbers}; check the node that publishes it")
     return make_transform(quaternion_to_rotation(np.roll(q_xyzw / length, 1)), t_m)
 
 
 def _name_frame(name: str) -> str:
-    """A frame's name as ROS 2 has it: without a leading slash."""
+    """Return a frame's name in ROS 2: without a leading slash."""
     return name.removeprefix("/")
 
 
 @dataclass(frozen=True, eq=False)
 class RosPose:
-    """What a geometry_msgs PoseWithCovariance says.
+    """The contents of a geometry_msgs PoseWithCovariance.
 
-    `position_m` (3,); `quaternion_xyzw` (4,), scalar last; `covariance` (36,), rows of 6: x, y, z (m), then rotations
-    about the fixed axes x, y, z (rad), of the frame that the header names. Its first number is -1 where it is unknown.
+    `position_m` (3,). `quaternion_xyzw` (4,), scalar last. `covariance` (36,), rows of 6: x, y, z (m), then rotations
+    about the fixed axes x, y, z (rad) of the header's frame; its first number is -1 if it is unknown.
     """
 
     position_m: tuple[float, ...]
@@ -137,10 +137,10 @@ class RosPose:
 
     @classmethod
     def of(cls, T: NDArray[np.float64], covariance: NDArray[np.float64] | None) -> RosPose:
-        """Take a pose (4, 4), metres, and its covariance (6, 6) as `RefinedPose` has it, or None.
+        """Convert a pose (4, 4), metres, and its covariance (6, 6), as in `RefinedPose`, or None.
 
-        A rotation vector's error and rotations about the three fixed axes are the same to first order, which is all
-        that a covariance says.
+        To first order, errors of a rotation vector are rotations about the three fixed axes, so both have the same
+        covariance.
         """
         numbers = [UNKNOWN, *[0.0] * 35] if covariance is None else covariance.ravel().tolist()
         wxyz = rotation_to_quaternion(T[:3, :3])
@@ -153,7 +153,7 @@ class RosPose:
 
 
 def read_pose(message: Any) -> RosPose:
-    """Return what a geometry_msgs PoseWithCovarianceStamped says."""
+    """Return the pose in a geometry_msgs PoseWithCovarianceStamped."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
     covariance = tuple(float(v) for v in message.pose.covariance)
     return RosPose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w), covariance)
@@ -161,7 +161,7 @@ def read_pose(message: Any) -> RosPose:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a recording: its `type` as ROS 2 names it, its definition, and how its messages are written."""
+    """A topic of a recording: its `type` in ROS 2, its definition, and the encoding of its messages."""
 
     name: str
     type: str
@@ -172,35 +172,31 @@ class Topic:
 
 
 def require_libraries() -> None:
-    """Raise MissingLibraryError, which says how to install them, unless mcap and rosbags are there."""
+    """Raise MissingLibraryError unless mcap and rosbags are installed."""
     for name in ("mcap", "rosbags"):
         try:
             import_module(name)
         except ImportError as error:
             raise MissingLibraryError(
-                f"recordings are read and written with {name}, which is not installed: "
-                "pip install 'tactile-loc[recordings]'"
+                f"recordings are read with {name}, which is not installed: pip install 'tactile-loc[recordings]'"
             ) from error
 
 
 @cache
 def make_topic(name: str, type_name: str) -> Topic:
-    """Return a topic of ROS 2 messages of a type that ROS comes with. Raises MissingLibraryError."""
+    """Return a topic of ROS 2 messages of a standard type. Raises MissingLibraryError."""
     return Topic(name, type_name, find_definition(type_name))
 
 
 def find_definition(type_name: str) -> bytes:
-    """Return the definition of a type that ROS 2 comes with; of another, none."""
+    """Return the definition of a standard ROS 2 type; empty for another type."""
     store = load_types(CDR)
     return store.generate_msgdef(type_name, ros_version=2)[0].encode() if type_name in store.types else b""
 
 
 @cache
 def load_types(encoding: str) -> Any:
-    """Return the types that ROS 2 or ROS 1 comes with, as rosbags has them; None for another encoding.
-
-    Raises MissingLibraryError without rosbags.
-    """
+    """Return rosbags' standard types of ROS 2 or ROS 1; None for another encoding. Raises MissingLibraryError."""
     require_libraries()
     from rosbags.typesys import Stores, get_typestore
 
@@ -209,12 +205,12 @@ def load_types(encoding: str) -> Any:
 
 
 def encode(message: Any, type_name: str) -> bytes:
-    """Return a message as ROS 2 writes it (CDR). Raises MissingLibraryError."""
+    """Return a message in ROS 2's encoding, CDR. Raises MissingLibraryError."""
     return bytes(load_types(CDR).serialize_cdr(message, type_name))
 
 
 def make_image(values: NDArray[Any], encoding: str, stamp_ns: int, frame: str) -> Any:
-    """Return the sensor_msgs Image of an array (H, W) or (H, W, C), of an encoding such as rgb8 or 32FC1."""
+    """Return an array (H, W) or (H, W, C) as a sensor_msgs Image of an encoding such as rgb8 or 32FC1."""
     dtype = np.dtype(ENCODINGS[encoding].dtype).newbyteorder("<")
     rows = np.ascontiguousarray(values, dtype).reshape(len(values), -1)
     return _make(
@@ -241,8 +237,8 @@ def make_transforms(transforms: dict[tuple[str, str], NDArray[np.float64]], stam
     listed = []
     for (parent, child), T in transforms.items():
         pose = RosPose.of(T, None)
-        shift, turn = _make_vector("Vector3", pose.position_m), _make_vector("Quaternion", pose.quaternion_xyzw)
-        moved = _make("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
+        shift, rotation = _make_vector("Vector3", pose.position_m), _make_vector("Quaternion", pose.quaternion_xyzw)
+        moved = _make("geometry_msgs/msg/Transform", translation=shift, rotation=rotation)
         head = make_header(stamp_ns, parent)
         listed.append(_make("geometry_msgs/msg/TransformStamped", header=head, child_frame_id=child, transform=moved))
     return _make(TF, transforms=listed)
@@ -255,12 +251,11 @@ def make_header(stamp_ns: int, frame: str) -> Any:
 
 
 def _make_pose(pose: RosPose) -> Any:
-    position, turn = _make_vector("Point", pose.position_m), _make_vector("Quaternion", pose.quaternion_xyzw)
-    return _make("geometry_msgs/msg/Pose", position=position, orientation=turn)
+    position, rotation = _make_vector("Point", pose.position_m), _make_vector("Quaternion", pose.quaternion_xyzw)
+    return _make("geometry_msgs/msg/Pose", position=position, orientation=rotation)
 
 
 def _make_vector(kind: str, values: tuple[float, ...]) -> Any:
-    """A geometry_msgs Point, Vector3 or Quaternion."""
     return _make(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values, strict=False)))
 
 

@@ -1,4 +1,4 @@
-"""Videos as images, by OpenCV or imageio, whichever is installed."""
+"""Videos as images, read by OpenCV or imageio, whichever is installed."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from tactile_loc.io.images import summarize
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv", ".gif")
 TO_INSTALL = "pip install 'tactile-loc[video]'"
-USUAL_HZ = 30.0  # of a video that does not say
+TO_READ = f"check the file, or install another reader: {TO_INSTALL}"
+USUAL_HZ = 30.0  # of a video without a rate
 
 
 @dataclass(frozen=True)
 class VideoFacts:
-    """What a video says of itself: frames a second, and how many there are; None where it does not say."""
+    """A video's rate, and its number of frames, None if unknown, according to its header."""
 
     rate_hz: float = USUAL_HZ
     count: int | None = None
 
 
 def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
-    """Yield the frames (H, W, 3) of a video, red first.
+    """Yield the frames (H, W, 3) of a video, in RGB.
 
-    Raises CalibrationError when it holds none, is damaged, or nothing is installed that reads its kind.
+    Raises CalibrationError when it holds no frame, is damaged, or no installed library reads its kind.
     """
     read = _read_opencv if importlib.util.find_spec("cv2") else _read_imageio
     number = 0
@@ -38,11 +39,11 @@ def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
         number += 1
         yield np.ascontiguousarray(frame[..., :3], np.uint8)
     if not number:
-        raise CalibrationError(f"{path} holds no frame that can be read; is it a whole video? {TO_INSTALL}")
+        raise CalibrationError(f"{path} holds no frame that can be read; {TO_READ}")
 
 
 def read_video_facts(path: Path) -> VideoFacts:
-    """Return the rate and the number of frames that a video's own header tells; containers estimate the latter."""
+    """Return the rate and the number of frames in a video's header; the number is an estimate."""
     read = _read_opencv_facts if importlib.util.find_spec("cv2") else _read_imageio_facts
     rate_hz, count = read(path)
     known = math.isfinite(count) and count >= 1
@@ -64,7 +65,7 @@ def _read_imageio_facts(path: Path) -> tuple[float, float]:
         import imageio.v3
 
         about = imageio.v3.immeta(path)
-    except Exception:  # noqa: BLE001 - reading the frames will say why
+    except Exception:  # noqa: BLE001 - reading the frames reports it
         return math.nan, math.nan
     duration = float(about.get("duration", math.nan))
     if path.suffix.lower() == ".gif":  # milliseconds, of the first frame
@@ -88,11 +89,8 @@ def _read_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
     try:
         import imageio.v3
     except ImportError as error:
-        raise CalibrationError(f"{path} is a video, and nothing is installed that reads them; {TO_INSTALL}") from error
+        raise CalibrationError(f"{path} is a video, but no reader of videos is installed: {TO_INSTALL}") from error
     try:
         yield from imageio.v3.imiter(path, **({"mode": "RGB"} if path.suffix.lower() == ".gif" else {}))
-    except Exception as error:  # whatever stray bytes make of the readers' code
-        raise CalibrationError(
-            f"{path} cannot be read as a video ({summarize(error)[:120]}); is it whole? for films such as mp4: "
-            f"{TO_INSTALL}"
-        ) from error
+    except Exception as error:  # readers of damaged bytes raise anything
+        raise CalibrationError(f"{path} cannot be read as a video ({summarize(error)[:120]}); {TO_READ}") from error

@@ -1,4 +1,4 @@
-"""Frames of a folder, a video and a camera: every one or the newest, and what is told when the source goes away."""
+"""Frames of a folder, a video and a camera: every frame or the newest, and the error when the source is lost."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tactile_loc.io.streams.videos import VideoFacts
 
 
 def until_it_fails(frames: Iterable[SourceFrame]) -> tuple[list[SourceFrame], str]:
-    """The frames that came before a source went away, and what it said then."""
+    """Return the frames before a source was lost, and its error."""
     found = []
     try:
         for frame in frames:
@@ -51,7 +51,7 @@ def put(folder: Path, name: str, colour: tuple[int, int, int], written_s: float 
 
 @pytest.fixture
 def meanwhile(monkeypatch) -> Callable[..., None]:
-    """Have things happen, one after the other, whenever a source waits; it must not wait more often."""
+    """Call functions, one each time a source waits; it must not wait more often."""
 
     def arrange(*happenings: Callable[[], object]) -> None:
         waiting = iter(happenings)
@@ -80,7 +80,7 @@ def test_the_newest_of_a_folder_counts_and_then_it_waits(tmp_path, meanwhile):
     meanwhile(
         lambda: None,
         lambda: put(folder, "a.png", COLOURS[3], 20),
-        lambda: put(folder, "2.png", COLOURS[1], 30),  # written anew
+        lambda: put(folder, "2.png", COLOURS[1], 30),  # written again
     )
     source = ImageFolder(folder, every=False)
     frames = source.read_frames()
@@ -184,7 +184,7 @@ def test_a_file_that_is_no_video_is_told(tmp_path):
 
 
 class FakeCapture:
-    """A camera of OpenCV that gives three images, blue first, and is unplugged then."""
+    """A camera of OpenCV that gives three images, in BGR, and is then unplugged."""
 
     asked: object = None
     opens = True

@@ -1,4 +1,4 @@
-"""Recordings: written by one library and read by others, bags of ROS 1 and 2, damaged files, topics that lack."""
+"""Recordings: written by one library and read by others, bags of ROS 1 and 2, damaged files, missing topics."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def recorded(tmp_path) -> Path:
 
 
 def in_chunks(path: Path, compression: CompressionType, chunk: int) -> Path:
-    """The same images, in chunks of some bytes."""
+    """The same images, in small chunks."""
     with path.open("wb") as file:
         writer = Writer(file, compression=compression, chunk_size=chunk, use_chunking=chunk > 0)
         writer.start()

@@ -1,4 +1,4 @@
-"""Messages as arrays and back: pixels of every encoding, transforms, and poses whose covariance is ROS's."""
+"""Messages as arrays and back: pixels of every encoding, transforms, and poses with ROS's covariance."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_poses_go_to_ros_and_back():
 
 
 def test_the_covariance_in_the_base_is_that_of_samples_about_the_fixed_axes():
-    """Errors drawn in the sensor's frame as RefinedPose has them, seen from the base as ROS defines a covariance."""
+    """Errors drawn in the sensor's frame, as in RefinedPose, have ROS's covariance in the base frame."""
     rng = np.random.default_rng(3)
     R_sensor, R_object = draw_rotations(2, rng)
     T_base_sensor = make_transform(R_sensor, rng.normal(size=3))
