@@ -72,7 +72,7 @@ class FrameSource(Protocol):
 
 
 class _Newest:
-    """The newest of the frames that another thread reads; `dropped` counts those that nobody took."""
+    """The newest of the frames that another thread reads; `dropped` counts frames that were never taken."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
