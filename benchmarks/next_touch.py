@@ -48,7 +48,7 @@ Choice = Callable[[Localization, list[Approach]], Iterator[Approach]]
 
 
 def choose_approach(seconds: list[float]) -> Choice:
-    """Choose the approach that resolves the remaining doubt."""
+    """Choose the approach that leaves the least entropy."""
 
     def choose(found: Localization, left: list[Approach]) -> Iterator[Approach]:
         start = time.perf_counter()

@@ -211,8 +211,8 @@ def draw_track(
     above, below = right.subplots(2, 1, sharex=True)
     errors = measure_track(some, same, obj)
     times_s = np.array([one.time_s for one in some])
-    _draw_errors(above, times_s, 1e3 * errors.shift_m, 1e3 * errors.shift_std_m, "off by (mm)")
-    _draw_errors(below, times_s, np.degrees(errors.turn_rad), np.degrees(errors.turn_std_rad), "turned by (degrees)")
+    _draw_errors(above, times_s, 1e3 * errors.shift_m, 1e3 * errors.shift_std_m, "position error (mm)")
+    _draw_errors(below, times_s, np.degrees(errors.turn_rad), np.degrees(errors.turn_std_rad), "rotation error (degrees)")
     for axes in (above, below):
         _shade(axes, found)
     below.set_xlabel("time (s)")
@@ -246,7 +246,7 @@ def _draw_path(
         axes.plot(path_mm[:, x], path_mm[:, y], color=color, lw=width, label=label)
     axes.scatter(*paths_mm[0][0, [x, y]], color=STARTED, s=26, zorder=3, label="start")
     axes.set(aspect="equal", xlabel=f"{'xyz'[x]} of the object (mm)", ylabel=f"{'xyz'[y]} of the object (mm)")
-    axes.set_title("the gel's middle over the object", size=10)
+    axes.set_title("path of the gel centre on the object", size=10)
     axes.legend(frameon=False, fontsize=8)
 
 

@@ -58,7 +58,7 @@ def _draw_doubt(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> 
     axes.text(len(left) + 0.5, before, "now", ha="right", va="bottom", size=8)
     axes.set(xlim=(0.5, len(left) + 0.5), ylim=(0, max(1.15 * before, 0.1)))
     axes.set_xlabel("approach, by rank", size=9)
-    axes.set_ylabel("expected remaining doubt (nats)", size=9)
+    axes.set_ylabel("expected entropy afterwards (nats)", size=9)
     axes.tick_params(labelsize=8)
 
 
