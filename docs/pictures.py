@@ -212,7 +212,8 @@ def draw_track(
     errors = measure_track(some, same, obj)
     times_s = np.array([one.time_s for one in some])
     _draw_errors(above, times_s, 1e3 * errors.shift_m, 1e3 * errors.shift_std_m, "position error (mm)")
-    _draw_errors(below, times_s, np.degrees(errors.turn_rad), np.degrees(errors.turn_std_rad), "rotation error (degrees)")
+    turn_deg, turn_std_deg = np.degrees(errors.turn_rad), np.degrees(errors.turn_std_rad)
+    _draw_errors(below, times_s, turn_deg, turn_std_deg, "rotation error (degrees)")
     for axes in (above, below):
         _shade(axes, found)
     below.set_xlabel("time (s)")

@@ -41,6 +41,7 @@ RETRIES = 2  # for failures outside the evaluation, such as a broken connection
 CONNECT_S = 10
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 LOCAL_FAILURES = 1  # deaths of local workers after which a combination is tried again, in each of two rounds
+REPLACEMENT_S = 5  # after which a lost local worker is replaced
 LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # used by Dask
 
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://.+")
@@ -311,7 +312,11 @@ def _start_cluster(local: LocalWorkers) -> Iterator[str]:
     import dask
     from distributed import LocalCluster
 
-    settings = {"distributed.scheduler.allowed-failures": LOCAL_FAILURES, "distributed.scheduler.worker-ttl": None}
+    settings = {
+        "distributed.scheduler.allowed-failures": LOCAL_FAILURES,
+        "distributed.scheduler.worker-ttl": None,
+        "distributed.deploy.lost-worker-timeout": f"{REPLACEMENT_S}s",
+    }
     with (
         _open_log(local.log) as handler,
         _redirect_logs(handler),
@@ -327,9 +332,27 @@ def _start_cluster(local: LocalWorkers) -> Iterator[str]:
         except (OSError, RuntimeError) as error:
             raise ClusterError(f"local workers do not start ({error}); see {local.log}") from error
         try:
-            yield cluster.scheduler_address
+            with replace_lost_workers(cluster, local.workers):
+                yield cluster.scheduler_address
         finally:
             _end(cluster)
+
+
+@contextmanager
+def replace_lost_workers(cluster: Any, count: int) -> Iterator[None]:
+    """Keep a local cluster at `count` workers.
+
+    Dask restarts a worker that dies, but not one that dies while Dask still waits for its start. Without this, a
+    combination that kills its workers at once could leave a cluster without workers, and the sweep would wait forever.
+    """
+    from tornado.ioloop import PeriodicCallback
+
+    check = PeriodicCallback(lambda: cluster.scale(count), 1e3 * REPLACEMENT_S)
+    cluster.loop.add_callback(check.start)
+    try:
+        yield
+    finally:
+        cluster.loop.add_callback(check.stop)
 
 
 def _end(cluster: Any) -> None:

@@ -31,6 +31,7 @@ from tactile_loc.sweeps.workers import (
     Job,
     LocalWorkers,
     evaluate_job,
+    replace_lost_workers,
     summarise,
 )
 
@@ -138,7 +139,7 @@ def test_a_refiner_that_is_not_there_is_refused_before_anything_runs(tiny, tmp_p
 def cluster(faults):
     distributed = pytest.importorskip("distributed")
     settings = {"n_workers": 2, "processes": True, "threads_per_worker": 1, "dashboard_address": None}
-    with distributed.LocalCluster(**settings) as cluster:
+    with distributed.LocalCluster(**settings) as cluster, replace_lost_workers(cluster, 2):
         yield cluster
 
 
