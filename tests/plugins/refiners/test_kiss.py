@@ -132,5 +132,6 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
     monkeypatch.delitem(sys.modules, "tactile_loc.plugins.refiners.kiss")
+    registry.cache_clear()  # it may have loaded the refiner for another test
     with pytest.raises(MissingLibraryError, match=naming("'kiss-icp'", "pip install tactile-loc[kiss]")):
         registry().create("refiner", "kiss-icp")
