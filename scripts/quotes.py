@@ -165,7 +165,7 @@ QUOTES: dict[str, dict[str, Values]] = {
         "from its mesh by 0.1 mm** (three demo objects, GelSight Mini). With one touch of a known face, the error is "
         "below 1 mm in {} to {} % of the examples, instead of {} % with an exact mesh":
             lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
-        "With three touches from any direction, it is in {} to {} %, instead of {} %":
+        "With three touches from any direction, it is below 1 mm in {} to {} %, instead of {} %":
             lambda r: outside(r, 5, DRAWN[2], DRAWN[3], DRAWN[0]),
         "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
         "| fit its probabilities, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
