@@ -143,7 +143,7 @@ def worse_found(r: Results) -> list[float]:
 
 
 SETTINGS = {
-    "README.md": ("Python 3.11 or newer", "The median is below 0.01 mm on most parts"),
+    "README.md": ("Python 3.11 or newer", "The median error is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
         "without a GPU, Python 3.11.",
         "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, "
@@ -159,13 +159,13 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: [r.at("contacts-clean", 1, touches, "all 14")[0] for touches in "235"],
         "| within 1 mm, strong noise, all cases | | {} % | {} % |":
             lambda r: [r.at("contacts-strong", 1, place, "all 14")[0] for place in (2, 6)],
-        "10 000 poses, one touch). Without noise the answer is {} to {} mm off (medians) on seven of nine": one_touch,
-        "Strong noise makes it {} to {} mm on the six demo objects":
+        "10 000 poses, one touch). Without noise, the median error is {} to {} mm on seven of nine": one_touch,
+        "With strong noise, the median error is {} to {} mm on the six demo objects":
             lambda r: ends(r.column("evaluate", 1, "chosen")[:6]),
-        "from its mesh by 0.1 mm** (three demo objects, GelSight Mini). One touch of a known face locates {} to "
-        "{} % within 1 mm, instead of {} % with an exact mesh":
+        "from its mesh by 0.1 mm** (three demo objects, GelSight Mini). With one touch of a known face, the error is "
+        "below 1 mm in {} to {} % of the examples, instead of {} % with an exact mesh":
             lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
-        "Three touches from any direction locate {} to {} % instead of {} %":
+        "With three touches from any direction, it is below 1 mm in {} to {} %, instead of {} %":
             lambda r: outside(r, 5, DRAWN[2], DRAWN[3], DRAWN[0]),
         "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
         "| fit its probabilities, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
