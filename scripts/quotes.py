@@ -209,7 +209,8 @@ QUOTES: dict[str, dict[str, Values]] = {
     "docs/benchmarks/outside-the-model.md": {
         "within 1 mm in {} % of the examples with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 5, *DRAWN),
-        "Their median error grows from {} mm to the error of the mesh or more": lambda r: medians_outside(r, DRAWN[0])[1:],
+        "Their median error grows from {} mm to the error of the mesh or more":
+            lambda r: medians_outside(r, DRAWN[0])[1:],
         "{} to {} mm with scans, {} to {} mm decimated":
             lambda r: [*medians_outside(r, *DRAWN[1:3]), *medians_outside(r, DRAWN[3])],
         "One touch is within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
@@ -217,8 +218,8 @@ QUOTES: dict[str, dict[str, Values]] = {
     },
     "docs/benchmarks/evaluation-results.md": {
         "on the hook the median error falls from {} to {} mm": second_contact,
-        "With seven contacts, contact alone still has {} to {} of a random pose's error; best-1 is {} to {} times nearer":
-            seven_contacts,
+        "With seven contacts, contact alone still has {} to {} of a random pose's error; best-1 is {} to {} times "
+        "nearer": seven_contacts,
     },
     "docs/benchmarks/probabilities.md": {
         "The worst are the 50 % sets of one touch, which hold {} %":
@@ -229,7 +230,8 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
     },
     "docs/benchmarks/encoders.md": {
-        "The error best-1 of the learned encoder is below that of pixels on {} of {} objects, with a ratio of {}": learned,
+        "The error best-1 of the learned encoder is below that of pixels on {} of {} objects, with a ratio of {}":
+            learned,
         "The best of its ten most probable poses has at most {} times the nearest grid pose's error, except on the "
         "ambiguous 00308 ({})":
             lambda r: sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:],
