@@ -146,7 +146,7 @@ SETTINGS = {
     "README.md": ("Python 3.11 or newer", "The median error is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
         "without a GPU, Python 3.11.",
-        "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, "
+        "are from 2026-11-21. At that time, objects were drawn where they just touch. To the GelSlim's pinhole camera, "
         "the outline of a pressed object is up to 8 % larger",
     ),
 }
@@ -197,43 +197,45 @@ QUOTES: dict[str, dict[str, Values]] = {
                        for name in ("AutoMate 00308_plug", "pulley (MBRFA30)")],
     },
     "docs/benchmarks/several-touches.md": {
-        "**Of what two, three and five touches determine, {}, {} and {} % is located within 0.5 mm**; {} % of all "
-        "examples of three touches and {} % of five": five_located,
+        "**If two, three or five touches determine the pose, {}, {} and {} % of the examples are located within "
+        "0.5 mm.** Of all examples, these are {} % with three touches and {} % with five": five_located,
     },
     "docs/benchmarks/outliers-mount.md": {
-        "A right touch is named in {} of {} examples without a wrong one, and in none of {} with one": wrongly,
-        "the wrong one is named in {} of {} examples, of sensors that are a little off in {} of {}": named,
-        "ten touches tell the place to {} mm and the rotation to {} degrees":
+        "A correct touch is reported in {} of {} examples without a wrong one, and in none of {} with one": wrongly,
+        "the wrong one is reported in {} of {} examples; with slightly misplaced sensors, in {} of {}": named,
+        "ten touches determine the mount's position to {} mm and its rotation to {} degrees":
             lambda r: [r.at("mount", 1, place, "mild", "10")[0] for place in (3, 4)],
     },
     "docs/benchmarks/outside-the-model.md": {
         "within 1 mm in {} % of the examples with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 5, *DRAWN),
-        "Their median grows from {} mm to the error of the mesh and more": lambda r: medians_outside(r, DRAWN[0])[1:],
+        "Their median error grows from {} mm to the error of the mesh or more":
+            lambda r: medians_outside(r, DRAWN[0])[1:],
         "{} to {} mm with scans, {} to {} mm decimated":
             lambda r: [*medians_outside(r, *DRAWN[1:3]), *medians_outside(r, DRAWN[3])],
         "One touch is within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 3, *DRAWN),
     },
     "docs/benchmarks/evaluation-results.md": {
-        "on the hook the median falls from {} to {} mm": second_contact,
-        "Contact alone stays at {} to {} of a random pose's error with seven contacts; best-1 is {} to {} times nearer":
-            seven_contacts,
+        "on the hook the median error falls from {} to {} mm": second_contact,
+        "With seven contacts, contact alone still has {} to {} of a random pose's error; best-1 is {} to {} times "
+        "nearer": seven_contacts,
     },
     "docs/benchmarks/probabilities.md": {
         "The worst are the 50 % sets of one touch, which hold {} %":
             lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
         "The 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
-        "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
+        "On the ten objects, they hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
         "{} to {} % of the truths, not 5, are outside the 95 % ellipsoid":
             lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
     },
     "docs/benchmarks/encoders.md": {
-        "The learned encoder's best-1 is below that of pixels on {} of {} objects, in geometric mean {} of it": learned,
-        "Its ten most probable poses come within {} times the nearest grid pose's error on all objects but the "
+        "The error best-1 of the learned encoder is below that of pixels on {} of {} objects, with a ratio of {}":
+            learned,
+        "The best of its ten most probable poses has at most {} times the nearest grid pose's error, except on the "
         "ambiguous 00308 ({})":
             lambda r: sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:],
-        "the learned encoder's first pose is at {} mm in the median over the objects, pixels' at {}":
+        "pose of the learned encoder is {} mm off (median over the objects), that of pixels {}":
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),
         **{f"| {name}, {line} | {paper} | {{}} | {{}} |": beside_the_paper(name, line) for name, line, paper in PAPER},
@@ -245,16 +247,16 @@ QUOTES: dict[str, dict[str, Values]] = {
         "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
     },
     "docs/benchmarks/next-touch.md": {
-        "After the first touch the chosen ones need {} more, random ones {}: hardly fewer, and {} instead of {} % are "
-        "known within three": more_touches,
-        "{} % of the left-out parts are taken for another":
+        "After the first touch, {} chosen ones are needed, or {} random ones. Within three touches, {} % of the poses "
+        "are known instead of {} %": more_touches,
+        "{} % of these parts are identified as another":
             lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
     },
     "docs/benchmarks/presses-labels.md": {
-        "Five presses that are spread come to {}, {}, {} and {} times the error of all": presses("5", 1),
-        "ten to {}, {}, {} and {}; five at random": presses("10", 1),
-        "five at random to {}, {}, {} and {}": presses("5", 0),
-        "On the others they are worse by {} and {} %": worse_found,
+        "With five spread presses, the error is {}, {}, {} and {} times that with all presses": presses("5", 1),
+        "with ten, {}, {}, {} and {}; with five at random": presses("10", 1),
+        "with five at random, {}, {}, {} and {}": presses("5", 0),
+        "On the others, its error is larger by {} and {} %": worse_found,
     },
     "docs/benchmarks/simulated-images.md": {
         "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
