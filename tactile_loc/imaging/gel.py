@@ -1,8 +1,8 @@
 """The gel's surface under a press: the object's surface in the contact, and a smooth return to rest around it.
 
-A gel cannot follow a step. Outside the contact its surface falls off, steeply at first and with a long tail. This is
-computed by blurs of decreasing width, and after each blur the contact is restored. Wide blurs make the tail; narrow
-ones join it to the contact's edge. All widths are metres on the sensing surface.
+A gel cannot follow a step. Outside the contact, its surface falls off, steeply at first and with a long tail. This is
+computed by blurs of decreasing width. After each blur, the contact is restored. Wide blurs make the tail; narrow ones
+join it to the contact's edge. All widths are metres on the sensing surface.
 """
 
 from __future__ import annotations
