@@ -35,7 +35,7 @@ class FusionEvaluation:
     """Errors of E examples located from each of C numbers of contacts.
 
     `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, with symmetric poses equal. `alone`
-    (E, C, 2) marks examples in which a line of FUSED_LINES found no pose common to all contacts, and used only the first
+    (E, C, 2) marks examples in which a line of FUSED_LINES found no pose common to all contacts and used only the first
     contact. `refused` (E,) is the number of presses that showed no touch; they do not count.
     """
 
@@ -110,7 +110,7 @@ class _Examples:
         return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
     def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
-        """Return each example's posteriors and true poses (M, 4, 4), metres, by touch, and counts of refused presses."""
+        """Return each example's posteriors and true poses (M, 4, 4), metres, by touch, and refused presses (E,)."""
         most = self.contacts[-1]
         drawn = [self.source.draw_counted(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
         touches = [touch for touch, _ in drawn]

@@ -32,7 +32,7 @@ Points = NDArray[np.float64]
 
 
 def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-    """Return ADD without symmetry (...,): the mean distance, metres, of object points (P, 3) at two poses (..., 4, 4)."""
+    """Return ADD without symmetry (...,): mean distance, metres, of object points (P, 3) at two poses (..., 4, 4)."""
     return np.linalg.norm(transform_points(T1, points_m) - transform_points(T2, points_m), axis=-1).mean(axis=-1)
 
 
