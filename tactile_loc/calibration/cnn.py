@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 ON_CONTACT = 0.75  # share of crops with contact: most of an image is untouched, and easy to learn
 EDGE_WEIGHT = 0.9  # weight of the error of the indentation's root, to which a contact's shallow rim contributes
-EDGE_SHARE = 5e-3  # share of the deepest press below which that root is nearly linear
+EDGE_SHARE = 5e-3  # share of the maximal depth below which that root is nearly linear
 LEAST_STD = 1e-3  # least standard deviation of an input plane: constant planes are not amplified
 
 
@@ -205,7 +205,7 @@ class CnnTrainer:
         return float(rms.detach())
 
     def _take_root(self, indentation_m: torch.Tensor) -> torch.Tensor:
-        """Return the root of an indentation's share of the deepest press."""
+        """Return the root of an indentation's share of the maximal depth."""
         return (indentation_m.clamp(min=0) / self.samples.deepest_m + EDGE_SHARE).sqrt()
 
     def _schedule_rate(self, epochs_done: float) -> float:

@@ -50,9 +50,9 @@ def label_ball(
     """Return the label of a ball, given the centre (x, y) and radius of its visible circle in pixels of the image.
 
     Let rho be the distance from the centre on the surface, r the circle's radius and R the ball's. The indentation is
-    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. On a curved gel, the ball's centre is shifted so that the
-    ball is parallel to the gel at the circle's centre, and the mean indentation of the rim is 0. Raises
-    CalibrationError when the circle is larger than the ball or its centre is outside the image.
+    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. On a curved gel, the ball's centre is shifted: the ball
+    becomes parallel to the gel at the circle's centre, and the rim's mean indentation 0. Raises CalibrationError when
+    the circle is larger than the ball or its centre is outside the image.
     """
     height, width = geometry.shape
     if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):

@@ -36,7 +36,7 @@ KINDS = {
 MOST_READ_PX = 200  # longer image side: twice as many pixels take four times as long, without better poses
 SAME_SHAPE = 0.01  # largest relative difference of the aspect ratio of a smaller image
 FOR_MEDIAN = 9  # fewest presses, at different places, whose median shows the untouched gel
-DEEPEST_MM = 1.5  # assumed deepest press of a public set
+DEEPEST_MM = 1.5  # assumed maximal depth of the sensor of a public set
 Rows = Iterable[tuple[str, tuple[float, float, float] | None]]  # images' names, and circles: x, y, radius
 HALF = 0.5  # public sets count pixels from the centre of the first; tactile-loc from its corner
 
@@ -308,7 +308,7 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
 
 
 def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
-    """Write `sensor.toml` for images of a shape (rows, columns) and scale, with the deepest press DEEPEST_MM."""
+    """Write `sensor.toml` for images of a shape (rows, columns) and scale, with the maximal depth DEEPEST_MM."""
     scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
     path = folder / SENSOR
     path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")

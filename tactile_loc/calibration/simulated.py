@@ -32,7 +32,7 @@ from tactile_loc.store.workspace import Workspace
 STAGE_VERSION = 3
 PIECES = "images-{:04d}", "indentation-{:04d}"  # names of a shard's arrays
 SHARD = 64  # presses that are rendered, saved and resumed together; each shard has its own lamps
-DEEPEST = 65535  # indentations are 16-bit shares of the sensor's deepest press
+DEEPEST = 65535  # indentations are 16-bit shares of the sensor's maximal depth
 VARIATION = 0.25  # of the lamps, relative to the spread between sensors of one make
 PRESSES = {"photometric": 200, "cnn": 2000}  # default numbers of presses
 

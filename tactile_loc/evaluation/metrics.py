@@ -139,7 +139,7 @@ def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.f
     """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
 
     e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the nearest pose that is
-    symmetric to the true one (4, 4). With true covariances and Gaussian errors its mean is 6 (chi-squared).
+    symmetric to the true one (4, 4). Its mean is 6 (chi-squared) if the covariances are true and the errors Gaussian.
     """
     T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
     rotation = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()

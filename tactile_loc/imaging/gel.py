@@ -48,7 +48,7 @@ def press_gel(
     """Return the indentation of the gel's surface (N, H, W) float32, metres, not below 0.
 
     `depth_m` (N, H, W) are contact depths at presses `press_depth_m` (N,), both in metres. The surface returns to rest
-    over about `softness_m` metres, and its edges are rounded by a small share of this. With a softness of zero the
+    over about `softness_m` metres, and its edges are rounded by a small share of this. If the softness is zero, the
     surface is the object's. Outside the sensing rectangle the indentation is 0. Raises ConfigError for sizes that do
     not fit.
     """

@@ -188,7 +188,7 @@ def write_json(path: Path, value: Any) -> Path:
 def _make_folder_beside(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside `path`, locked until the block ends, and then removed.
 
-    The folder's name is always the same, so that the rest of a killed process is found without listing all files, which
+    The folder's name is always the same, so the rest of a killed process is found without listing all files. Listing
     would be slow in a folder of many files.
     """
     folder = path.with_name(f"{_TEMPORARY}new-{path.name}")

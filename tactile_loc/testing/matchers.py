@@ -207,7 +207,7 @@ def _make_dense() -> Float32:
 
 
 def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
-    """Raise ContractError unless scores agree for the rows compared both times, of which there must be some."""
+    """Raise ContractError unless scores agree for the rows compared both times, and there are such rows."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)
     require_close(scores[both], truth[both], TOLERANCE, sentence)

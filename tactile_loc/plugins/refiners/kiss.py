@@ -33,7 +33,7 @@ class KissIcpRefiner(CloudRefiner):
     """Registers in two passes: a wide one for coarse alignment, then a narrow one."""
 
     class Options(CloudRefiner.Options):
-        """Largest distances of corresponding points, the thinning of the touch's cloud, and the iterations."""
+        """Largest distances of corresponding points, the density of the touch's cloud, and the iterations."""
 
         wide_mm: float = Field(default=3.0, gt=0, description="largest distance of paired points in pass 1, mm")
         narrow_mm: float = Field(default=0.7, gt=0, description="largest distance of paired points in pass 2, mm")
