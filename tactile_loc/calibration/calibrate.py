@@ -51,7 +51,7 @@ class PressErrors:
 
 
 def average_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
-    """Return the mean of each error over the presses for which it is known; an error that is never known is omitted."""
+    """Return the mean of each error over the presses for which it is known; errors that are never known are omitted."""
     found = {f.name: [getattr(e, f.name) for e in errors] for f in fields(PressErrors)}
     known = {name: [v for v in values if np.isfinite(v)] for name, values in found.items()}
     return {name: float(np.mean(values)) for name, values in known.items() if values}
@@ -67,7 +67,7 @@ class Calibrated:
     usual: Health
 
     def record(self) -> dict[str, Any]:
-        """Return the errors, the noise of the untouched gel (metres), and the usual health, as JSON values."""
+        """Return the errors, the noise of the untouched gel (metres) and the usual health, as JSON values."""
         mean = average_errors(self.errors)
         held_out = {"presses": list(self.held_out), "mean": mean}
         return {"noise_m": mean.get("untouched_m", 0.0), "held_out": held_out, "health": self.usual.record()}
@@ -96,14 +96,14 @@ def calibrate(
 
 
 def _measure_usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
-    """Return the worst health of the presses that were learned from, or of a sample of them."""
+    """Return the worst health of the training presses, or of a sample of them."""
     some = learned[:: -(-len(learned) // LOOKED_AT)]
     images = (presses.read_press(number)[0] for number in some)
     return find_worst(measure_health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
 
 
 def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Split `count` presses into numbers to learn from and numbers to hold out, both in order."""
+    """Split `count` presses into the numbers of training presses and of held-out presses, both sorted."""
     drawn = np.random.default_rng(seed).permutation(count)
     few = max(1, round(HELD_OUT * count))
     return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))

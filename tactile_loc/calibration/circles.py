@@ -1,9 +1,9 @@
-"""The visible circle of a ball in an image of the gel, found without knowing the light.
+"""Finds the visible circle of a ball in an image of the gel, for any light.
 
 There are three steps, from robust to exact. First, a matched filter of coloured ramps finds the position and the
-approximate size: in a ball's imprint, the colour changes with the offset from its middle for any light. Then a fit of
-this model refines position and size. Last, each of many rays finds the steepest fall of the colour, and a circle is
-fitted robustly to these points. This circle does not depend on a model of the light.
+approximate size. Under any light, the colour in a ball's imprint changes with the offset from its middle. Then a fit of
+this model refines position and size. Last, the steepest fall of the colour is found along each of many rays, and a
+circle is fitted robustly to these points. This circle does not depend on a model of the light.
 
 Pixels count from the image's upper left corner, so the first pixel's centre is (0.5, 0.5). A `change` is an image's
 difference from the untouched gel, (H, W, 3) float32 counts, with zero median.
@@ -49,7 +49,7 @@ class Circle:
         return np.asarray(np.hypot(x + 0.5 - self.x_px, y + 0.5 - self.y_px))
 
     def measure_overhang_px(self, shape: tuple[int, int]) -> float:
-        """Return how far the circle extends beyond the border of an image (H, W), pixels; negative inside it."""
+        """Return the distance by which the circle extends beyond an image (H, W), pixels; negative if it is inside."""
         height, width = shape
         nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
         return self.radius_px - nearest
@@ -75,9 +75,9 @@ def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float
 
 
 def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint | None:
-    """Return the approximate strongest imprint of a colour change (H, W, 3), or None without a change.
+    """Return the strongest imprint of a colour change (H, W, 3), approximately, or None without a change.
 
-    Pixels that are `hidden` (H, W) count as untouched. The imprint may not be a ball's: the caller decides. `find_rim`
+    Pixels that are `hidden` (H, W) count as untouched. The imprint need not be a ball's: the caller decides. `find_rim`
     finds the visible circle near it.
     """
     seen = change if hidden is None else np.where(hidden[..., None], np.float32(0), change)
@@ -141,7 +141,7 @@ def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.com
 
 
 def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
-    """Fit a circle with its ramps, their products and a plane to the change around it. Return it with its share.
+    """Fit a circle, its ramps, their products and a plane to the change around it. Return it and the explained share.
 
     The amplitudes of each colour follow from the circle by linear least squares (variable projection).
     """
@@ -181,9 +181,9 @@ def _build_ramps(x: Array, y: Array, values: Array) -> Array:
 
 
 def find_rim(change: Float32, near: Circle) -> Circle:
-    """Return the circle near another on which the colour falls most steeply outwards.
+    """Return the circle, near a given one, on which the colour falls most steeply outwards.
 
-    Only features narrower than SKIRT radii count: the slow fading of the gel around a contact does not show its edge.
+    Only features narrower than SKIRT radii count. The gel fades slowly around a contact, which does not show its edge.
     """
     relief = _find_relief(change, near)
     angle = np.arange(RAYS) * 2 * np.pi / RAYS
@@ -228,9 +228,9 @@ def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[
 
 
 def _fit_move(directions: Array, off: Array, weight: Array) -> Array:
-    """Return the shift and growth (3,) of a circle to pass through points at offsets `off` (RAYS,) from it.
+    """Return the shift and growth (3,) that make a circle pass through points at offsets `off` (RAYS,) from it.
 
-    Least squares with Tukey's weights exclude rays on which something else is steeper.
+    The fit is least squares. Tukey's weights exclude rays on which something else is steeper.
     """
     robust = weight
     move: Array = np.zeros(3)

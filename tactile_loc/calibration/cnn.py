@@ -1,7 +1,7 @@
-"""Depth from the whole image: six convolutions, as in Bauza et al. (CoRL 2020), learned from many simulated presses.
+"""Depth from the whole image, by six convolutions as in Bauza et al. (CoRL 2020), learned from simulated presses.
 
-Adam trains the network on random crops. The paper's loss is the RMS error of the indentation. Here the RMS error of
-its square root is added, which locates the border of a contact whose rounded rim rises slowly.
+Adam trains the network on random crops. The paper's loss is the RMS error of the indentation. Here the RMS error of its
+square root is added. This locates the border of a contact whose rounded rim rises slowly.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ Dilation = Annotated[int, Field(ge=1, le=256)]
 log = logging.getLogger(__name__)
 
 ON_CONTACT = 0.75  # share of crops with contact: most of an image is untouched, and easy to learn
-EDGE_WEIGHT = 0.9  # weight of the error of the indentation's root, in which a contact's shallow rim counts
-EDGE_SHARE = 5e-3  # share of the deepest press below which that root is nearly linear
+EDGE_WEIGHT = 0.9  # weight of the error of the indentation's root, to which a contact's shallow rim contributes
+EDGE_SHARE = 5e-3  # share of the maximal depth below which that root is nearly linear
 LEAST_STD = 1e-3  # least standard deviation of an input plane: constant planes are not amplified
 
 
 class GelNetwork(nn.Module):
-    """From features (N, PLANES, H, W) to indentation (N, H, W), both normalised by the statistics in its buffers.
+    """Maps features (N, PLANES, H, W) to indentations (N, H, W), both normalised by the statistics in its buffers.
 
-    The paper's network: five convolutions of 3 x 3 pixels with ReLU, dropout, one of 1 x 1. Plain convolutions see
-    11 px. That is too little in the middle of a flat contact, which only its edge distinguishes from untouched gel. The
-    default dilated convolutions see 63 px at the same cost.
+    This is the paper's network: five convolutions of 3 x 3 pixels with ReLU, dropout, and one convolution of 1 x 1.
+    Plain convolutions see 11 px. That is too little in the middle of a flat contact: only its edge distinguishes it
+    from untouched gel. The default dilated convolutions see 63 px at the same cost.
     """
 
     input_mean: torch.Tensor
@@ -205,7 +205,7 @@ class CnnTrainer:
         return float(rms.detach())
 
     def _take_root(self, indentation_m: torch.Tensor) -> torch.Tensor:
-        """Return the root of an indentation's share of the deepest press."""
+        """Return the root of an indentation's share of the maximal depth."""
         return (indentation_m.clamp(min=0) / self.samples.deepest_m + EDGE_SHARE).sqrt()
 
     def _schedule_rate(self, epochs_done: float) -> float:
@@ -246,9 +246,9 @@ def _rms(off: torch.Tensor, observed: torch.Tensor) -> torch.Tensor:
 
 
 class CnnEstimator(GelEstimator):
-    """A convolutional network from colour difference, background and place to the indentation of the contact.
+    """A convolutional network from colour difference, background and position to the indentation of the contact.
 
-    The indentation is 0 outside the contact, also where the gel slopes down around it.
+    The indentation is 0 outside the contact, even where the gel slopes down around it.
     """
 
     name = "cnn"
@@ -280,7 +280,7 @@ class CnnEstimator(GelEstimator):
         CnnTrainer(self.options, problem, self._network, self._fixed).run()
 
     def read(self, image: Image) -> tuple[Float32, None]:
-        """Return the contact's indentation (H, W), metres, 0 outside of the contact; and no slopes."""
+        """Return the contact's indentation (H, W), metres, 0 outside the contact; and no slopes."""
         planes = stack_features(image, self.untouched, self._fixed)
         with torch.inference_mode():
             found = self._network.predict_m(torch.from_numpy(planes).permute(2, 0, 1)[None])

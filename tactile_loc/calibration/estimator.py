@@ -70,7 +70,7 @@ class GelEstimator(ABC):
 
     @abstractmethod
     def read(self, image: Image) -> tuple[Float32, Float32 | None]:
-        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, from which it follows, if any.
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, if it is integrated from slopes.
 
         The indentation is about 0 where the gel is untouched.
         """
@@ -101,7 +101,8 @@ class GelEstimator(ABC):
 
 
 def load_estimator(name: str) -> type[GelEstimator]:
-    """Return the estimator named `name`. Raises CalibrationError for another, MissingLibraryError without torch."""
+    """Return the estimator named `name`. Raises CalibrationError for an unknown name, MissingLibraryError without
+    torch."""
     if name not in ESTIMATORS:
         raise CalibrationError(
             f"there is no estimator {name!r}; choose one of {', '.join(ESTIMATORS)}.{did_you_mean(name, ESTIMATORS)}"
@@ -123,7 +124,7 @@ def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, A
 
 
 def scale_difference(image: Image, background: Image) -> Float32:
-    """Return the difference of an image (H, W, 3), or a part, from the untouched gel's (H, W, 3): about -1 to 1."""
+    """Return the difference of an image (H, W, 3), or a part of it, from that of the untouched gel: about -1 to 1."""
     return (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
 
 
@@ -136,7 +137,7 @@ def stack_features(image: Image, background: Image, fixed: Float32) -> Float32:
 
 
 def stack_fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
-    """Return the constant planes (H, W, 5): the smoothed background's colour, and the place; about -1 to 1."""
+    """Return the constant planes (H, W, 5): the smoothed background's colour, and the position; about -1 to 1."""
     from scipy.ndimage import gaussian_filter
 
     sigma = BACKGROUND_M / geometry.pixel_pitch_m

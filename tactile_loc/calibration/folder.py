@@ -75,7 +75,7 @@ class Calibration:
 
     @cached_property
     def false_press_m(self) -> float:
-        """Press depth that is measured, wrongly, in the image of the untouched gel, metres."""
+        """Press depth that is falsely measured in the image of the untouched gel, metres."""
         return max(0.0, measure_press_m(self.estimator.read(self.untouched)[0], self.geometry))
 
     @property
@@ -133,7 +133,7 @@ class Calibration:
 def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     """Read a calibrated sensor; `zero` is a newer image of its untouched gel.
 
-    Raises CalibrationError when a file is missing, damaged, or of another sensor; TouchError for such a `zero`.
+    Raises CalibrationError when a file is missing, damaged, or of another sensor; TouchError when `zero` is.
     """
     recover_folder(folder)
     if not os.path.isdir(folder):

@@ -1,4 +1,4 @@
-"""Images of presses without a table: the pictures of a folder, and chosen frames of a video.
+"""Reads images of presses without a table: the pictures in a folder, and chosen frames of a video.
 
 Chosen frames show the untouched gel, and each touch at its deepest. They are written to a folder beside the video, so a
 table can name them.
@@ -23,7 +23,7 @@ from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
-QUIET = 0.1  # share of a video's frames, those nearest to its median, that show the untouched gel
+QUIET = 0.1  # share of a video's frames that show the untouched gel: the frames nearest to its median
 TOUCHED = 0.3  # threshold of a touch, between the smallest change (0) and the largest (1)
 MOST_UNTOUCHED = 5  # chosen frames of the untouched gel
 
@@ -73,7 +73,7 @@ def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:
         except TactileLocError as error:
             raise CalibrationError(str(error)) from error
         if image is None:
-            raise CalibrationError(f"{path} is no colour image; give PNG or JPEG with three channels, or remove it")
+            raise CalibrationError(f"{path} is not a colour image; give PNG or JPEG with three channels, or remove it")
         yield Frame(path.relative_to(root).as_posix(), image)
 
 

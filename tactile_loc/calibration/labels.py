@@ -33,7 +33,7 @@ class PressLabel:
     """One press: `indentation_m` (H, W) float32 and `slope` (H, W, 2) float32, `contact` (H, W) bool.
 
     `known` (H, W) marks the pixels at which the label holds. The skirt between contact and untouched gel is unknown.
-    The depth of a ball's visible circle is unknown, too. Then `absolute` is False, and the whole contact is deeper than
+    The depth of a ball's visible circle is also unknown. Then `absolute` is False, and the whole contact is deeper than
     the label by a constant.
     """
 
@@ -49,10 +49,10 @@ def label_ball(
 ) -> PressLabel:
     """Return the label of a ball, given the centre (x, y) and radius of its visible circle in pixels of the image.
 
-    With rho the distance from the centre on the surface, r the circle's radius and R the ball's, the indentation is
-    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. On a curved gel, the ball's centre is shifted so that the
-    ball is parallel to the gel at the circle's centre, and the mean indentation of the rim is 0. Raises
-    CalibrationError when the circle is larger than the ball or its centre is outside the image.
+    Let rho be the distance from the centre on the surface, r the circle's radius and R the ball's. The indentation is
+    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. On a curved gel, the ball's centre is shifted: the ball
+    becomes parallel to the gel at the circle's centre, and the rim's mean indentation 0. Raises CalibrationError when
+    the circle is larger than the ball or its centre is outside the image.
     """
     height, width = geometry.shape
     if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
@@ -89,7 +89,7 @@ def label_ball(
 
 
 def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
-    """Return the mean depth (H, W), metres, within `width_m` of a circle of radius r."""
+    """Return the mean of depths (H, W), metres, within `width_m` of a circle of radius r."""
     along = np.abs(np.sqrt(rho2) - r) < width_m
     return float(pushed_m[along].mean()) if along.any() else 0.0
 

@@ -1,4 +1,5 @@
-"""Slope from colour, pixel by pixel, then height by integration: learned from a few dozen presses of a ball.
+"""Estimates slope from colour, pixel by pixel, and integrates it to height. It learns from a few dozen presses of a
+ball.
 
 This is photometric stereo with measured instead of modelled light, after Johnson and Adelson (CVPR 2009). Wang et al.
 found that a small network and few presses are enough (GelSight Wedge, ICRA 2021). Poisson integration gives the
@@ -27,7 +28,7 @@ from tactile_loc.core.errors import CalibrationError, TrainingError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.component import ComponentOptions
 
-SMOOTHINGS_PX = (1.0, 3.0)  # of the colour difference: against noise, and for a small neighbourhood
+SMOOTHINGS_PX = (1.0, 3.0)  # of the colour difference: one against noise, one for a small neighbourhood
 FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
 OUTLIER_RAD = 0.1  # error of the angle above which the loss is linear
 STEPS_A_PRESS, MOST_STEPS = 100, 5000
@@ -51,7 +52,8 @@ class SlopeNetwork(nn.Module):
 
 
 class PhotometricEstimator(GelEstimator):
-    """A network from each pixel's colour difference, background and place to its slope; the slopes are integrated."""
+    """A network from each pixel's colour difference, background and position to its slope; the slopes are
+    integrated."""
 
     name = "photometric"
 

@@ -33,10 +33,10 @@ KINDS = {
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
     "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
 }
-MOST_READ_PX = 200  # longer image side: twice as many pixels take four times as long, and locate no better
+MOST_READ_PX = 200  # longer image side: twice as many pixels take four times as long, without better poses
 SAME_SHAPE = 0.01  # largest relative difference of the aspect ratio of a smaller image
-FOR_MEDIAN = 9  # least number of presses at different places whose median shows the untouched gel
-DEEPEST_MM = 1.5  # assumed deepest press of a public set
+FOR_MEDIAN = 9  # fewest presses, at different places, whose median shows the untouched gel
+DEEPEST_MM = 1.5  # assumed maximal depth of the sensor of a public set
 Rows = Iterable[tuple[str, tuple[float, float, float] | None]]  # images' names, and circles: x, y, radius
 HALF = 0.5  # public sets count pixels from the centre of the first; tactile-loc from its corner
 
@@ -53,7 +53,7 @@ class Row:
 
     @property
     def mesh(self) -> Path:
-        """The mesh that was pressed. Raises CalibrationError when the row has none."""
+        """The path of the pressed mesh. Raises CalibrationError when the row has none."""
         if not self.values.get("mesh"):
             raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
         return self.folder / self.values["mesh"]
@@ -146,8 +146,8 @@ def read_presses(
     """Read a folder of presses with the table `presses.csv`, taken by a sensor of geometry `camera`.
 
     With `size_px` (width, height), images and sensor are reduced to that size. The background is the mean of the
-    table's background images. With `median_background`, it is the pixelwise median of all presses, of which there must
-    be at least FOR_MEDIAN at different places. Raises CalibrationError with the faulty row.
+    table's background images. With `median_background`, it is the pixelwise median of all presses. This needs at least
+    FOR_MEDIAN presses at different places. Raises CalibrationError with the faulty row.
     """
     table = folder / TABLE
     geometry = camera if size_px is None else _shrink_sensor(camera, size_px)
@@ -245,7 +245,7 @@ def _read_image(row: Row, geometry: SensorGeometry) -> Image:
         raise CalibrationError(f"{row.where}: {error}") from error
     if image is None:
         raise CalibrationError(
-            f"{row.where}: {row.image.name} is no colour image; give PNG or JPEG with three channels"
+            f"{row.where}: {row.image.name} is not a colour image; give PNG or JPEG with three channels"
         )
     if image.shape[:2] != geometry.shape:
         got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, geometry.shape))
@@ -277,8 +277,8 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
 def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float) -> Path:
     """Write a table of images, each with a ball's circle (x, y, radius) in pixels, or of the untouched gel.
 
-    The image scale is approximate, so a circle may be larger than the ball; then it is reduced to the largest possible
-    one. Raises OutputError when the file cannot be written.
+    The image scale is approximate, so a circle may be larger than the ball. Such a circle is reduced to the largest
+    possible one. Raises OutputError when the file cannot be written.
     """
     largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
     lines: list[tuple[object, ...]] = [("image", "kind", *KINDS["ball"])]
@@ -303,12 +303,12 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
     first = min(path for path in folder.iterdir() if path.name != TABLE)
     image = read_colour_image(first)
     if image is None:
-        raise CalibrationError(f"{first} is no colour image; give PNG or JPEG with three channels")
+        raise CalibrationError(f"{first} is not a colour image; give PNG or JPEG with three channels")
     return write_scale(folder, image.shape[:2], mm_per_px)
 
 
 def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
-    """Write `sensor.toml` for images of a shape (rows, columns) and scale, with the deepest press DEEPEST_MM."""
+    """Write `sensor.toml` for images of a shape (rows, columns) and scale, with the maximal depth DEEPEST_MM."""
     scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
     path = folder / SENSOR
     path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")

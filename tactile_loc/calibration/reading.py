@@ -1,8 +1,8 @@
-"""Reading of images: checks that an image is this sensor's, measures the press, and finds the contact shape.
+"""Reads images: checks that an image is this sensor's, measures the press depth, and finds the contact shape.
 
 The health of an image consists of two figures that grow with a worn gel or a moved lamp. The first compares the colour
-of the untouched gel. The second tests whether the estimated slopes are those of a surface, which sum to zero around any
-loop. Slopes read under different light are not.
+of the untouched gel. The second tests whether the estimated slopes are those of a surface: these sum to zero around any
+loop. Slopes that are estimated under different light do not.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ STEEP = 0.25  # least slope of the skirt, share of the steepest slope
 HANGING_M = 1 / 600  # slope over curvature: a ball's is half the distance from its tip
 SMOOTHING_M = 1e-4  # standard deviation of the smoothing of slope and curvature
 TIP_M = 3e-4  # side of the deepest square, which defines the press depth
-LEAST_M = 5e-5  # no sensor distinguishes a lighter press from none
+LEAST_M = 5e-5  # no sensor can distinguish a lighter press from no touch
 ABOVE_NOISE = 4.0  # least press, in noise standard deviations
 ABOVE_FALSE = 1.5  # least press, times the false press of the untouched gel
 MOST_FALSE_M = 1e-4  # largest threshold from a false press: a larger one shows an unreliable image of the untouched gel
@@ -75,17 +75,17 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
     some = np.s_[::2, ::2]  # a quarter of the pixels has nearly the same median
     if np.median(np.abs(image[some].astype(np.int16) - background[some])) > STRANGE:
         raise TouchError(
-            "the image differs from the sensor's untouched gel everywhere, so the sensor or its light is another; "
+            "the image differs from the sensor's untouched gel everywhere: another sensor, or changed light; "
             "calibrate this sensor"
         )
     return image
 
 
 def read_zero(path: Path) -> Image:
-    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is no colour image."""
+    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
     image = read_colour_image(path)
     if image is None:
-        raise TouchError(f"{path} is no colour image; give PNG or JPEG with three channels as --zero")
+        raise TouchError(f"{path} is not a colour image; give PNG or JPEG with three channels as --zero")
     return image
 
 
@@ -102,11 +102,11 @@ def find_contact_shape(
 ) -> ContactShape:  # fmt: skip
     """Return the contact shape of an indentation (H, W), metres, with noise `noise_m`, standard deviation in metres.
 
-    `false_press_m`, metres, is the press that is measured for the untouched gel. The gel follows the object except at
-    the skirt, which slopes from the contact's edge to the untouched surface. `find_contact` separates the two. The
-    shape is cut at the lighter press that gives this contact area, so a steep edge stays in place; the shape's
-    indentation is the full press. Without a skirt (`sees_skirt` False), the indentation is cut above the noise. Raises
-    NoContactError when the gel is not pressed.
+    `false_press_m`, metres, is the press depth that is falsely measured for the untouched gel. The gel follows the
+    object except at the skirt, which slopes from the contact's edge to the untouched surface. `find_contact` separates
+    the two. The shape is cut at the lighter press that gives this contact area, so a steep edge stays in place; the
+    shape's indentation is the full press. Without a skirt (`sees_skirt` False), pixels above the noise are in contact.
+    Raises NoContactError when the gel is not pressed.
     """
     press = measure_press_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
@@ -136,7 +136,7 @@ def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: S
     """Mark the pixels (H, W) of an indentation (H, W), metres, at which the gel touches the object.
 
     The gel bends over a contact's rim. The skirt is steep, and straight or bent the other way: its slope is more than
-    HANGING_M times its bend. At a wall, the border is the wall's edge.
+    HANGING_M times its curvature. At a wall, the border is the wall's edge.
     """
     from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
 

@@ -1,6 +1,6 @@
-"""The surface of a curved gel, from presses of a ball all over it.
+"""Measures the surface of a curved gel from presses of a ball all over it.
 
-In the middle of a ball's imprint, the slope is that of the untouched gel; around it, the ball's shape is known. So the
+In the middle of a ball's imprint, the slope is that of the untouched gel. Around it, the ball's shape is known. So the
 imprints relate differences of colours to differences of slopes. With distant lamps, equal colours mean equal slopes
 everywhere, so the colours of the untouched gel show its slopes. The map from colours to slopes and the gel's surface, a
 polynomial in x and y, are learned together. Colours do not determine a tilt of the whole surface: the gel is assumed

@@ -1,6 +1,6 @@
 """Calibration in simulation only: two boards are pressed on a sensor with known lamps, without a robot or a ball.
 
-The number of presses is that of Bauza et al. (CoRL 2020, appendix), half of them with each board.
+There are as many presses as in Bauza et al. (CoRL 2020, appendix), half of them with each board.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tactile_loc.store.workspace import Workspace
 STAGE_VERSION = 3
 PIECES = "images-{:04d}", "indentation-{:04d}"  # names of a shard's arrays
 SHARD = 64  # presses that are rendered, saved and resumed together; each shard has its own lamps
-DEEPEST = 65535  # indentations are 16-bit shares of the sensor's deepest press
+DEEPEST = 65535  # indentations are 16-bit shares of the sensor's maximal depth
 VARIATION = 0.25  # of the lamps, relative to the spread between sensors of one make
 PRESSES = {"photometric": 200, "cnn": 2000}  # default numbers of presses
 
@@ -71,8 +71,8 @@ def simulate_presses(
 ) -> SimulatedPresses:  # fmt: skip
     """Press the boards `count` times on a sensor, or load the stored presses of the same `seed`.
 
-    `variation` (unitless) scales the difference of each shard's lamps from `optics`, see `Optics.vary`. The untouched
-    gel is that of `optics` in all shards. Raises TouchError when the boards leave no imprint on the sensor.
+    `variation` (unitless) scales the difference between each shard's lamps and `optics` (see `Optics.vary`). The
+    untouched gel is that of `optics` in all shards. Raises TouchError when the boards leave no imprint on the sensor.
     """
     renderer = registry().create("renderer", "heightmap", {})
     untouched = render_background(geometry, optics)

@@ -52,9 +52,9 @@ def find_indentation(slope: NDArray[np.floating], geometry: SensorGeometry) -> F
     """Return the indentation (H, W), metres, of a surface with slopes (H, W, 2): zero where the gel is untouched.
 
     Small errors of the slopes add up to a slow drift of the surface, which may exceed a light imprint. The drift is
-    measured where the gel is untouched, smoothed, and continued under the imprint. Touched pixels are steep, or deep
-    once most of the drift is gone, or enclosed by such pixels. An imprint that crosses the image's border is a plateau:
-    the steep pixels rise towards it.
+    measured where the gel is untouched, smoothed, and continued under the imprint. A pixel is touched if it is steep,
+    or deep after most of the drift is subtracted, or enclosed by such pixels. An imprint that crosses the image's
+    border is a plateau: the steep pixels rise towards it.
     """
     surface = integrate(slope, geometry)
     steepness = _measure_steepness(slope, geometry)

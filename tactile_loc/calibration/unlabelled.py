@@ -1,7 +1,7 @@
 """Presses without labels: finds the images of the untouched gel, and a ball in each other image.
 
-The untouched gel is the image against which most others show one imprint and nothing else. Without such an image, it is
-composed from the parts of all images that are far from their imprints, with smooth transitions.
+In comparison with the untouched gel, most images show one imprint and nothing else. Without an image of the untouched
+gel, it is composed from the parts of all images that are far from their imprints, with smooth transitions.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LIKENESS, CONTRAST = 0.65, 4.0  # least values of a ball: share of the change ex
 BLURRED = 0.45  # least likeness of a ball beside another
 QUIET, STILL = 0.2, 0.5  # largest change of an untouched image with and without a ball, share of the usual contrast
 SECOND = 0.35  # least contrast of a second ball, share of the first one's
-APART = 2.2  # radii around an imprint that belong to it
+APART = 2.2  # radius of the area that belongs to an imprint, in radii of the imprint
 OUTSIDE = 0.1  # share of the radius that may lie beyond the border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # counts of 255, and share of the circle's pixels and colours
 OVERSIZED = "larger than the ball"
@@ -45,7 +45,7 @@ ALIKE = 0.25  # least gain of correlation by a large shift
 LEAST_FREE = 0.1  # least untouched share of the image for measuring a shift
 TRIED, JUDGES = 6, 10  # images tried as the untouched gel, and images for judging them
 KEPT = 6  # images from which an untouched pixel is composed
-AWAY = (1.3, 2.0)  # radii from an imprint: the gel is touched below the first, and hardly beyond the second
+AWAY = (1.3, 2.0)  # distances from an imprint, radii: the gel is touched within the first, hardly beyond the second
 ORDER = 5  # of the polynomial that fills pixels touched in all images
 PIECED = 2  # rounds of composing
 SHALLOWEST_MM = 0.05  # least depth of the deepest press: smaller depths show a wrong radius of the ball
@@ -306,7 +306,7 @@ def _fit_robustly(
     """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return them with the robust weights (P,).
 
     The weights are the `first` ones (P,) times Tukey's function of the residual. `scale` maps the median residual to
-    the residual from which on the weight is 0.
+    the least residual with weight 0.
     """
     weight = first
     for _ in range(rounds):

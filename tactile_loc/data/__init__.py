@@ -1,4 +1,4 @@
-"""Small demo objects, to try everything without your own CAD file.
+"""Small demo objects, for first steps without your own CAD file.
 
 The meshes are watertight, in metres. The functions of `scripts/demo_meshes.py` make them and describe their frames.
 """

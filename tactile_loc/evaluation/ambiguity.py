@@ -1,15 +1,15 @@
 """Ambiguity of a touch: noise hides the difference between its contact and that of a distant pose.
 
 Let C be the true pose's contact depths and C' those of another pose, both drawn without noise at the touch's press. Let
-N1, N2 be two noisy measurements of the true pose. All are over the observed pixels and blurred by 0.3 mm. With the
+N1, N2 be two noisy measurements of the true pose. All are taken at the observed pixels and blurred by 0.3 mm. With the
 direction u = (C' - C) / |C' - C|,
 
     ratio  =  |C' - C|  /  sqrt( mean of ( u . (N1 - N2) )^2 ),      unitless
 
 compares the distance of the two shapes with the effect of noise along the line between them. With Gaussian noise, the
 best test between the two known shapes errs with probability Phi(-ratio / sqrt 2), about 1/4 at a ratio of 1. A touch's
-ratio is the least over all distant poses. Below 1 the touch is ambiguous, and no method can be blamed for a wrong pose.
-Noise off that line, which is most of the noise, is left out: it does not affect this test.
+ratio is the least over all distant poses. Below 1, the touch is ambiguous, and no method can be blamed for a wrong
+pose. Most noise is off that line. It is left out, because it does not affect this test.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ DISTANT_M = 5e-3  # root mean square surface distance; nearer poses count as the
 RIVALS = 6  # distant poses to refine
 MEASUREMENTS = 12  # of the true pose, with noise
 EVERY = 3  # step through the observed pixels, in the search for rivals
-BLUR_M = 3e-4  # of all compared contacts: single pixels of an outline are no evidence
+BLUR_M = 3e-4  # of all compared contacts: single pixels of an outline are not evidence
 REFINER = "filterreg"  # always the same, so that ambiguity does not depend on the evaluated method
 
 
@@ -54,7 +54,7 @@ def choose_judging_noise(noise: str) -> str:
 def measure_ambiguity(
     localizer: Localizer, touches: Sequence[Touch], noise: TouchNoise, rngs: Sequence[np.random.Generator]
 ) -> Float64:
-    """Return the ratio (T,) of each touch, unitless; infinite without a distant pose in the grid.
+    """Return the ratio (T,) of each touch, unitless; infinite if the grid has no distant pose.
 
     Each touch's `rng` draws measurements of its true pose with `noise`. Raises TouchError for a touch without a true
     pose.
@@ -72,7 +72,7 @@ def measure_ambiguity(
 
 
 def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:
-    """Return the distant grid poses (R, 4, 4), metres, with the least of `apart` (N,), none within a radius of another.
+    """Return distant grid poses (R, 4, 4), metres, with the least of `apart` (N,), at least a radius from each other.
 
     Distant poses are farther than DISTANT_M from the true pose (4, 4) and its symmetric poses. R is at most RIVALS.
     """
@@ -87,7 +87,7 @@ def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) 
 def compute_noise_ratio(true: Float64, others: Float64, measured: Float64) -> Float64:
     """Return the ratios (R,) between contact depths `others` (R, P) and the true ones (P,), metres.
 
-    `measured` (K, P) are noisy measurements of the true pose. A shape without difference has ratio 0.
+    `measured` (K, P) are noisy measurements of the true pose. A shape equal to the true one has ratio 0.
     """
     difference = others - true
     length = np.linalg.norm(difference, axis=1)
@@ -120,7 +120,7 @@ class _Judge:
         return float(compute_noise_ratio(true[0], others, noisy).min())
 
     def _keep_distant(self, pressed: Scene, truth: Poses, poses: Poses) -> Poses:
-        """Return those of the poses (R, 4, 4), metres, that have contact and are far from the truth (4, 4)."""
+        """Return the poses, of (R, 4, 4), metres, that have contact and are far from the truth (4, 4)."""
         poses, touching = pressed.bring_to_contact(poses)
         away_m = PoseMetric(pressed.object).symmetric_distance(np.broadcast_to(truth, poses.shape), poses)
         return poses[touching & (away_m > DISTANT_M)]
@@ -129,7 +129,7 @@ class _Judge:
         """Return the rivals (R, 4, 4) refined against the clean shape, to remove the error of the grid's spacing."""
         try:
             target = dataclasses.replace(touch, contact_shape=clean)
-        except TouchError:  # without noise, it shows only a flat face
+        except TouchError:  # without noise, the touch shows only a flat face
             return rivals
         candidates = [Candidate(T, k, 0.0) for k, T in enumerate(rivals)]
         refined = self.refiner.refine_many(target, candidates, self.scene.match_touch(target))
@@ -148,7 +148,7 @@ class _Judge:
 
 
 def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
-    """Contact depths (N, H, W) at the observed pixels on the gel (N, P), blurred by BLUR_M; metres."""
+    """Return contact depths (N, H, W), metres, blurred by BLUR_M on the gel, at the observed pixels (N, P)."""
     gel = Gel.of(geometry)
     blurred = gel.blur(depths_m[:, gel.rows, gel.columns], BLUR_M)
     return blurred[:, geometry.observed_mask[gel.rows, gel.columns]].astype(float)
@@ -157,13 +157,13 @@ def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
 def _measure_shape_distances(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
     """Return squared distances (T, N), m^2, between the contact shapes of the grid and of true poses (T, 4, 4).
 
-    Both are without noise, cut at the touch's press depth, at the grid's resolution, over each EVERY-th observed pixel.
+    Both have no noise, are cut at the touch's press depth, and use every EVERY-th observed pixel of the grid's image.
     """
     pixels = np.flatnonzero(localizer.coarse_scene.geometry.observed_mask)[::EVERY]
     press = np.array([touch.press_depth_m for touch in touches], np.float32)
     wanted = _draw_true_shapes(localizer, touches, truths).reshape(len(touches), -1)[:, pixels]
     parts = []
-    for depths in localizer.model.shapes.shards():  # at full press: cut at each touch's own while comparing
+    for depths in localizer.model.shapes.shards():  # at full press; `_compare` cuts them at each touch's
         shapes = np.ascontiguousarray(depths.reshape(len(depths), -1)[:, pixels].T)
         parts.append(np.zeros((len(touches), shapes.shape[1]), np.float32))
         run_in_threads(_compare, len(wanted), shapes, wanted, press, parts[-1])

@@ -22,7 +22,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-FUSION_VERSION = 2  # increased when the same localizer would get other numbers
+FUSION_VERSION = 2  # increased when the same localizer would get different numbers
 FUSION_LINES = ("best-1", "kinematic", "random")
 FUSED_LINES = FUSION_LINES[:2]
 MOST_FUSED = 20
@@ -35,8 +35,8 @@ class FusionEvaluation:
     """Errors of E examples located from each of C numbers of contacts.
 
     `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, with symmetric poses equal. `alone`
-    (E, C, 2) marks where a line of FUSED_LINES found no pose common to all contacts, and used the first contact only.
-    `refused` (E,) is the number of presses that showed no touch; they do not count.
+    (E, C, 2) marks examples in which a line of FUSED_LINES found no pose common to all contacts and used only the first
+    contact. `refused` (E,) is the number of presses that showed no touch; they do not count.
     """
 
     contacts: tuple[int, ...]
@@ -64,7 +64,7 @@ class FusionEvaluation:
 def evaluate_fusion(
     localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
 ) -> FusionEvaluation:
-    """Locate `count` examples from each number of `contacts`, by the localizer's fuser and by the kinematic one.
+    """Locate `count` examples from each number of `contacts`, by the localizer's fuser and by the kinematic fuser.
 
     Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of the source, so that more contacts only add
     touches. The object is at rest, and the touches' true poses give the sensor poses. The result is kept in the
@@ -162,6 +162,6 @@ def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Pose
 
 
 def _draw(posterior: PosePosterior, lot: float) -> int:
-    """Return the index of the most probable pose; of several, the one chosen by the lot (0 to below 1)."""
+    """Return the index of the most probable pose; the lot (0 to below 1) decides between equally probable ones."""
     most = np.flatnonzero(posterior.log_p == posterior.log_p.max())
     return int(most[int(lot * len(most))])

@@ -1,8 +1,8 @@
 """Errors of estimated poses, in metres of object surface, and metrics of posteriors.
 
-All respect symmetry: an estimate is compared with every pose that is symmetric to the true one. ADD is the mean
-distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020). ADD-S is the
-mean distance to the nearest surface point, which ignores all differences between similar views. The metrics of a
+All take symmetry into account: an estimate is compared with every pose that is symmetric to the true one. ADD is the
+mean distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020). ADD-S is
+the mean distance to the nearest surface point, which ignores all differences between similar views. The metrics of a
 posterior are likelihood, credible level, entropy, spread and coverage.
 """
 
@@ -32,15 +32,15 @@ Points = NDArray[np.float64]
 
 
 def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-    """Mean distance (...,) in metres of object points (P, 3) at poses T1 and T2 (..., 4, 4): ADD, without symmetry."""
+    """Return ADD without symmetry (...,): mean distance, metres, of object points (P, 3) at two poses (..., 4, 4)."""
     return np.linalg.norm(transform_points(T1, points_m) - transform_points(T2, points_m), axis=-1).mean(axis=-1)
 
 
 def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """ADD (K,) in metres of estimates (K, 4, 4): the least over the poses symmetric to the true one (4, 4).
+    """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true one (4, 4).
 
-    If there are many symmetries, those near the least root mean square distance, which is cheap, are tried with a few
-    of the points (P, 3), and the best are measured with all. For a continuous axis, the best roll is searched.
+    If there are many symmetries, the cheap root mean square distance selects some. They are tried with a few of the
+    points (P, 3), and the best are measured with all. For a continuous axis, the best roll is searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
@@ -55,11 +55,11 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
 
 
 def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Largest surface distance (K,) in metres between estimates (K, 4, 4) and the true pose (4, 4): MSSD.
+    """Return MSSD (K,), metres: the largest surface distance between estimates (K, 4, 4) and the true pose (4, 4).
 
     It is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
-    function of the point. Symmetries are tried by rising root mean square distance, a lower bound of the largest, so
-    that no better one is left out. For a continuous axis, the best roll is searched.
+    function of the point. Symmetries are tried in order of root mean square distance, a lower bound of the largest
+    distance. So no better symmetry is left out. For a continuous axis, the best roll is searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
@@ -69,8 +69,8 @@ def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true
 
 
 def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
-    """Mean distance (K,) in metres from object points (P, 3) at the true pose (4, 4) to the nearest point at the
-    estimates (K, 4, 4): ADD-S, also called ADI. The mean is over every `every`-th point; the nearest is of all."""
+    """Return ADD-S (ADI) (K,), metres: the mean distance from object points (P, 3) at the true pose (4, 4) to the
+    nearest point at the estimates (K, 4, 4). The mean is over every `every`-th point; all points can be nearest."""
     from scipy.spatial import cKDTree
 
     tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame: rigid motions keep distances
@@ -78,7 +78,7 @@ def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: in
 
 
 def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:
-    """Root mean square distance (K, E) of surface between estimates (K, 4, 4) and poses (E, 4, 4), metres."""
+    """Return the root mean square surface distances (K, E), metres, between estimates (K, 4, 4) and poses (E, 4, 4)."""
     from scipy.spatial.distance import cdist
 
     metric = PoseMetric(obj)
@@ -96,20 +96,20 @@ def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _measure_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
-    """Distances (D, P), metres, of points (P, 3) between poses whose matrices differ by (D, 4, 4)."""
+    """Return the distances (D, P), metres, of points (P, 3) between poses whose matrices differ by (D, 4, 4)."""
     moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
     return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
 
 
 def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
-    """Mean distances (...,), metres, of points (P, 3) between poses whose matrices differ by (..., 4, 4)."""
+    """Return mean distances (...,), metres, of points (P, 3) between poses whose matrices differ by (..., 4, 4)."""
     flat = difference.reshape(-1, 4, 4)
     means = [_measure_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
     return np.concatenate(means).reshape(difference.shape[:-2])
 
 
 def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
-    """The least, over differences of poses (E, 4, 4), of the largest distance of a corner (V, 3), metres."""
+    """Return the least, over differences of poses (E, 4, 4), of the largest distance of a corner (V, 3), metres."""
     order = np.argsort(rms_m)
     least = np.inf
     for start in range(0, len(order), AT_ONCE):
@@ -139,7 +139,7 @@ def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.f
     """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
 
     e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the nearest pose that is
-    symmetric to the true one (4, 4). With true covariances and Gaussian errors its mean is 6 (chi-squared).
+    symmetric to the true one (4, 4). Its mean is 6 (chi-squared) if the covariances are true and the errors Gaussian.
     """
     T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
     rotation = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()

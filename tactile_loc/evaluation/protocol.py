@@ -28,7 +28,7 @@ from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 
-PROTOCOL_VERSION = 3  # increased when the same localizer would get other numbers
+PROTOCOL_VERSION = 3  # increased when the same localizer would get different numbers
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
@@ -92,7 +92,7 @@ class TouchEvaluator:
         self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], refined: Poses,
         chosen: int,
     ) -> Poses:  # fmt: skip
-        """Return the pose (L, 4, 4) of each line: the nearest to the truth, by ADD, of the line's candidates."""
+        """Return the pose (L, 4, 4) of each line: the line's candidate that is nearest to the truth by ADD."""
         near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
         on_grid = np.concatenate([top, guesses, near])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
@@ -126,11 +126,11 @@ class TouchEvaluator:
 class Evaluation:
     """Errors of T located simulated touches.
 
-    `errors_m` (T, L, M): metres, of every line of LINES by every metric of METRICS. `T_sensor_object` (T, L, 4, 4):
-    the line's final pose, metres. `seconds` (T, S): of every stage of STAGES, refining one pose. `posterior_metrics`
-    (T, B): POSTERIOR_METRICS, metres and nats. `ambiguity` (T,): ratios of `measure_ambiguity`, unitless.
-    `contact_share` (T,): share of the observed pixels in contact, 0 to 1. `refused` (T,): presses before each touch
-    that showed no touch and do not count.
+    `errors_m` (T, L, M): metres, of every line of LINES by every metric of METRICS. `T_sensor_object` (T, L, 4, 4): the
+    line's final pose, metres. `seconds` (T, S): the duration of every stage of STAGES; one pose is refined.
+    `posterior_metrics` (T, B): POSTERIOR_METRICS, metres and nats. `ambiguity` (T,): ratios of `measure_ambiguity`,
+    unitless. `contact_share` (T,): share of the observed pixels in contact, 0 to 1. `refused` (T,): presses before each
+    touch that showed no touch and do not count.
     """
 
     errors_m: NDArray[np.float64]
@@ -193,7 +193,7 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
     localizer = evaluator.localizer
     touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
     for touch in touches:
-        localizer.listed.matcher(touch.press_depth_m)  # built now, since a touch's time leaves it out
+        localizer.listed.matcher(touch.press_depth_m)  # built now, because a touch's time excludes it
     localizer.find_most_probable_pose(touches[0])  # libraries are loaded now, too
     noise = make_noise(choose_judging_noise(source.noise))
     rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
@@ -217,10 +217,10 @@ def measure_contact_share(touch: Touch) -> float:
 def save_in_shards(
     work: Workspace, names: Sequence[str], count: int, size: int, make: Callable[[range], Arrays]
 ) -> None:
-    """Save the arrays called `names`, with a row for each of `count` numbers, made in shards of `size` by `make`.
+    """Save the arrays `names`, with a row for each of `count` numbers; `make` makes them in shards of `size`.
 
-    `make` takes a range of numbers and returns an array of their rows for each name. Shards of an interrupted run are
-    not made again.
+    `make` takes a range of numbers and returns an array of their rows for each name. Shards that an interrupted run
+    saved are loaded.
     """
     every = range(count)
     shards = [_make_shard(work, names, every[start : start + size], make) for start in every[::size]]

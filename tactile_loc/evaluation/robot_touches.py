@@ -1,7 +1,7 @@
-"""Simulated touches of a robot: from any direction, also of edges and corners, pressed in, with another renderer.
+"""Simulated touches of a robot: from any direction, including edges and corners, drawn by another renderer.
 
-They are independent of the software that locates them: no face, no grid, and a least contact of only a few pixels. A
-press that a sensor cannot distinguish from no touch is refused and counted.
+They are independent of the software that locates them: they use no face and no grid, and a few pixels of contact are
+enough. A press that a sensor cannot distinguish from no touch is refused and counted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NO_NOISE = TouchNoise()
 
 @dataclass(frozen=True, eq=False)
 class RobotTouches:
-    """Draws touches of an object from random directions, by its own `renderer`.
+    """Draws touches of an object from random directions, with its own `renderer`.
 
     Each press is uniform between the shares `press` of the maximal depth. Before `noise`, at least `least_percent` of
     the observed pixels are in contact. `sensor_std_m` and `sensor_std_rad` are the standard errors of the touches'
@@ -124,7 +124,7 @@ class RobotTouches:
         return self.draw_touch(T, press_m, name, rng)
 
     def draw_touch(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
-        """Return the touch of a pressed pose (4, 4), metres, or why there is none; None if its contact is too small."""
+        """Return the touch of a pressed pose (4, 4), metres, or its error; None if its contact is too small."""
         geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
         clean = Scene(self.object, geometry, self.renderer).render_contact_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
@@ -145,7 +145,8 @@ class RobotTouches:
     def misplace(self, T_base_sensor: Poses, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Poses:
         """Return a sensor's pose (4, 4), metres, with an error of `turn` and `shift` (3,) standard deviations.
 
-        They are about the axes through the middle of the gel, where the touch is, and along the sensor's axes.
+        The rotation is about axes through the middle of the gel, where the touch is. The shift is along the sensor's
+        axes.
         """
         if self.sensor_std_m == self.sensor_std_rad == 0:
             return T_base_sensor

@@ -1,10 +1,10 @@
-"""The roll about a continuous axis of symmetry that minimizes the mean or the largest distance of two poses.
+"""Finds the roll about a continuous axis of symmetry that minimizes the mean or the largest distance of two poses.
 
 As a function of the roll theta, a surface point's squared distance is a sinusoid, a + b cos(theta) + c sin(theta). The
 mean of the squares has its minimum in closed form. The mean distance, ADD, is minimized by Weiszfeld's iteration: means
 of squares, each weighted by one over the previous distance. The largest distance, MSSD, has kinks and several minima.
-In an interval of rolls its lower bound is the largest of the sinusoids' minima; intervals that could hold a better roll
-are halved until none could be better by PRECISION_M.
+In an interval of rolls, its lower bound is the largest of the sinusoids' minima. Intervals that could hold a better
+roll are halved, until none could be better by PRECISION_M.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_
 
 
 def _list_flips(obj: ObjectModel) -> Poses:
-    """The symmetry's elements apart from its axis (F, 4, 4): the identity, perhaps also half a turn across the axis."""
+    """Return the symmetry's elements (F, 4, 4) apart from its axis: the identity, perhaps half a turn across it."""
     return obj.symmetry.list_elements(np.pi)[::2]
 
 
 def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:
-    """The squared distances (P, 3) of points (P, 3) between poses (4, 4): a, b and c, m^2."""
+    """Return the squared distances (P, 3) of points (P, 3) between poses (4, 4): a, b and c, m^2."""
     axis = np.asarray(obj.symmetry.continuous_axis)
     offset = points_m - obj.symmetry.centre_m
     along = (offset @ axis)[:, None] * axis
@@ -75,18 +75,18 @@ def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true:
 
 
 def _find_lowest(sinusoids: Array) -> Array:
-    """The rolls (...,), radians, at the minima of sinusoids (..., 3)."""
+    """Return the rolls (...,), radians, at the minima of sinusoids (..., 3)."""
     return np.asarray(np.arctan2(-sinusoids[..., 2], -sinusoids[..., 1]))
 
 
 def _measure_distances(sinusoids: Array, rolls: Array | float) -> Array:
-    """The distances (..., P), metres, whose squares are sinusoids (P, 3), at rolls (...,), radians."""
+    """Return the distances (..., P), metres, whose squares are sinusoids (P, 3), at rolls (...,), radians."""
     waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
     return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
 
 
 def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
-    """The least distances (I, P), metres, over the intervals of rolls from middles (I,) - half to middles + half."""
+    """Return the least distances (I, P), metres, over rolls from middles (I,) - half to middles + half."""
     ends = np.minimum(_measure_distances(sinusoids, middles - half), _measure_distances(sinusoids, middles + half))
     lowest = sinusoids[:, 0] - np.hypot(sinusoids[:, 1], sinusoids[:, 2])
     off = (_find_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi
@@ -94,7 +94,7 @@ def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
 
 
 def _iterate_weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:
-    """The roll, radians, after some rounds towards the least mean of the distances whose squares are (P, 3)."""
+    """Return the roll, radians, after some rounds towards the least mean of the distances whose squares are (P, 3)."""
     for _ in range(rounds):
         roll = _find_lowest((1.0 / np.maximum(_measure_distances(sinusoids, roll), COINCIDENT_M)) @ sinusoids)
     return roll

@@ -22,7 +22,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.touch_simulation import lower
 from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
 
-WAVES = 3  # summed up to a smoothly changing number
+WAVES = 3  # added up to a smoothly changing number
 SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # of the waves
 MOST_RISE_M = 2e-4  # of the object between two frames; a higher step is a wall
 INSIDE = 0.8  # share of the sensing rectangle's sides, about its centre, for the middle of the contact
@@ -71,7 +71,7 @@ class SlidingTouches:
     def draw_example(
         self, count: int, rng: np.random.Generator, jump_at: int | None = None, slip: Slip | None = None
     ) -> list[Frame]:
-        """Return `count` frames; at frame `jump_at` the object jumps to a random pose, or by a `slip`, unreported.
+        """Return `count` frames; at frame `jump_at`, the object jumps, unreported, to a random pose or by a `slip`.
 
         The base frame is the object's before it jumps. Raises TouchError when hardly any start, or slip, shows a touch.
         """
@@ -131,8 +131,9 @@ class SlidingTouches:
     ) -> tuple[Poses, Touch | None, float]:
         """Return the pose after a step (5,), its touch, and the direction, which reverses if the step is impossible.
 
-        If both directions are impossible, parts of the step are tried. A contact may be too far out if it was so before
-        the step, because the press became lighter. A pose without a valid touch, such as on a flat face, is possible.
+        If both directions are impossible, parts of the step are tried. A contact may be too far from the middle if it
+        already was, because the press became lighter. A pose without a valid touch, such as on a flat face, is
+        possible.
         """
         here = partial(self._draw_touch, T, press_m, gel)
         outside = INSIDE

@@ -27,7 +27,7 @@ class SimulatedTouches:
 
     Touch i of a seed is always the same, with any number of touches and any encoder. With `images`, the sensor, which
     must be calibrated on simulated images, reads each touch from an image made with the same lamps. The only noise is
-    then the camera's. Raises ConfigError for another noise than "none" with images.
+    then the camera's. With images, raises ConfigError for any noise but "none".
     """
 
     noise: str = "none"

@@ -92,7 +92,7 @@ def draw_slide(
 ) -> Slide:
     """Return a slide of an object from a pose (4, 4), metres, along a figure of eight, with a varying press.
 
-    `scene` draws it; its renderer should differ from the one that locates it. Raises TouchError when the object slides
+    `scene` draws the touches; its renderer should differ from the localizer's. Raises TouchError when the object slides
     off the sensor.
     """
     scene = dataclasses.replace(scene, drawing="pressed")

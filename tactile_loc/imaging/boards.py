@@ -1,7 +1,7 @@
 """Two calibration boards: plates with simple raised shapes, for pressing a sensor in simulation.
 
-After the idea of Bauza et al. (CoRL 2020, appendix), with our own shapes. A board's frame has its origin in the middle
-of the plate's upper face, x along the longer side and z out of the raised side.
+The idea is from Bauza et al. (CoRL 2020, appendix); the shapes are our own. A board's frame has its origin in the
+middle of the plate's upper face, x along the longer side and z out of the raised side.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def make_board(number: int) -> ObjectModel:
 def draw_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
     """Draw poses `T_sensor_object` (count, 4, 4), metres, of a board with its raised side towards the sensor.
 
-    Poses have any yaw, tilts up to `MOST_TILT_RAD` in any direction, and any place of the board over the middle of the
-    sensing rectangle. The whole board lies beyond the undeformed surface: bring the poses to contact.
+    Yaw is arbitrary. Tilts are at most `MOST_TILT_RAD`, in any direction. Any part of the board may be over the middle
+    of the sensing rectangle. The whole board lies beyond the undeformed surface: bring the poses to contact.
     """
     from scipy.spatial.transform import Rotation
 

@@ -1,8 +1,8 @@
 """The gel's surface under a press: the object's surface in the contact, and a smooth return to rest around it.
 
-A gel cannot follow a step. Outside the contact its surface falls off, steeply at first and with a long tail. This is
-computed by blurs of decreasing width, and after each blur the contact is restored. Wide blurs make the tail; narrow
-ones join it to the contact's edge. All widths are metres on the sensing surface.
+A gel cannot follow a step. Outside the contact, its surface falls off, steeply at first and with a long tail. This is
+computed by blurs of decreasing width. After each blur, the contact is restored. Wide blurs make the tail; narrow ones
+join it to the contact's edge. All widths are metres on the sensing surface.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def press_gel(
     """Return the indentation of the gel's surface (N, H, W) float32, metres, not below 0.
 
     `depth_m` (N, H, W) are contact depths at presses `press_depth_m` (N,), both in metres. The surface returns to rest
-    over about `softness_m` metres, and its edges are rounded by a small share of this. With a softness of zero the
+    over about `softness_m` metres, and its edges are rounded by a small share of this. If the softness is zero, the
     surface is the object's. Outside the sensing rectangle the indentation is 0. Raises ConfigError for sizes that do
     not fit.
     """

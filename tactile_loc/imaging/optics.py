@@ -1,4 +1,4 @@
-"""The optics of a sensor: coloured lamps, the unpressed gel's curvature, and the camera; and the optics of known makes.
+"""The optics of a sensor (coloured lamps, the unpressed gel's curvature, the camera), and the optics of known makes.
 
 Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
 Lengths of the housing are in units of the field's radius (half the sensing rectangle's diagonal), so the same optics
@@ -19,7 +19,7 @@ from tactile_loc.core.errors import ConfigError, did_you_mean
 
 Vector = tuple[float, float, float]
 
-NEAREST = 1.2  # least distance of a lamp, field radii: the lamps' model does not hold above the gel
+NEAREST = 1.2  # least distance of a lamp, field radii: the lamps' model is wrong above the gel
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Optics:
         return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
 
     def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
-        """Return random optics of another sensor of this make: lights, exposure, curvature, blur and noise differ.
+        """Return random optics of another sensor of this make, with other lights, exposure, curvature, blur and noise.
 
         `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread. Raises ConfigError for a
         negative strength.

@@ -29,7 +29,7 @@ def render_images(
 ) -> Image:
     """Return the camera's images (N, H, W, 3) uint8 RGB of indentations (N, H, W), metres.
 
-    With a `background` (H, W, 3) uint8, a photo of the unpressed sensor, the press's change is added to the photo.
+    `background` (H, W, 3) uint8 is a photo of the unpressed sensor. If it is given, the press's change is added to it.
     Outside the sensing rectangle only the lens's blur changes pixels. Raises ConfigError for images that do not fit the
     sensor.
     """

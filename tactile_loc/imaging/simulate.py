@@ -22,7 +22,7 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 BATCH = 16
-LIGHTEST = 0.3  # share of the sensor's deepest press
+LIGHTEST = 0.3  # share of the maximal depth
 LEAST_CONTACT = 0.01  # least share of the observed pixels in contact
 MOST_ROUNDS = 100  # of drawing presses with enough contact
 
@@ -64,11 +64,11 @@ def press_boards(
     renderer: Renderer,
     background: Image | None = None,
 ) -> Iterator[BoardPresses]:
-    """Yield `count` presses of the calibration boards in batches of at most `BATCH`, with the two boards in turn.
+    """Yield `count` presses of the calibration boards in batches of at most `BATCH`, alternating between the boards.
 
-    Poses are `draw_board_poses` in contact; they do not depend on the optics. Presses are uniform from `LIGHTEST` of
-    the sensor's deepest press to all of it. Raises ConfigError for a negative count, TouchError when the boards hardly
-    ever leave an imprint.
+    Poses are `draw_board_poses` in contact; they do not depend on the optics. Press depths are uniform between
+    `LIGHTEST` of the maximal depth and the maximal depth. Raises ConfigError for a negative count, TouchError when
+    hardly any press leaves an imprint.
     """
     if count < 0:
         raise ConfigError(f"the number of presses is {count}; it must be zero or positive")

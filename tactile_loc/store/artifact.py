@@ -78,7 +78,7 @@ class Artifact:
         return array
 
     def load_json(self, name: str) -> Any:
-        """Return the value stored as `<name>.json`. Raises StoreError when there is none or it cannot be read."""
+        """Return the value stored as `<name>.json`. Raises StoreError when the file is missing or cannot be read."""
         path = self.find_file(f"{name}.json")
         with self._guard_reading(path):
             return read_json(path)
@@ -91,7 +91,7 @@ class Artifact:
             raise StoreError(f"{path} cannot be read ({error}); remove {self.path} and run again") from error
 
     def read_signature(self) -> tuple[tuple[int, int], ...]:
-        """Return (mtime_ns, size) of the manifest and of every file, which any ordinary write changes.
+        """Return (mtime_ns, size) of the manifest and of every file; any ordinary write changes them.
 
         Raises DamagedError when a file is missing or its size is not the recorded one.
         """
@@ -125,7 +125,7 @@ def write_packed(path: Path, array: NDArray[Any]) -> None:
 
 
 def read_packed(path: Path) -> NDArray[Any]:
-    """Return the array that `write_packed` wrote. Raises ValueError when the file holds none, and OSError."""
+    """Return the array that `write_packed` wrote. Raises OSError, and ValueError for any other file."""
     try:
         with np.load(path, allow_pickle=False) as file:
             array: NDArray[Any] = file[_MEMBER]

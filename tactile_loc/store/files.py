@@ -24,10 +24,10 @@ _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path of the same name near `path`; sync it and rename it if the block succeeds.
+    """Yield a temporary path of the same name near `path`; sync it and rename it if the block succeeds.
 
-    If anything fails, an older file at `path` stays whole and nothing is left beside it. Files left by a killed process
-    are removed by the next replacement. Raises OSError.
+    If anything fails, an older file at `path` stays intact and nothing is left beside it. Files left by a killed
+    process are removed by the next replacement. Raises OSError.
     """
     with _make_folder_beside(path) as folder:
         temporary = folder / path.name
@@ -38,11 +38,12 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
-    """Give an empty folder near `path`; sync it and put it in place of `path` if the block succeeds.
+    """Yield an empty folder near `path`; sync it and put it in place of `path` if the block succeeds.
 
-    If the process is killed at any time, the old or the new folder is whole, and the next replacement removes the rest.
-    If the file system cannot exchange two folders in one step, the old one may be left aside: `recover_folder`, called
-    before reading, puts it back. With `fresh`, only an empty folder may be at `path`. Raises OSError.
+    If the process is killed at any time, either the old or the new folder is complete, and the next replacement removes
+    the rest. If the file system cannot exchange two folders in one step, the old one may be left aside:
+    `recover_folder`, called before reading, puts it back. With `fresh`, only an empty folder may be at `path`. Raises
+    OSError.
     """
     path = path.resolve()  # of a link, its target is replaced
     recover_folder(path)
@@ -138,9 +139,9 @@ def require_writable(folder: Path) -> None:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
-    """Have `write` write a temporary file of the same suffix, rename it to `path`, and return that.
+    """Call `write` with a temporary path of the same suffix, rename the file to `path`, and return `path`.
 
-    Its folder is made if needed. Raises OutputError if the disk refuses; an older file at `path` then stays whole.
+    Its folder is made if needed. Raises OutputError if writing fails; an older file at `path` then stays intact.
     """
     with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -160,7 +161,8 @@ def guard_output(path: Path) -> Iterator[None]:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder, so that other processes wait until the block ends and files that belong together stay together.
+    """Lock a folder, so that other processes wait until the block ends, and files that belong together are written
+    together.
 
     The folder is made if needed, and no file is put there. Without locks in the file system, processes do not wait.
     Raises OutputError if the folder cannot be made.
@@ -184,9 +186,9 @@ def write_json(path: Path, value: Any) -> Path:
 
 @contextmanager
 def _make_folder_beside(path: Path) -> Iterator[Path]:
-    """Give an empty folder beside `path`, locked until the block ends, and then removed.
+    """Yield an empty folder beside `path`, locked until the block ends, and then removed.
 
-    The folder's name is always the same, so that the rest of a killed process is found without listing all files, which
+    The folder's name is always the same, so the rest of a killed process is found without listing all files. Listing
     would be slow in a folder of many files.
     """
     folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
@@ -247,11 +249,11 @@ def _name_aside(path: Path) -> Path:
 
 
 def _swap(new: Path, path: Path) -> None:
-    """Exchange two folders: in one step if the kernel and the file system can, else by a third place."""
+    """Exchange two folders: in one step if the kernel and the file system can, otherwise through a third path."""
     if _exchange(new, path):
         return
     aside = _name_aside(path)
-    if aside.exists():  # left over, since there is a folder at `path`
+    if aside.exists():  # obsolete, because there is a folder at `path`
         delete(aside)
     path.rename(aside)
     new.rename(path)

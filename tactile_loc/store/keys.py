@@ -1,4 +1,4 @@
-"""Content hashes: a stage's inputs as one string that changes exactly when they do."""
+"""Content hashes: one string for a stage's inputs, which changes exactly when they change."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 class StageKey:
     """The origin of an artifact: the stage, the version of its code, and everything it depends on.
 
-    Two keys are equal when their digests are. The inputs are copied, so that later changes of the mapping do not reach
-    the key. Large inputs enter by their hash (`hash_arrays`, `hash_file`, another key's digest). Raises StoreError if
-    the stage is not a plain name or an input is not a finite JSON value.
+    Two keys are equal when their digests are. The inputs are copied, so later changes of the mapping do not affect the
+    key. Give large inputs by their hash (`hash_arrays`, `hash_file`, another key's digest). Raises StoreError if the
+    stage is not a plain name or an input is not a finite JSON value.
     """
 
     stage: str = field(compare=False)

@@ -46,7 +46,7 @@ def add_line(file: IO[bytes], line: str) -> None:
 
 @contextmanager
 def open_json_lines(path: Path) -> Iterator[Callable[[str], None]]:
-    """Give a function that appends a value, as JSON without line breaks, to a file of JSON lines.
+    """Yield a function that appends a value, as JSON without line breaks, to a file of JSON lines.
 
     An incomplete last line, left by a killed process, is removed. Raises OutputError when the file cannot be written,
     or another process uses it.

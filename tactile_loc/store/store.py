@@ -89,7 +89,7 @@ class StageStore:
         return artifact
 
     def entries(self) -> list[Entry]:
-        """Return the folders of the store, finished or not, ordered by stage and digest; checksums are not read."""
+        """Return the folders of the store, finished or not, ordered by stage and digest, without reading checksums."""
         folders = [path for path in sorted(self.root.glob("*/*")) if _ENTRY.fullmatch(path.name) and path.is_dir()]
         return [_read_entry(folder) for folder in folders]
 
@@ -135,7 +135,7 @@ class StageStore:
         return artifact
 
     def _open_or_remove(self, key: StageKey) -> Artifact | None:
-        """Do as `_open`, but remove a damaged artifact. The caller holds the lock."""
+        """Do the same as `_open`, but remove a damaged artifact. The caller holds the lock."""
         try:
             return self._open(key)
         except DamagedError as damage:

@@ -61,7 +61,7 @@ class Workspace:
         return None
 
     def load_file(self, file_name: str, keep: bool = True) -> Path | None:
-        """Return the path of the file saved under this name, as `load` returns the array."""
+        """Return the path of the file saved under this name, now or earlier; None if missing or damaged."""
         if file_name not in self._pieces:
             return None
         path = self.path / file_name
@@ -75,8 +75,8 @@ class Workspace:
     def save_array(self, name: str, array: NDArray[Any], keep: bool = True, packed: bool = False) -> None:
         """Save an array of any shape as `<name>.npy`, or `packed`, compressed, as `<name>.npz`.
 
-        A packed array takes time to read and is never mapped, but mostly empty contact shapes take a tenth of the
-        space. Raises StoreError if it holds Python objects, the name cannot be used, or the disk refuses it.
+        A packed array takes time to read and is never mapped. But mostly empty contact shapes then take a tenth of the
+        space. Raises StoreError if it holds Python objects, the name cannot be used, or writing fails.
         """
         if array.dtype.hasobject:
             raise StoreError(f"the array {name!r} of stage {self._key} holds Python objects; convert it to numbers")
@@ -88,7 +88,7 @@ class Workspace:
     def save_json(self, name: str, value: Any, keep: bool = True) -> None:
         """Save a value as `<name>.json`, keys sorted.
 
-        Raises StoreError if it is not a finite JSON value, the name cannot be used, or the disk refuses it.
+        Raises StoreError if it is not a finite JSON value, the name cannot be used, or writing fails.
         """
         try:
             text = json.dumps(value, sort_keys=True, indent=1, allow_nan=False) + "\n"
@@ -99,7 +99,7 @@ class Workspace:
     def save_file(self, file_name: str, write: Callable[[Path], object], keep: bool = True) -> None:
         """Save a file of any format: `write(path)` writes it at a temporary path of the same suffix.
 
-        Raises StoreError if the name cannot be used or the disk refuses it.
+        Raises StoreError if the name cannot be used or writing fails.
         """
         if not _FILE_NAME.fullmatch(file_name) or file_name == MANIFEST:
             raise StoreError(f"{file_name!r} cannot name a file of stage {self._key}; use letters, digits, . - and _")
@@ -108,7 +108,7 @@ class Workspace:
             replace_file(self.path / file_name) as temporary,
         ):
             write(temporary)
-            # Recorded before the rename, with the previous checksum: a kill between the two steps loses no piece.
+            # Recorded before the rename, with the previous checksum: a kill in between loses no piece.
             self._pieces[file_name] = [hash_file(temporary), *self._pieces.get(file_name, [])[:1]]
             with replace_file(self.path / _PIECES) as pieces:
                 pieces.write_text(json.dumps(self._pieces))

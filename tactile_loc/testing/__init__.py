@@ -12,9 +12,9 @@
 
 A check takes the component and raises ContractError, which states the contract and how it was broken. The checks depend
 on the slot and the declared capabilities. A property is a check on drawn cases: frames, orders, symmetric copies, image
-sizes and mirror images. The cases are few and always the same, and the message names a simple one that fails.
-Properties need hypothesis: pip install 'tactile-loc[testing]'. Train an encoder that needs training first, for instance
-on `tactile_loc.testing.problems.make_training_problem()`.
+sizes and mirror images. The cases are few and always the same. The message names a simple case that fails. Properties
+need hypothesis: pip install 'tactile-loc[testing]'. Train an encoder that needs training first, for instance on
+`tactile_loc.testing.problems.make_training_problem()`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def parametrize_with_properties(components: Iterable[Component]) -> Any:
 
 
 def _find_slot_module(component: Component) -> Any:
-    """Return the module of the component's slot, None for an unknown slot."""
+    """Return the module of the component's slot, or None for an unknown slot."""
     if not isinstance(component, Component):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
     return importlib.import_module(f"tactile_loc.testing.{component.slot}s") if component.slot in SLOTS else None

@@ -1,6 +1,6 @@
-"""Contract checks, functions of one component that raise ContractError; and the checks of every slot.
+"""Contract checks of every slot: they test the options and `describe`.
 
-Those are about options and about `describe`.
+A check is a function of one component that raises ContractError.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def require_close(value: ArrayLike, truth: ArrayLike, tolerance: float, sentence
 
 
 class Untouched:
-    """Copies of arrays, to find out later which of them were written to."""
+    """Keeps copies of arrays, to find out later which arrays were written to."""
 
     def __init__(self, **arrays: Any) -> None:
         self._arrays = arrays

@@ -32,7 +32,7 @@ BESIDE_M = (0.0002, 0.0002, 0.0)
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for an encoder of these capabilities; one that needs training is passed trained."""
+    """Return the checks for an encoder of these capabilities. Train the encoder first if it needs training."""
     chosen: list[Check] = [check_output, check_batch_is_singles, check_shapes_untouched, check_distances_order_poses,
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
                            check_image_size, check_ignores_masked_pixels, check_unseen_pixels,
@@ -168,7 +168,7 @@ def check_deterministic(encoder: Encoder) -> None:
 
 def check_learns_places(encoder: Encoder) -> None:
     """Trained on the places of a whole object, the encoder embeds partly seen places."""
-    problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the given encoder stays trained
+    problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the given encoder is unchanged
     learner.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     keys = np.concatenate(list(problem.clean_keys(press_m)))[:8]
@@ -220,7 +220,7 @@ def property_mirror_image(encoder: Encoder) -> None:
 
 
 def _encode_light(encoder: Encoder, depth_m: Float32) -> Float32:
-    """Embeddings (N, D) of shapes (N, H, W), metres, cut at a light press."""
+    """Return embeddings (N, D) of shapes (N, H, W), metres, cut at a light press."""
     return encoder.encode(np.minimum(depth_m, np.float32(LIGHT_M)), LIGHT_M, CAMERA)
 
 
@@ -229,14 +229,14 @@ def _draw_shapes(camera: SensorGeometry = CAMERA) -> Float32:
 
 
 def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMesh | None = None) -> Float32:
-    """Contact depths (N, H, W) at full press, metres, of the block or a mesh at contact poses of the block scene."""
+    """Return contact depths (N, H, W) at full press, metres, of the block or a mesh at the block's contact poses."""
     there = make_translation([0.0, 0.0, camera.standoff_m - make_block_scene().geometry.standoff_m]) @ poses
     drawn = ReferenceRenderer().render(make_stepped_block() if mesh is None else mesh, there, camera)
     return compute_contact_depth(drawn, camera, camera.max_depth_m)
 
 
 def _mask_left(shapes: Float32, parts: int) -> NDArray[np.bool_]:
-    """Return the seen pixels (N, H, W): all but the leftmost of `parts` equal parts."""
+    """Return the seen pixels (N, H, W): all except the leftmost of `parts` equal parts."""
     seen = np.ones(shapes.shape, bool)
     seen[:, :, : shapes.shape[2] // parts] = False
     return seen
@@ -280,5 +280,5 @@ def _require_alike(value: Float32, truth: Float32, plain: Float32, sentence: str
 
 
 def _spread(vectors: Float32) -> float:
-    """The embeddings' scale: their mean distance from their mean."""
+    """Return the embeddings' scale: their mean distance from their mean."""
     return float(np.linalg.norm(vectors - vectors.mean(axis=0), axis=-1).mean()) + 1e-12

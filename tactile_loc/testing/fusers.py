@@ -32,7 +32,7 @@ T_BASE_SECOND = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a fuser of these capabilities; a fuser for single touches refuses several: ConfigError."""
+    """Return the checks for a fuser of these capabilities. A fuser for single touches refuses several."""
     chosen: list[Check] = [check_flat_prior, check_prior_multiplies, check_certain_prior, check_impossible_prior,
                            check_order, check_no_contact_is_dropped, check_no_common_pose, check_base_frame,
                            check_posteriors_untouched]  # fmt: skip
@@ -229,7 +229,7 @@ def _require_any_base(fuser: Fuser, T: Poses) -> None:
 
 
 def _draw_posteriors(grids: Sequence[PoseGrid]) -> list[PosePosterior]:
-    """A different posterior over each grid."""
+    """Return a different posterior over each grid."""
     return [_draw_posterior(grid, seed) for seed, grid in enumerate(grids)]
 
 
@@ -238,7 +238,7 @@ def _draw_posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
 
 
 def _move_to_second(grid: PoseGrid) -> PoseGrid:
-    """The poses of a grid of the first sensor, in the second sensor's frame."""
+    """Return the poses of a grid of the first sensor, in the second sensor's frame."""
     return PoseGrid(invert(T_BASE_SECOND) @ T_BASE_FIRST @ grid.T_sensor_object, grid.metric)
 
 

@@ -35,7 +35,7 @@ SPACING_M = 0.008
 DRAWN, SIGMAS = 6000, 4  # random poses, and the allowed error of their share, standard errors
 PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: press, rounding, share of equal pixels
 NEAR_M, MOST_TILT_DEG = 2.5e-3, 8.0  # between the first point of contact and the nearest place
-SAME_M = 1e-8  # poses that are nearer differ by rounding
+SAME_M = 1e-8  # nearer poses differ only by rounding
 SUBGROUPS = ("z6*x2", "z6", "z3", "x2", "z2")  # of the prism's rotations
 LEAST_APART = 0.15  # of the spacing; nearer poses, up to symmetry, must coincide
 LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # times the n-th part: directions on its border are kept twice
@@ -265,12 +265,12 @@ def _require_any_scale(sampler: GridSampler, scale: float) -> None:
 
 
 def _declare_symmetry(symmetry: str) -> ObjectModel:
-    """The prism, with some of its rotations declared."""
+    """Return the prism, with some of its rotations declared."""
     return dataclasses.replace(make_prism(), symmetry=SymmetryGroup.parse(symmetry, make_prism().mesh.centroid_m))
 
 
 def _list_kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
-    """Return the poses that a sampler lists, if it does, and `count` poses that it draws."""
+    """Return the poses that a sampler lists, if it lists poses, and `count` poses that it draws."""
     listed = [] if sampler.capabilities.places else [("sample", _sample(sampler))]
     return [*listed, ("random", _draw_random(sampler, count))]
 
@@ -284,7 +284,7 @@ def _draw_random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
 
 
 def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
-    """Bring poses of an object (by default the block) to contact and keep those that touch."""
+    """Bring poses of an object (by default the block) to contact, and keep the touching poses."""
     obj = make_block() if obj is None else obj
     contact, touching = bring_to_contact(obj.mesh, poses, CAMERA)
     require(touching.sum() > 1, "several poses must be able to touch the sensor")

@@ -20,7 +20,7 @@ from tactile_loc.testing.contract import (
 from tactile_loc.testing.properties import hold, orders, signed, whole
 
 ROWS, QUERIES, DIMENSION = 1200, 4, 12
-FEWER_ROWS = 300  # for properties, which index often
+FEWER_ROWS = 300  # for properties, which build an index for each case
 TOLERANCE = 1e-4  # of squared lengths near one
 
 
@@ -207,7 +207,7 @@ def _make_dense() -> Float32:
 
 
 def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
-    """Raise ContractError unless scores agree for the rows compared both times, of which there must be some."""
+    """Raise ContractError unless scores agree for the rows compared both times, and there are such rows."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)
     require_close(scores[both], truth[both], TOLERANCE, sentence)
@@ -219,19 +219,19 @@ def _score(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:
 
 
 def _draw_bank(seed: int = 0) -> Float32:
-    """Rows (N, D) of different lengths near one."""
+    """Return rows (N, D) of different lengths near one."""
     rng = np.random.default_rng(seed)
     return (rng.normal(size=(ROWS, DIMENSION)) / np.sqrt(DIMENSION)).astype(np.float32)
 
 
 def _draw_queries() -> Float32:
-    """Queries (M, D), each near a row of the bank."""
+    """Return queries (M, D), each near a row of the bank."""
     noise = np.random.default_rng(1).normal(scale=0.02, size=(QUERIES, DIMENSION))
     return (_draw_bank()[[5, 700, 23, 1100]] + noise).astype(np.float32)
 
 
 def _draw_weights() -> Float32:
-    """Weights (M, D) of the queries: a third are zero, a third are one, the others in between."""
+    """Return weights (M, D) of the queries: a third are zero, a third are one, the others in between."""
     drawn = np.random.default_rng(5).uniform(-1, 2, size=(QUERIES, DIMENSION))
     return np.clip(drawn, 0, 1).astype(np.float32)
 

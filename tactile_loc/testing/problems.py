@@ -1,6 +1,6 @@
 """Scenes and touches with known truth for the checks: small analytic surfaces, small cameras, an independent renderer.
 
-The main object is a block with different features; candidates are near its true pose.
+The main object is a block with different features. Candidates are near its true pose.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ RAYS = 256  # intersected at once
 
 
 class ReferenceRenderer(Renderer):
-    """Intersects every ray with every triangle, in closed form and double precision. Slow, for small meshes."""
+    """Intersects every ray with every triangle, in closed form and double precision. Use it for small meshes."""
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
@@ -56,7 +56,7 @@ class ReferenceRenderer(Renderer):
 
 
 def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
-    """Depths (H * W,) of the nearest triangles; parts of RAYS rays keep the products in the cache."""
+    """Return depths (H * W,) of the nearest triangles. Batches of RAYS rays keep the products in the cache."""
     rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
     low, high = _measure_outlines(triangles_m, geometry.is_pinhole)
     products = _multiply_edges(triangles_m, geometry.is_pinhole)
@@ -68,7 +68,7 @@ def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
 
 
 def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
-    """Bounds (F, 2) of the rays that can hit a triangle; one that reaches behind a pinhole has infinite bounds."""
+    """Return bounds (F, 2) of the rays that can hit each triangle; infinite for one that reaches behind a pinhole."""
     seen, z = triangles_m[..., :2], triangles_m[..., 2:]
     if is_pinhole:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -78,7 +78,7 @@ def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Arra
 
 
 def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
-    """The parts of `_intersect` that do not depend on the rays: vectors (F, 3) and numbers (F,)."""
+    """Return the terms of `_intersect` that do not depend on the rays: vectors (F, 3) and numbers (F,)."""
     a, e1, e2 = triangles_m[:, 0], triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0]
     if is_pinhole:
         back = np.cross(-a, e1)
@@ -89,7 +89,7 @@ def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
 
 
 def _intersect(rays: Array, products: list[Array], is_pinhole: bool) -> Array:
-    """Depths (K,) of rays (K, 2) by Cramer's rule (Moeller and Trumbore): u, v and z are quotients of triple products.
+    """Return depths (K,) of rays (K, 2), by Cramer's rule (Moeller and Trumbore) with quotients of triple products.
 
     A ray is (x/z, y/z) of a pinhole, or (x, y) of a parallel projection. `products` are those of `_multiply_edges`.
     """
@@ -193,7 +193,7 @@ def make_ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
 
 
 def make_plate(half_m: float = 0.1) -> TriangleMesh:
-    """Return a square without thickness in the plane z = 0, metres."""
+    """Return a square in the plane z = 0, metres, without thickness."""
     corners = half_m * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     return TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
 

@@ -1,7 +1,7 @@
-"""The cases that properties are tried on, drawn by hypothesis: motions, places, orders, whole numbers.
+"""Draws the cases for testing properties, by hypothesis: motions, places, orders, whole numbers.
 
-Draws are few and always the same, so that a property never fails by chance. A case that breaks a property is
-simplified, and the ContractError names it.
+The cases are few and always the same, so a property never fails by chance. A case that breaks a property is simplified,
+and the ContractError names it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
 EXAMPLES = 5  # of each property; the first is the simplest
-SPARE_BITS = 3  # of a number's draws, so that all its values are about equally likely
+SPARE_BITS = 3  # additional bits of a number, which make all its values about equally likely
 AXES = tuple(axis for axis in product((0, 1, -2), repeat=3) if any(axis))
 
 Strategy = Any  # hypothesis's SearchStrategy: it is imported when a property is tried
@@ -92,8 +92,8 @@ def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy
 def whole(least: int, most: int) -> Strategy:
     """Draw a whole number between two, both included; the least is the simplest.
 
-    It is made of bits, because hypothesis mixes constants of imported code into its own whole numbers. They would
-    differ from run to run, and hypothesis would leave a folder behind for them.
+    The number is made of bits, because hypothesis mixes constants of imported code into its own whole numbers. These
+    constants would differ between runs, and hypothesis would create a folder for them.
     """
     span = most - least + 1
     bits = span.bit_length() + SPARE_BITS
@@ -142,7 +142,7 @@ def motions(least_deg: int = 15, most_mm: int = 150) -> Strategy:
 
 
 def places(most_tenths_mm: int = 30, most_tilt_deg: int = 0) -> Strategy:
-    """Draw a Place of any yaw, at most this far from the middle along each axis."""
+    """Draw a Place of any yaw, within these limits of offset along each axis and of tilt."""
     x, y = (signed(most_tenths_mm) for _ in range(2))
     yaw, tilt = whole(0, 359), whole(0, most_tilt_deg)
     return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=yaw, tilt_deg=tilt)

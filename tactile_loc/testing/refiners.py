@@ -32,7 +32,7 @@ TOLERANCE_PX = 0.25  # allowed difference between equivalent problems, pixels of
 LEFT_OVER = 0.8  # share to which offsets of 0.7 to 1 mm must shrink on average
 ROUNDING_PX = 0.02  # allowed difference between equal problems: rounding can change a pixel's contact
 OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0.1))  # far from the object's, metres
-LEAST_CHIRAL = 0.05  # imprint IoU by which a part explains its touch better than its mirror image; the block's is 0.09
+LEAST_CHIRAL = 0.05  # imprint IoU by which a part fits its touch better than its mirror image does; 0.09 for the block
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -267,7 +267,7 @@ def _require_any_frame(refiner: Refiner, problem: PressedBlock, offset: tuple[fl
 
 
 def _refine_rotated(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_rad: float) -> RefinedPose:
-    """Refine the scene's object from the true pose, rotated by a yaw about its centroid, which is the true one's."""
+    """Refine the scene's object from the true pose, rotated by a yaw about its centroid, which is at its true place."""
     R = problem.truth[:3, :3] @ rotation_about([0, 0, 1], yaw_rad)
     centroid_m = problem.truth[:3, :3] @ problem.scene.object.mesh.centroid_m + problem.truth[:3, 3]
     start = make_transform(R, centroid_m - R @ scene.object.mesh.centroid_m)
@@ -279,7 +279,7 @@ def _list_problems() -> list[PressedBlock]:
 
 
 def _move_candidate(problem: PressedBlock) -> Candidate:
-    """A candidate 0.2 m from the sensor in both directions."""
+    """Return a candidate that is 0.2 m from the sensor in both directions."""
     away = problem.truth.copy()
     away[:2, 3] += 0.2
     return Candidate(away, 0, 0.0)

@@ -33,14 +33,14 @@ from tactile_loc.testing.problems import (
 from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, orders, places, whole
 
 BLOCK = make_stepped_block()
-TOLERANCE_M = 3e-5  # of a pixel: half a cell of a height map, on a slope
+TOLERANCE_M = 3e-5  # for a pixel: half a cell of a height map, on a slope
 MEAN_TOLERANCE_M = 8e-6
 Depths = NDArray[np.floating]
 
-STRAY = 0.02  # share of pixels that may differ, since their centres lie at an edge
+STRAY = 0.02  # share of pixels that may differ, because their centres lie at an edge
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])  # x to -x
 YAWS_RAD = np.arange(24) * (np.pi / 12)  # at which a mirror image is compared with the part
-LEAST_CHIRAL = 0.05  # share of pixels by which they differ at each; the block's differ by at least 8 %
+LEAST_CHIRAL = 0.05  # share of pixels that differ at each yaw; at least 8 % for the block
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -256,7 +256,7 @@ def _draw_camera_names() -> Strategy:
 
 
 def _rotate_mirror_images(T: Poses, camera: SensorGeometry) -> Poses:
-    """Contact poses (K, 4, 4) of the mirrored block at YAWS_RAD, its centroid over that of the block at T."""
+    """Return contact poses (K, 4, 4) of the mirrored block at YAWS_RAD, its centroid over that of the block at T."""
     mesh = mirror_mesh(BLOCK)
     R = rotation_about([0, 0, 1], YAWS_RAD) @ T[0, :3, :3]
     centroid_m = T[0, :3, :3] @ BLOCK.centroid_m + T[0, :3, 3]
@@ -264,7 +264,7 @@ def _rotate_mirror_images(T: Poses, camera: SensorGeometry) -> Poses:
 
 
 def _make_poses() -> Poses:
-    """Poses (3, 4, 4) of the block: two with one rotation, one tilted."""
+    """Return poses (3, 4, 4) of the block: two with the same rotation, one tilted."""
     tilted = make_planar_pose(-0.001, 0.0015, 2.0)
     tilted[:3, :3] = rotation_about([1, 0.5, 0], 0.12) @ tilted[:3, :3]
     return np.stack([make_planar_pose(0.0006, -0.0011, 0.3), make_planar_pose(-0.0023, 0.0004, 0.3), tilted])
@@ -276,7 +276,7 @@ def _bring_block(camera: SensorGeometry, poses: Poses | None = None) -> Poses:
 
 
 def _make_rays(camera: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Origins and directions (H, W, 3) of the rays through pixel centres; a unit step is 1 m of depth."""
+    """Return origins and directions (H, W, 3) of the rays through pixel centres; a unit step is 1 m of depth."""
     x, y = np.meshgrid(*camera.pixel_slopes)
     zero, one = np.zeros_like(x), np.ones_like(x)
     if camera.is_pinhole:
@@ -310,6 +310,6 @@ def _same(depth: Depths, truth: Depths, camera: SensorGeometry, sentence: str, s
 
 
 def _share_unlike(depth: Depths, truth: Depths, camera: SensorGeometry) -> float:
-    """The share of pixels of two pictures (N, H, W) whose contact depths differ."""
+    """Return the share of pixels of two pictures (N, H, W) whose contact depths differ."""
     a, b = (compute_contact_depth(d, camera, camera.max_depth_m) for d in (depth, truth))
     return float((np.abs(a - b) > TOLERANCE_M).mean())

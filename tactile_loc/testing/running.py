@@ -1,4 +1,4 @@
-"""Run the contract checks of a component without a test runner, and return the result of each."""
+"""Runs the contract checks of a component without a test runner, and returns the result of each."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class CheckResult:
 
 
 def run_checks(component: Component, properties: bool = False) -> list[CheckResult]:
-    """Run all checks that apply to the component, in order, then its `properties` if asked for.
+    """Run all checks that apply to the component, in order, and then its properties if `properties` is true.
 
-    An encoder that needs training is trained first, on `make_training_problem()`. If that fails, it is the only result.
-    A check that raises another exception than ContractError has failed, and the result names the exception. Raises
+    An encoder that needs training is first trained on `make_training_problem()`. If this fails, it is the only result.
+    A check that raises any other exception than ContractError has failed, too; the result names the exception. Raises
     TypeError if `component` is not a component, and MissingLibraryError for properties without hypothesis.
     """
     return list(iter_checks(component, properties))

@@ -100,7 +100,7 @@ def check_deterministic(sensor: SensorModel) -> None:
 def property_imprint_stays(sensor: SensorModel) -> None:
     """An asymmetric imprint keeps its pixels, and its depths to 0.1 um, at any place and press: nothing is mirrored.
 
-    This is tested with depths in metres, since the truth behind an image is not known here.
+    This is tested with depths in metres, because the true contact shape of an image is unknown here.
     """
 
     def claim(column_percent: int, row_percent: int, press_percent: int) -> None:
@@ -159,7 +159,7 @@ def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
     """Raise ContractError unless the sensor keeps depths (H, W), metres, or accepts only images."""
     try:
         shape = sensor.contact_shape(depth_m.copy())
-    except TouchError:  # the truth of an image is not known here
+    except TouchError:  # the true contact shape of an image is unknown here
         return
     kept = depth_m < shape.press_depth_m
     require_close(shape.depth_m[kept], depth_m[kept], 1e-7, "depths in metres must be kept")

@@ -1,4 +1,4 @@
-"""An encoder for tactile-loc: a map of distances to the contact's outline, in a few dozen numbers."""
+"""An encoder for tactile-loc: describes the distances to the contact's outline by a few dozen numbers."""
 
 from __future__ import annotations
 

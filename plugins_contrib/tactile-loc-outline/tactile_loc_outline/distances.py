@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 
 def signed_distances(masks: NDArray[np.bool_], pitch_m: float, reach_m: float) -> NDArray[np.float32]:
-    """Return the distances (N, H, W), metres, of pixels from the outline of masks (N, H, W), cut at `reach_m`.
+    """Return the distances (N, H, W), metres, of pixels from the outline of masks (N, H, W), at most `reach_m`.
 
     Pixels are `pitch_m` wide. Distances are positive inside and negative outside. The outline runs along the edges
-    between pixels, and the image's border does not count. In a full or empty mask, all distances are `reach_m` or
+    between pixels. The image's border is not part of it. In a full or empty mask, all distances are `reach_m` or
     -`reach_m`.
     """
     found = np.empty(masks.shape, np.float32)

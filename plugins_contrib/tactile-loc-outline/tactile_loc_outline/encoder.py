@@ -9,14 +9,14 @@ from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32,
 
 from tactile_loc_outline.distances import signed_distances
 
-IMAGE_PX = 100  # approximate longer image side after thinning: distances are smooth
+IMAGE_PX = 100  # approximate longer image side after downsampling, pixels: distances are smooth
 
 
 class OutlineEncoder(Encoder):
     """Embeds a contact as the low frequencies of a map of signed distances to its outline.
 
-    The difference of two contacts grows with their distance. The masks of two thin contacts, in contrast, differ
-    equally at all distances.
+    The embeddings of two contacts differ more when the contacts are farther apart. In contrast, the masks of two thin
+    contacts differ by the same amount at any distance.
     """
 
     capabilities = Capabilities(follows_press_depth=True)
@@ -32,8 +32,8 @@ class OutlineEncoder(Encoder):
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`.
 
-        Without the high frequencies, the squared distance of two embeddings is the mean squared difference of their
-        maps in units of the reach. Pixels that are not observed count as no contact.
+        Apart from the omitted high frequencies, the squared distance between two embeddings is the mean squared
+        difference of their maps, in units of the reach. Unobserved pixels count as no contact.
         """
         step = max(1, round(max(geometry.shape) / IMAGE_PX))
         thinned = geometry.subsample(step)

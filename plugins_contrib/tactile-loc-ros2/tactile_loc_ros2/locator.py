@@ -1,4 +1,4 @@
-"""From an image message to the located frame and the pose message. This module does not import ROS."""
+"""Locates the object in image messages, and fills pose messages. This module does not import ROS."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ Estimator = Callable[[Touch], LocatedFrame]
 class ImageLocator:
     """Locates an object in image messages of one sensor, each image separately.
 
-    `frame` is the sensor's frame, by default the image's. `press_depth_m`, metres, is as for `tactile_loc.read_touch`.
-    `estimator` locates a touch, by default with the localizer.
+    `frame` is the sensor's frame, by default the image's. `press_depth_m`, metres, is the same as in
+    `tactile_loc.read_touch`. `estimator` locates a touch, by default with the localizer.
     """
 
     def __init__(

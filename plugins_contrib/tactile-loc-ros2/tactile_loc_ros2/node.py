@@ -21,7 +21,7 @@ NO_ROS = (
 
 
 def ros(module: str) -> Any:
-    """Return a module of ROS 2. Raises MissingLibraryError when there is none."""
+    """Return a module of ROS 2. Raises MissingLibraryError when it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -32,9 +32,9 @@ def run(
     locator: ImageLocator, image_topic: str, compressed: bool, pose_topic: str, verdict_topic: str,
     arguments: Sequence[str],
 ) -> None:  # fmt: skip
-    """Answer images with poses and verdicts until ROS shuts down.
+    """Publish a pose and a verdict for each image until ROS shuts down.
 
-    While one image is located, only the newest of the following images is kept.
+    While it locates one image, it keeps only the newest of the following images.
     """
     rclpy, qos = ros("rclpy"), ros("rclpy.qos")
     kind = ros("sensor_msgs.msg").CompressedImage if compressed else ros("sensor_msgs.msg").Image
@@ -68,7 +68,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the node with the arguments of the command line, and return the exit code. Unknown arguments go to ROS."""
     given, rest = _parser().parse_known_args(words)
     try:
-        ros("rclpy")  # fails before the model is built, which takes minutes
+        ros("rclpy")  # fails early: building the model takes minutes
         localizer = Localizer.create(given.object, units=given.units, sensor=_sensor(given.sensor))
         localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles
         press_m = None if given.press_depth is None else 1e-3 * given.press_depth

@@ -10,10 +10,10 @@ import small_gicp
 from pydantic import Field
 from tactile_loc.plugin import Cloud, CloudRefiner, Registration, is_rigid
 
-FEWEST_POINTS = 10  # after thinning: fewer points have no reliable covariances
+FEWEST_POINTS = 10  # after downsampling: fewer points have no reliable covariances
 LEAST_REACH = 4.0  # least correspondence distance, in spacings of neighbouring points
 RIGID = 1e-3  # tolerance of the test that a result is a rotation
-ALL = 100_000  # points: the clouds are thinned by voxels only
+ALL = 100_000  # points: only the voxels downsample the clouds
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class SmallGicpRefiner(CloudRefiner):
         iterations: int = Field(default=40, ge=1, description="most iterations")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the library's transform, mm, or None when no points are within reach."""
+        """Return the library's registration (mm), or an empty one when no points are within reach."""
         return self.register_many([source], target)[0]
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
@@ -49,14 +49,14 @@ class SmallGicpRefiner(CloudRefiner):
         return [self._register(self.prepared(source), fixed, reach_mm) for source in sources]
 
     def prepared(self, cloud: Cloud) -> Prepared | None:
-        """Thin a cloud to its voxels. Return None if fewer than FEWEST_POINTS points are left."""
+        """Downsample a cloud to its voxels. Return None if fewer than FEWEST_POINTS points are left."""
         if len(cloud) < FEWEST_POINTS:
             return None
         points, tree = small_gicp.preprocess_points(cloud.points_mm, self.options.voxel_mm)
         return None if points.size() < FEWEST_POINTS else Prepared(points, tree)
 
     def _register(self, moving: Prepared | None, fixed: Prepared | None, reach_mm: float) -> Registration:
-        """Register two clouds; without a cloud, nothing moves."""
+        """Register two clouds; if either is None, return no motion."""
         if moving is None or fixed is None:
             return Registration()
         result = small_gicp.align(

@@ -24,8 +24,8 @@ ASKED = 1_000_000  # random rotations
 
 @dataclass(frozen=True)
 class Spread:
-    """The largest and mean angle from random rotations to the nearest sample, and the samples' least and mean angle to
-    their nearest neighbour, all in radians."""
+    """The largest and mean angle from random rotations to the nearest sample, and the least and mean angle from the
+    samples to their nearest neighbour; all in radians."""
 
     covering_rad: float
     mean_rad: float
@@ -61,7 +61,7 @@ def least_covering(count: int) -> float:
 
 
 def hopf_rotations(level: int) -> Float:
-    """Return tactile-loc's Hopf grid of rotations (72 * 8^level, 3, 3), unitless, as its plugin makes it."""
+    """Return tactile-loc's Hopf grid of rotations (72 * 8^level, 3, 3), unitless, as its plugin computes it."""
     hopf = registry().create("grid", "hopf", {"level": level})
     poses = hopf.sample(make_block(), CAMERAS["orthographic"], spacing_m=1.0)  # one place for each rotation
     rotations: Float = poses[:, :3, :3]

@@ -13,7 +13,7 @@ from tactile_loc_super_fibonacci.spirals import fibonacci_directions, rotations_
 
 Float = NDArray[np.float64]
 
-SO3_VOLUME, SPHERE_AREA = 8 * np.pi**2, 4 * np.pi  # in radians: cubed, of all rotations; squared, of all directions
+SO3_VOLUME, SPHERE_AREA = 8 * np.pi**2, 4 * np.pi  # of all rotations, rad^3; of all directions, rad^2
 
 
 class SuperFibonacciGrid(AllRotationsGrid):
@@ -30,7 +30,7 @@ class SuperFibonacciGrid(AllRotationsGrid):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """False with a number of rotations: then the spacing applies to the plane only."""
+        """False if `rotations` is given: the spacing then applies to the plane only."""
         return self.options.rotations is None
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
@@ -52,7 +52,7 @@ class SuperFibonacciGrid(AllRotationsGrid):
 def rotations_for(obj: ObjectModel, spacing_m: float) -> int:
     """Return the number of rotations with a distance of about `spacing_m` metres of surface, before symmetry.
 
-    A small rotation about a principal axis moves the surface by the angle times that axis' lever. So each rotation
+    A small rotation about a principal axis moves the surface by the angle times the axis's lever. So each rotation
     covers a volume of spacing^3 / (the levers' product) of SO(3). With a continuous symmetry, the same holds for
     directions of the axis.
     """

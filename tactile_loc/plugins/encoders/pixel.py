@@ -14,7 +14,7 @@ LEAST_SEEN = 0.5  # least seen share of a cell that counts
 
 
 class PixelEncoder(Encoder):
-    """Embeds a contact shape as the share of each coarse cell that is in contact: no training."""
+    """Embeds a contact shape as the share of each coarse cell that is in contact. It needs no training."""
 
     capabilities = Capabilities(follows_press_depth=True)
 
@@ -27,8 +27,8 @@ class PixelEncoder(Encoder):
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return embeddings (N, cells) of contact depths (N, H, W) in metres cut at `press_depth_m`.
 
-        The squared distance of two embeddings is the mean squared difference of their cells. Pixels that are not
-        observed never differ.
+        The squared distance between two embeddings is the mean squared difference of their cells. Unobserved pixels
+        count as equal.
         """
         press = np.float32(press_depth_m)
         binary = self.options.signal == "binary"
@@ -61,7 +61,7 @@ class PixelEncoder(Encoder):
 def _count_cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
     """Return the number of cells down and across, with `longest` along the longer side of the field of view.
 
-    They depend on the sensor's field only, so a touch and a bank of different resolutions have the same cells.
+    They depend only on the sensor's field of view, so a touch and a bank of different resolutions have the same cells.
     """
     across_scale, down_scale = geometry.scale_at_surface
     down_m, across_m = geometry.height_px / down_scale, geometry.width_px / across_scale

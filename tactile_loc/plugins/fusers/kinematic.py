@@ -1,4 +1,4 @@
-"""The paper's baseline for several touches: it uses contact or no contact, and ignores contact shapes."""
+"""The paper's baseline for several touches: it uses only whether each sensor is in contact, not the contact shapes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tactile_loc.plugin import Capabilities, CommonPosesFuser, PosePosterior
 
 
 class KinematicFuser(CommonPosesFuser):
-    """Uniform over the first grid's poses that touch all sensors, times the prior. Only the touches' grids matter."""
+    """Gives the first grid's poses that touch all sensors equal probability, times the prior. Only the grids matter."""
 
     capabilities = Capabilities(contact_only=True)
 

@@ -120,7 +120,7 @@ class FaceGrid(GridSampler):
 
 @lru_cache(maxsize=8)
 def _find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Find the resting side (3,) of a mesh once: random poses may be drawn a few at a time."""
+    """Return the cached resting side's normal (3,) of a mesh: random poses may be drawn a few at a time."""
     return find_resting_normal(mesh.vertices_m, mesh.centroid_m)
 
 

@@ -1,10 +1,11 @@
 """The pose grid for a touch anywhere on the object: all of SO(3) times the plane, evenly in metres of surface.
 
-After A. Yershova, S. Jain, S. M. LaValle and J. C. Mitchell, "Generating Uniform Incremental Grids on SO(3) Using the
-Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation is a direction to which z is
-rotated, a point of the sphere S^2, and a spin about z, a point of the circle S^1. HEALPix cuts the sphere into 12
-nside^2 cells of equal area, where nside is any positive integer. With `n_psi` spins there are 12 nside^2 n_psi cells of
-equal volume: 72 * 8^level for nside = 2^level and n_psi = 6 nside. Cells are numbered by (base pixel, x, y, spin).
+The method follows A. Yershova, S. Jain, S. M. LaValle and J. C. Mitchell, "Generating Uniform Incremental Grids on
+SO(3) Using the Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation consists of a spin
+about z, a point of the circle S^1, and the direction to which z is rotated, a point of the sphere S^2. HEALPix divides
+the sphere into 12 nside^2 cells of equal area, where nside is any positive integer. With `n_psi` spins there are 12
+nside^2 n_psi cells of equal volume: 72 * 8^level for nside = 2^level and n_psi = 6 nside. Cells are numbered by (base
+pixel, x, y, spin).
 
 A rotation by a small angle about an axis through the centroid moves the surface by that angle times a lever. The lever
 is the root mean square distance from the axis. The spin axis is the object's most distinct principal axis. So spins and
@@ -46,7 +47,7 @@ class HopfGrid(AllRotationsGrid):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """False with a level: then the spacing applies to the plane only."""
+        """False if `level` is given: the spacing then applies to the plane only."""
         return self.options.level is None
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
@@ -62,7 +63,7 @@ class HopfGrid(AllRotationsGrid):
         return round(float(counts.sum()) * total / len(some))
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Suggest a spacing, in millimetres with two digits, that keeps the limit."""
+        """Suggest a lower level or, in mm with two digits, a spacing that does not exceed the limit."""
         if self.options.level is not None:
             return "choose a lower level or a larger spacing"
         while spacing_m < LARGEST_SPACING_M and (
@@ -113,12 +114,12 @@ class RotationGrid:
         return BASE_PIXELS * self.nside**2 * self.n_psi
 
     def representatives(self, indices: Int) -> Float:
-        """Return R_sensor_object (K, 3, 3) of the cells `indices` (N,), one for each class that looks the same."""
+        """Return R_sensor_object (K, 3, 3) of the cells `indices` (N,), one for each class of equivalent rotations."""
         R = make_hopf_rotations(self.nside, self.n_psi, indices) @ align_to_z(self.axis)
         return R[self.obj.symmetry.is_representative(R, step_rad=2 * np.pi / self.n_psi)]
 
     def all_representatives(self) -> Float:
-        """Return R_sensor_object (K, 3, 3), one for each class of rotations that look the same."""
+        """Return R_sensor_object (K, 3, 3), one for each class of equivalent rotations."""
         starts = range(0, len(self), _CHUNK)
         return np.concatenate([self.representatives(np.arange(s, min(s + _CHUNK, len(self)))) for s in starts])
 

@@ -1,8 +1,8 @@
-"""The whole object: the places that can touch first, for every direction.
+"""The grid over the whole object: the places that can touch first, for every direction.
 
-For each of many directions the object's height map is drawn. Its local minima can touch first, and so can equally low
-pixels along edges and on faces. Translations and yaws are read from the touch, not searched. So the density of the
-directions decides the pose error before refinement.
+For each of many directions, the object's height map is drawn. Its local minima can touch first. Equally low pixels
+along edges and on faces can, too. Translations and yaws are read from the touch, not searched. So the density of the
+directions determines the pose error before refinement.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Float = NDArray[np.float64]
 AT_ONCE = 50  # directions drawn together
 MARGIN_M = 0.01  # between the object and the camera
 LONGEST_M = 0.5  # largest diameter of an object: height maps of larger ones do not fit into memory
-MOST_PLACES = 4096  # for one direction
+MOST_PLACES = 4096  # of one direction
 ALIKE, MOST_FLAT = 5e-3, 400  # difference below which normals count as equal; flat faces with their own direction
 GENERIC = np.array([0.5377, 0.6512, 0.5355])  # an asymmetric direction: chooses among symmetric directions
 
@@ -102,14 +102,14 @@ class WholeGrid(GridSampler):
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Raise ConfigError: this grid has places, not poses."""
         raise ConfigError(
-            "the whole grid has places instead of poses, and this command or encoder needs poses; choose --grid face "
+            "the grid 'whole' does not list its poses, which this command or encoder needs; choose --grid face "
             "or --grid hopf"
         )
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres: uniform rotations, the lowest point uniform over the sensing rectangle.
+        """Draw poses (count, 4, 4), metres, uniform in rotation and in the lowest point over the sensing rectangle.
 
-        z is free. The part of the object beside the sensor never touches before the part above it.
+        z is arbitrary. The part of the object beside the sensor never touches before the part above the sensor.
         """
         R = draw_rotations(count, rng)
         x0, x1, y0, y1 = geometry.rectangle
@@ -220,7 +220,7 @@ def _is_low(heights, near, level):
 
 @njit
 def _thin(order, columns, apart, found):
-    """Put pixels, given as flat indices in order, into `found` unless one is already within `apart`; count them."""
+    """Copy pixels, flat indices in `order`, to `found` unless a copied one is within `apart`. Return their number."""
     count = 0
     for flat in order:
         r, c = flat // columns, flat % columns

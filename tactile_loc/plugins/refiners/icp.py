@@ -16,7 +16,7 @@ DECIMALS = 7  # of radians and mm
 class IcpRefiner(CloudRefiner):
     """Registers in two passes: a wide one for coarse alignment, then a narrow one.
 
-    On a busy machine about one registration in some thousands gave a different result. The cause within open3d is
+    On a busy machine, about one registration in several thousand gave a different result. The cause, within open3d, is
     unknown.
     """
 
@@ -30,7 +30,7 @@ class IcpRefiner(CloudRefiner):
         max_iterations: int = Field(default=20, ge=1, description="most iterations in each pass")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, of the last pass that found correspondences, or None without any."""
+        """Return the registration (mm) of the last pass that found correspondences, or an empty one."""
         options = self.options
         moving, fixed = _wrap_cloud(source), _wrap_cloud(target, with_normals=True)
         T, found, converged, iterations = np.eye(4), False, False, 0

@@ -36,6 +36,6 @@ class JointRefiner(Refiner):
         return self.refine_together([View(touch, scene)], candidates)
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates against several touches. A candidate that explains them better than its result is kept."""
+        """Refine candidates against several touches. A candidate that fits better than its result is kept."""
         poses = np.array([candidate.T_sensor_object for candidate in candidates]).reshape(-1, 4, 4)
         return JointRegistration(self.options).refine(views, poses)

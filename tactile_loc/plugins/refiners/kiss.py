@@ -3,8 +3,8 @@
 The library weights a pair at distance r by (k / (k + r^2))^2, so its kernel k is a squared length. Here the kernel is
 the square of the pass's correspondence distance. Clouds are in mm.
 
-Both clouds are sampled at pixels. Nearest neighbours of two such lattices lock wherever the lattices coincide.
-Therefore each moving point is shifted along its surface by a different fraction of a pixel.
+Both clouds are sampled at pixels. With nearest neighbours, two such lattices lock wherever they coincide. Therefore,
+each moving point is shifted along its surface by a different fraction of a pixel.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class KissIcpRefiner(CloudRefiner):
     """Registers in two passes: a wide one for coarse alignment, then a narrow one."""
 
     class Options(CloudRefiner.Options):
-        """Largest distances of corresponding points, the thinning of the touch's cloud, and the iterations."""
+        """Largest distances of corresponding points, the density of the touch's cloud, and the iterations."""
 
         wide_mm: float = Field(default=3.0, gt=0, description="largest distance of paired points in pass 1, mm")
         narrow_mm: float = Field(default=0.7, gt=0, description="largest distance of paired points in pass 2, mm")
@@ -43,7 +43,7 @@ class KissIcpRefiner(CloudRefiner):
         )
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, of the last pass that found correspondences, or None without any."""
+        """Return the registration (mm) of the last pass that found correspondences, or an empty one."""
         moving_mm, spacing_mm = spread(source), target.spacing_mm
         wide_mm = max(self.options.wide_mm, LEAST_WIDE * spacing_mm)
         narrow_mm = max(self.options.narrow_mm, LEAST_NARROW * spacing_mm)
@@ -57,7 +57,7 @@ class KissIcpRefiner(CloudRefiner):
     def _pass(
         self, moving_mm: Floats, target: Cloud, reach_mm: float, settled: float, T: Floats
     ) -> tuple[Floats, int, bool]:
-        """Run bursts until one changes nothing. Return T (4, 4), the iterations (at most), and if it converged."""
+        """Run bursts until one changes nothing. Return T (4, 4), a bound on the iterations, and if it converged."""
         seen = VoxelHashMap(reach_mm, FAR_MM, self.options.voxel_points)
         seen.add_points(target.points_mm)
         done, still = 0, False

@@ -4,9 +4,9 @@ The lower envelope of each rotation is rasterised once and then sampled. An orth
 pinhole camera marches rays through the contact band. A coarse map of minima skips blocks of pixels above the band, and
 brackets the march.
 
-Limits: a height map has one surface in each cell, so surfaces above an overhang are missing (a pinhole camera would see
-a little of them). Steep walls are placed to within half a cell. Poses that share no rotation are drawn exactly,
-triangle by triangle.
+A height map has one surface in each cell, so surfaces above an overhang are missing. (A pinhole camera would see a
+little of them.) Steep walls are placed to within half a cell. Poses that share no rotation are drawn exactly, triangle
+by triangle.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -82,7 +82,7 @@ class HeightmapRenderer(Renderer):
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Do the same for poses that share no rotation: exact, and two to three times as fast as maps."""
+        """Do the same for poses that share no rotation. This is exact, and two to three times as fast as maps."""
         return draw_nearest_depths(mesh, T_sensor_object, geometry)
 
 
@@ -106,7 +106,7 @@ def _measure_footprints(
     turned = rotations[:, :2] @ mesh.vertices_m.T
     corner = np.maximum(np.minimum.reduceat(view_low - t_m[:, :2], starts[:-1]), turned.min(axis=2)) - 2 * cell
     end = np.minimum(np.maximum.reduceat(view_high - t_m[:, :2], starts[:-1]), turned.max(axis=2)) + 2 * cell
-    corner = np.floor(corner / cell) * cell  # so that the cells do not depend on the other poses
+    corner = np.floor(corner / cell) * cell  # makes the cells independent of the other poses
     columns, rows = np.maximum(np.ceil((end - corner).max(axis=0) / cell).astype(int) + 1, 1)
     return corner, (int(-(-rows // COARSE) * COARSE), int(-(-columns // COARSE) * COARSE))
 
@@ -287,9 +287,10 @@ def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
 
 @njit(fast=True)
 def _find_crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
-    """Return the depth near `before` ... `z` at which the ray crosses the map.
+    """Return the depth, approximately between `before` and `z`, at which the ray crosses the map.
 
-    On a slope, two fixed-point steps with Aitken's extrapolation are exact. At a wall, the interval is halved thrice.
+    On a slope, two fixed-point steps with Aitken's extrapolation are exact. At a wall, the interval is halved three
+    times.
     """
     first = _interpolate_height(envelope, sx * z - x0, sy * z - y0, wall) + z0
     second = _interpolate_height(envelope, sx * first - x0, sy * first - y0, wall) + z0

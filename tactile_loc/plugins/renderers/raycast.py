@@ -1,7 +1,7 @@
 """Exact rendering by ray casting, with open3d's RaycastingScene.
 
 The scene is built once for each mesh, in the object frame; a pose rotates the rays, not the object. Usually only a few
-per cent of a picture are within the contact band, so rays are cast only in the box of pixels that can see it.
+percent of a picture are within the contact band, so rays are cast only in the box of pixels that can see it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PixelBox = tuple[slice, slice]
 
 
 class RaycastRenderer(Renderer):
-    """Casts one ray through each pixel centre: exact to a fraction of a micrometre, also below overhangs."""
+    """Casts one ray through each pixel centre: exact to a fraction of a micrometre, including below overhangs."""
 
     capabilities = Capabilities(exact_undercuts=True)
 
@@ -46,7 +46,7 @@ class RaycastRenderer(Renderer):
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depths z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Pixels without a surface are inf; surfaces deeper than standoff + max_depth may be. Raises RenderError when
+        Pixels without a surface are inf; surfaces deeper than standoff + max_depth may be inf. Raises RenderError when
         open3d cannot be loaded.
         """
         scene, surface = self._prepare_scene(mesh)

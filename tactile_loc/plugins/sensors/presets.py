@@ -1,4 +1,4 @@
-"""Nominal sensors. Each real sensor differs a little: for real work, measure yours and describe it in a sensor file."""
+"""Nominal sensors. Real sensors differ a little: for real work, measure yours and describe it in a sensor file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
-# Parallel rays look the same from any distance: the standoff only sets the surface's position in the sensor frame.
+# With parallel rays, distance changes no image: the standoff only sets the surface's position in the sensor frame.
 ORTHOGRAPHIC_STANDOFF_M = 10e-3
 
 
@@ -46,7 +46,7 @@ class Preset(DepthSensor):
 class GelSlim(Preset):
     """GelSlim with the numbers of Bauza et al. (CoRL 2020): a pinhole camera that sees 40.3 x 40.7 mm of the surface.
 
-    The native image of 470 x 470 px is resized to 200 x 200 px. The deepest press is 2 mm.
+    The native image of 470 x 470 px is resized to 200 x 200 px. The maximal depth is 2 mm.
     """
 
     native = SensorGeometry(
@@ -56,21 +56,21 @@ class GelSlim(Preset):
 
 
 class GelSightMini(Preset):
-    """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), deepest press 1 mm.
+    """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), maximal depth 1 mm.
 
     The scale was measured for a public calibration set of 320 x 240 images (the gs_sdk repository's, balls of 9.47 mm).
-    The deepest press is nominal.
+    The maximal depth is nominal.
     """
 
     native = make_orthographic(320, 240, 0.0634e-3, 1e-3)
 
 
 class Digit(Preset):
-    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), deepest press 1 mm, nothing measured.
+    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), maximal depth 1 mm, nothing measured.
 
-    Public numbers disagree: a DIGIT fork of the Taxim simulator uses 0.0266 mm at 640 x 480 (12.8 x 17.0 mm), the
-    digit-depth configuration measured a gel of 18.35 x 24.6 mm. The scale may be wrong by a fifth. The real gel is
-    curved: see digit-curved, or measure your sensor and write a sensor file.
+    Public numbers disagree. A DIGIT fork of the Taxim simulator uses 0.0266 mm at 640 x 480 (12.8 x 17.0 mm). The
+    digit-depth configuration measured a gel of 18.35 x 24.6 mm. The scale may be wrong by 20 %. The real gel is curved:
+    see digit-curved, or measure your sensor and write a sensor file.
     """
 
     native = make_orthographic(240, 320, 0.063e-3, 1e-3)
@@ -79,7 +79,7 @@ class Digit(Preset):
 class CurvedDigit(Digit):
     """DIGIT with a curved gel: a spherical cap with its top in the middle of the image. The rest is as in `Digit`.
 
-    The radius of 35 mm is nominal: in the TACTO simulator the corners of a gel of 20 x 30 mm lie 5 mm lower.
+    The radius of 35 mm is nominal. In the TACTO simulator, the corners of a gel of 20 x 30 mm lie 5 mm lower.
     """
 
     class Options(Preset.Options):

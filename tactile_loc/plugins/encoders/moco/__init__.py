@@ -1,1 +1,1 @@
-"""The learned encoder: trained by contrast, in simulation."""
+"""The learned encoder, trained in simulation by contrastive learning."""

@@ -1,6 +1,6 @@
 """Convolutional backbones of the learned encoder in plain torch, and pretrained weights.
 
-Residual networks have torchvision's parameter names. All networks end before average pooling: the map is the feature.
+Residual networks use torchvision's parameter names. No network has average pooling: the map itself is the feature.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _GROUPS = 32
 
 
 class Backbone(nn.Module):
-    """A fully convolutional network from images (N, in_channels, H, W) to a coarse map, which is the vector.
+    """A fully convolutional network from images (N, in_channels, H, W) to a coarse map, which is the feature vector.
 
     `name` is the architecture. `stride_px` is the distance of the map's cells in input pixels. `in_channels` and
     `channels` are the channels of the input and of the map. Every convolution pads by half its kernel, so a cell covers
@@ -67,9 +67,9 @@ class ResNet(Backbone):
     """ResNet-18 or ResNet-50 without average pooling and classifier; the stride is 32 px.
 
     With `norm="batch"` and three input channels, every parameter and buffer has torchvision's name and shape (v1.5: the
-    3x3 convolution of a bottleneck has the stride). With `norm="group"` the names stay, and there are no running
-    statistics, so images do not influence each other's features. `project`, a 1x1 convolution to `channels`, is added;
-    with `channels=None` it is left out, and the map has 512 or 2048 channels.
+    3x3 convolution of a bottleneck has the stride). With `norm="group"`, the names are the same, but there are no
+    running statistics. So images do not influence each other's features. `project`, a 1x1 convolution to `channels`, is
+    added; with `channels=None` it is left out, and the map has 512 or 2048 channels.
     """
 
     def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
@@ -204,12 +204,12 @@ def _initialise(model: Backbone, generator: torch.Generator) -> None:
 
 
 def load_pretrained(model: Backbone, source: str | Path) -> None:
-    """Fill `model` with weights from `source`, a .safetensors file; pickles, as torch saves them, are never read.
+    """Fill `model` with weights from `source`, a .safetensors file; pickles, torch's own format, are never read.
 
     The names are torchvision's, or those of a saved `model.state_dict()`. `fc.*` is ignored. Without `project.*` the
-    model keeps its own projection. If the file's first convolution sees three colours and the model another number of
-    planes, the mask's plane gets the sum over the colours, and further planes start at zero. A model with group norms
-    takes the batch norms' scales and shifts without their running statistics, so it needs fine-tuning.
+    model keeps its own projection. If the file's first convolution takes three colours and the model takes another
+    number of planes, the mask's plane gets the sum over the colours. Further planes start at zero. A model with group
+    norms takes the batch norms' scales and shifts without their running statistics, so it needs fine-tuning.
 
     Raises WeightsError, and leaves the model unchanged, when the weights are missing, damaged, or of another
     architecture.
@@ -222,8 +222,8 @@ def load_pretrained(model: Backbone, source: str | Path) -> None:
 def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
     if path.suffix != ".safetensors":
         raise WeightsError(
-            f"the weights {path} are no .safetensors file, the only format without code; convert them with the command "
-            "in docs/training.md"
+            f"the weights {path} are not a .safetensors file, the only format without code; convert them with the "
+            "command in docs/training.md"
         )
     if not os.path.isfile(path):
         raise WeightsError(f"there is no weights file {path}; check the path")
@@ -267,13 +267,13 @@ def _is_ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:
 
 
 def _is_optional(key: str, given: Mapping[str, torch.Tensor]) -> bool:
-    """Return true for the number of batches, missing in old files, and for a projection that is missing as a whole."""
+    """Return true for the number of batches, which old files lack, and for a projection that is missing completely."""
     projection = key.startswith("project.") and not any(other.startswith("project.") for other in given)
     return projection or key.endswith(".num_batches_tracked")
 
 
 def _adapt_kernel(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-    """Return a first convolution on three colours as one on the planes of `place`, and another kernel unchanged."""
+    """Convert a first convolution on three colours to the planes of `place`, and return any other kernel unchanged."""
     if kernel.ndim != 4 or kernel.shape[1] != 3 or place.shape[1] == 3:
         return kernel
     planes = kernel.new_zeros((len(kernel), place.shape[1], *kernel.shape[2:]))

@@ -1,8 +1,8 @@
-"""The paper's learned encoder: an embedding of one object's contact shapes, learned by contrast, in simulation only.
+"""The paper's learned encoder: an embedding of one object's contact shapes, learned by contrast in simulation.
 
-A query is a newly rendered random touch. The queue is fixed, with one key for each grid pose. The label is the nearest
-grid pose. The loss is the cross-entropy of the softmax of similarities over the whole grid (Bauza et al., CoRL 2020,
-after He et al., CVPR 2020). A momentum copy of the network encodes the keys from clean shapes.
+A query is a newly rendered random touch. The queue is fixed, with one key for each grid pose. The label is the grid
+pose nearest to the true one. The loss is the cross-entropy of the softmax of similarities over the whole grid (Bauza et
+al., CoRL 2020, after He et al., CVPR 2020). A momentum copy of the network encodes the keys from clean shapes.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 class MocoEncoder(Encoder):
     """Learns in `fit`. Its embeddings are unit vectors, so a matcher's score is the cosine minus one.
 
-    Training is reproducible to the bit for the same number of threads (OMP_NUM_THREADS) and the same kind of device:
-    torch's order of summation depends on both.
+    Training is reproducible, bit for bit, with the same number of threads (OMP_NUM_THREADS) and the same kind of
+    device: torch's order of summation depends on both.
     """
 
     capabilities = Capabilities(needs_training=True, deterministic=False)
@@ -88,7 +88,7 @@ class MocoEncoder(Encoder):
         self._network: Backbone | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the encoder's output, as JSON values: the whole recipe, but not the device."""
+        """Return everything that determines the encoder's output, as JSON values: the recipe, but not the device."""
         described = super().describe()
         if not self.options.decoys:
             del described["options"]["decoys"]  # keeps the keys of encoders from before this option
@@ -128,9 +128,10 @@ class MocoEncoder(Encoder):
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
-        """Return unit embeddings (N, D) of the `seen` pixels (N, H, W) of contact depths, and weights (N, D) of one.
+        """Return unit embeddings (N, D) of the `seen` pixels (N, H, W) of contact depths, and weights (N, D), all one.
 
-        A network that was trained on partly seen touches gets the mask. For another network, unseen means no contact.
+        A network that was trained on partly seen touches gets the mask. For any other network, unseen pixels count as
+        no contact.
         """
         press = np.float32(press_depth_m)
         embeddings = self._encode(np.where(seen, depth_m, press), seen, press_depth_m, geometry)
@@ -212,7 +213,7 @@ def _require_memory(recipe: Recipe, poses: int) -> None:
 
 
 def _find_available_bytes() -> int:
-    """Return the available memory on Linux, and all memory elsewhere."""
+    """Return the available memory, bytes, on Linux, and the total memory on other systems."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:

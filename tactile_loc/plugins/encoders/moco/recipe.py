@@ -22,7 +22,7 @@ class Recipe:
 
     `signal` selects the network's input: the contact mask, or the penetration depth as well. Each epoch renders
     `queries` touches and uses them `repeats` times with new noise, `batch` in a step. Keys are encoded again after
-    `refresh` steps (0: each epoch). `momentum` belongs to the key encoder's weights. `temperature` (unitless) divides
+    `refresh` steps (0: each epoch). `momentum` is that of the key encoder's weights. `temperature` (unitless) divides
     the similarities. `image_px` is the longer side of the input.
     """
 
@@ -84,7 +84,7 @@ def make_input_planes(
     """Return the network's input (N, P, h, w), from 0 to 1, averaged to a longer side of `image_px` pixels.
 
     The planes are the observed contact mask; with the signal "depth", the penetration; with `seen` (N, H, W), the known
-    pixels; and the press. Penetration and press are shares of the sensor's deepest press.
+    pixels; and the press depth. Penetration and press are shares of the sensor's maximal depth.
     """
     press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
     known = geometry.observed_mask if seen is None else seen & geometry.observed_mask

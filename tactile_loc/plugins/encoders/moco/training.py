@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 
 class Crew:
-    """The processes that train together: `rank` of `size`. Rank 0 writes all files. A crew of one sends nothing."""
+    """The processes that train together: `rank` of `size`. Rank 0 writes all files. A single process sends nothing."""
 
     def __init__(self, device: torch.device) -> None:
         """Join the processes that torchrun started, if any. `device` holds the tensors that are sent."""
@@ -57,14 +57,14 @@ class Crew:
         return max(1, count // self.size)
 
     def average(self, tensors: Iterable[torch.Tensor]) -> None:
-        """Put the mean over all processes into each tensor (...), in place."""
+        """Replace each tensor (...), in place, by its mean over all processes."""
         if self.size > 1:
             for tensor in tensors:
                 dist.all_reduce(tensor)
                 tensor /= self.size
 
     def add(self, tensor: torch.Tensor) -> torch.Tensor:
-        """Put the sum over all processes into a tensor (...), and return it."""
+        """Replace a tensor (...), in place, by its sum over all processes, and return it."""
         if self.size > 1:
             dist.all_reduce(tensor)
         return tensor
@@ -93,7 +93,7 @@ def open_board(folder: str, epochs_done: int) -> Any:
 
 
 class QuerySource:
-    """Renders `count` touches for each epoch, while the trainer uses the epoch before.
+    """Renders `count` touches for each epoch, while the trainer uses those of the previous epoch.
 
     Processes that train together have different `rank`s, and render different touches.
     """
@@ -179,7 +179,7 @@ class Trainer:
                     break
 
     def _train_epoch(self, queries: TrainingTouches) -> float:
-        """Train one epoch. Return the mean loss (unitless), or NaN as soon as the loss of a step is."""
+        """Train one epoch. Return the mean loss (unitless), or NaN as soon as a step's loss is NaN."""
         self.network.train()
         order = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank])
         losses: list[float] = []
@@ -195,7 +195,7 @@ class Trainer:
         return float(np.mean(losses))
 
     def _draw_press(self, step: int) -> float:
-        """Draw the press, metres, at which touches and keys are compared from a step on, equal in all processes."""
+        """Draw the press, metres, for comparing touches and keys from this step on: the same in all processes."""
         presses_m = self.problem.key_presses_m
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])
         return float(presses_m[0] if len(presses_m) == 1 else rng.choice(presses_m))
@@ -275,7 +275,7 @@ class Trainer:
         return float(np.mean(losses)), float(np.median(np.concatenate(errors_m)))
 
     def _judge(self, loss: float, validation: TrainingTouches) -> None:
-        """Keep the network if its validation loss is the least so far: the loss is smoother than the error."""
+        """Keep the network if its validation loss is the lowest so far. The loss is smoother than the error."""
         validation_loss, error_m = self.crew.agree(self._validate(validation))
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
         self.problem.progress.note(shown)
@@ -332,7 +332,7 @@ class Trainer:
 def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
     """Move the weights of the slow network towards those of the fast one, and copy the running statistics.
 
-    Lagging statistics would fit neither network, and keys are encoded in evaluation mode, which uses them.
+    Lagging statistics would fit neither network. Keys are encoded in evaluation mode, which uses the statistics.
     """
     for weight, newer in zip(slow.parameters(), fast.parameters(), strict=True):
         weight.copy_(torch.lerp(newer, weight, momentum))
@@ -364,7 +364,7 @@ def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any
 def _sample_keys(
     keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the batch's own keys and `negatives` drawn ones (K, D), and the new index of each target (B,)."""
+    """Return the batch's own keys and `negatives` random keys (K, D), and the new index of each target (B,)."""
     own, places = torch.unique(targets, return_inverse=True)
     drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
     drawn = drawn[~torch.isin(drawn, own)]

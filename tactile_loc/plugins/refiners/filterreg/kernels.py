@@ -1,6 +1,6 @@
 """The compiled part of FilterReg: Gaussian sums over an observed cloud, and their normal equations.
 
-Lengths in mm, in the sensor's frame. A mixture is a `filterreg.refiner.Mixture`. A twist (6,) is a rotation (rad)
+Lengths are in mm, in the sensor's frame. A mixture is a `filterreg.refiner.Mixture`. A twist (6,) is a rotation (rad)
 before a translation (mm).
 """
 
@@ -17,7 +17,7 @@ from tactile_loc.plugin import njit
 
 @njit(fast=True)
 def merge(rows, box, low, boxes):
-    """Merge the points of each box: rows (M, 7) of their number, mean point and mean normal."""
+    """Merge the points of each box into rows (M, 7): the number of points, their mean, and their mean normal."""
     number = np.full(boxes[0] * boxes[1] * boxes[2], -1, np.int32)
     merged, found = np.zeros(rows.shape), 0
     for j in range(len(rows)):
@@ -90,7 +90,7 @@ def _add_equations(points, normals, T, centre, mixture, along, result):
     """Add the equations (6, 7) of one candidate: the matrix and the right-hand side.
 
     The cost of a point at x is (n . (x - y))^2, with the weighted mean normal n and point y of the E step. `along`, 0
-    to 1, blends this with |x - y|^2. The weight of a point is its probability of being no outlier.
+    to 1, blends this with |x - y|^2. The weight of a point is the probability that it is not an outlier.
     """
     x, n, A, g = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3)
     for i in range(len(points)):

@@ -1,10 +1,10 @@
 """FilterReg: registration by expectation-maximisation, for all candidates of a touch at once.
 
-After Gao and Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration using Gaussian Filter and
-Twist Parameterization", CVPR 2019. The observed cloud is a Gaussian mixture. The E step gives each moving point a
-weighted mean point, a mean normal, and a probability of belonging to the cloud. The sums are exact up to a cut-off.
-Normals are a feature, so a wall is not matched to the face beside it. The M step is a Gauss-Newton step on the twist of
-the rigid motion. The mixture's standard deviation shrinks from one iteration to the next.
+The method follows Gao and Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration using Gaussian
+Filter and Twist Parameterization", CVPR 2019. The observed cloud is a Gaussian mixture. The E step gives each moving
+point a weighted mean point, a mean normal, and a probability of belonging to the cloud. The sums are exact up to a
+cut-off. Normals are a feature, so a wall is not matched to the face beside it. The M step is a Gauss-Newton step on the
+twist of the rigid motion. The mixture's standard deviation shrinks from one iteration to the next.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tactile_loc.plugins.refiners.filterreg import kernels
 Floats = NDArray[np.float64]
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off
-MOST_BOXES = 2_000_000  # into which points are merged; a cloud that spans more is not merged
+MOST_BOXES = 2_000_000  # for merging points; a cloud that spans more boxes is not merged
 MOST_COLUMNS = 256  # on each side of the lookup table of points
 SAMPLES = 100  # points of the cloud at which its own density is measured
 
@@ -45,7 +45,7 @@ class Mixture(NamedTuple):
 
 
 class Mixtures:
-    """A cloud as mixtures of any standard deviation; `outlier` (0 to 1) is the share of points outside the cloud."""
+    """Makes Gaussian mixtures of any standard deviation from a cloud; `outlier` (0 to 1) is the share of outliers."""
 
     def __init__(self, cloud: Cloud, outlier: float) -> None:
         points = cloud.points_mm
@@ -101,7 +101,7 @@ class FilterRegRefiner(CloudRefiner):
         iterations: int = Field(default=30, ge=1, description="most iterations of expectation and maximisation")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform, mm, after the last iteration, or None when no point was near the target."""
+        """Return the registration (mm) after the last iteration, or an empty one if no point was near the target."""
         return self.register_many([source], target)[0]
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:

@@ -30,7 +30,7 @@ SHARP = 0.3  # pixels: a narrower blur is not applied
 LEAST_LEVER_PX = 4.0  # least lever of a rotation about the contact's centre
 CUT = 2.5  # standard deviations at which the blur is cut off
 THINNED = 2  # pixels drawn on each side of a block
-REACH = 2.0  # greatest depths above the sensing surface: higher parts appear in no picture
+REACH = 2.0  # maximal depths above the sensing surface: higher parts appear in no picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Pictures:
         return make_translation(self.centre_m + by[:, :3]) @ turn @ make_translation(-self.centre_m) @ T_sensor_object
 
     def _draw_depths(self, depth_m: Float32) -> Float32:
-        """Return the pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
+        """Return the pictures (N, P) of contact depths (N, H, W), metres, which may exceed the press depth."""
         small = np.empty((len(depth_m), *(side // self.block for side in self.geometry.shape)), np.float32)
         press = np.float32(self.wanted.press_depth_m)
         run_in_threads(_average, len(small), depth_m, self.geometry.observed_mask, press, self.block, small)

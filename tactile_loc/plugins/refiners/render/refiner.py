@@ -1,8 +1,8 @@
 """Render and compare: moves a pose until its rendered picture matches the touch.
 
-Registration compares surfaces where both are in contact. Here every pixel counts, also pixels without contact. Pictures
-are drawn exactly, triangle by triangle, whatever the scene's renderer. A renderer with inexact edges would put steps
-into the cost.
+Registration compares surfaces where both are in contact. Here every pixel counts, including pixels without contact.
+Pictures are drawn exactly, triangle by triangle, not by the scene's renderer. A renderer with inexact edges would put
+steps into the cost.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tactile_loc.plugin import RenderError, SensorGeometry, TriangleMesh
 
-# pyrender disables multisampling for segmentation only. With multisampling, the depth is taken beside the pixel's
+# pyrender disables multisampling for segmentation only. With multisampling, the depth is taken off the pixel's
 # centre: tens of micrometres wrong on a slope.
 _FLAGS = RenderFlags.DEPTH_ONLY | RenderFlags.SEG
 _BLACK = (0, 0, 0)
