@@ -73,7 +73,7 @@ def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:
         except TactileLocError as error:
             raise CalibrationError(str(error)) from error
         if image is None:
-            raise CalibrationError(f"{path} is no colour image; give PNG or JPEG with three channels, or remove it")
+            raise CalibrationError(f"{path} is not a colour image; give PNG or JPEG with three channels, or remove it")
         yield Frame(path.relative_to(root).as_posix(), image)
 
 

@@ -245,7 +245,7 @@ def _read_image(row: Row, geometry: SensorGeometry) -> Image:
         raise CalibrationError(f"{row.where}: {error}") from error
     if image is None:
         raise CalibrationError(
-            f"{row.where}: {row.image.name} is no colour image; give PNG or JPEG with three channels"
+            f"{row.where}: {row.image.name} is not a colour image; give PNG or JPEG with three channels"
         )
     if image.shape[:2] != geometry.shape:
         got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, geometry.shape))
@@ -303,7 +303,7 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
     first = min(path for path in folder.iterdir() if path.name != TABLE)
     image = read_colour_image(first)
     if image is None:
-        raise CalibrationError(f"{first} is no colour image; give PNG or JPEG with three channels")
+        raise CalibrationError(f"{first} is not a colour image; give PNG or JPEG with three channels")
     return write_scale(folder, image.shape[:2], mm_per_px)
 
 

@@ -82,10 +82,10 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
 
 
 def read_zero(path: Path) -> Image:
-    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is no colour image."""
+    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
     image = read_colour_image(path)
     if image is None:
-        raise TouchError(f"{path} is no colour image; give PNG or JPEG with three channels as --zero")
+        raise TouchError(f"{path} is not a colour image; give PNG or JPEG with three channels as --zero")
     return image
 
 
