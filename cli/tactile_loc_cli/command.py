@@ -1,4 +1,4 @@
-"""The frame of every command: --json, -v, -q, completion of names, and failures in one line."""
+"""What all commands share: --json, -v, -q, completion of names, and failures in one line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Verbose = Annotated[
         "-v", "--verbose", count=True, metavar="", show_default=False, help="Log each step; -vv logs all details."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show errors only: no warnings, no progress bars.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Hide warnings and progress bars.")]
 Json = Annotated[bool, typer.Option("--json", help="Write the result as one JSON document, in SI units.")]
 
 SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, False)}

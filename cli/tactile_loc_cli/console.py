@@ -21,7 +21,7 @@ from tactile_loc.core.progress import Progress, rank
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
 REASONS = 5  # shown why frames were refused
-UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of output that is no terminal, and of a folded column at least
+UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of output that is not a terminal, and of a folded column at least
 
 
 def say(text: str = "") -> None:

@@ -15,9 +15,10 @@ from types import TracebackType
 from typing import Any, NoReturn
 
 import typer
+from pydantic import ValidationError
 
-from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.errors import TactileLocError, quote
+from tactile_loc.core.slots.registry import explain_allowed, registry
 from tactile_loc_cli.console import complain, is_shown, say_json
 
 UNEXPECTED, USAGE_ERROR, INTERRUPTED = 1, 2, 130
@@ -64,6 +65,24 @@ def tell(kind: str, text: str, as_json: bool, prefix: str = "error") -> None:
     complain(prefix, text)
     if as_json:
         say_json({"error": {"kind": kind, "message": " ".join(text.split())}})
+
+
+def describe_usage_error(error: Any, command: str) -> str:
+    """Describe a wrong command line; a value that cannot be validated in the same words as in a configuration."""
+    flags, cause = getattr(getattr(error, "param", None), "opts", []), error.__cause__
+    if flags and isinstance(cause, ValidationError):
+        problem = cause.errors()[0]
+        value = str(problem["input"])
+        shown = value if value.lstrip("+-").isdecimal() else quote(value)
+        return f"{flags[-1]} cannot be {shown}; {_list_choices(explain_allowed(problem))}"
+    return f"{error.format_message().rstrip('.')}; see {command} -h"
+
+
+def _list_choices(allowed: str) -> str:
+    """Rewrite "'x' is not one of 'a', 'b', 'c'" as "give a, b or c"; return other texts unchanged."""
+    _, listed, choices = allowed.partition(" is not one of ")
+    *others, last = choices.replace("'", "").split(", ")
+    return f"give {', '.join(others)} or {last}" if listed and others else allowed
 
 
 def _show_traceback() -> None:

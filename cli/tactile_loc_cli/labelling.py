@@ -35,7 +35,7 @@ def label_presses(
         return folder, find_sensor_file(folder, sensor, mm_per_px, None), {}
     if ball_radius_mm is None:
         raise CalibrationError(
-            f"there is no table {folder / TABLE}; give --ball-radius to have it written from the images, or write it "
+            f"there is no table {folder / TABLE}; give --ball-radius to write it from the images, or write it "
             "yourself (docs/sensors.md)"
         )
     if not os.access(source if source.is_dir() else source.parent, os.W_OK):

@@ -24,7 +24,7 @@ from tactile_loc_cli.commands.run import run
 from tactile_loc_cli.commands.simulate import simulate
 from tactile_loc_cli.commands.sweep import sweep
 from tactile_loc_cli.doctor.command import doctor
-from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, tell
+from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, describe_usage_error, tell
 from tactile_loc_cli.scaffold.command import new_plugin
 
 
@@ -41,7 +41,7 @@ class PlainErrors(TyperGroup):
         except UsageError as error:
             context = getattr(error, "ctx", None)
             path = context.command_path if context else "tactile-loc"
-            tell("UsageError", f"{error.format_message().rstrip('.')}; see {path} -h", as_json)
+            tell("UsageError", describe_usage_error(error, path), as_json)
             code = USAGE_ERROR
         except typer.Abort:
             tell("Interrupted", TO_BE_RESUMED, as_json, "interrupted")

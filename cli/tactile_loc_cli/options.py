@@ -100,7 +100,7 @@ class RunOptions:
         list[str] | None,
         set_option(
             "Set an option of a component, such as grid.spacing_mm=3; may be repeated. `plugins SLOT NAME` lists them. "
-            "Also sets numbers of search, hypotheses and tracker (search.registered=500) and plain settings "
+            "Also sets options of the search, hypotheses and tracker (search.registered=500) and top-level settings "
             "(drawing=paper)."
         ),
     ] = None
@@ -145,7 +145,7 @@ Store = Annotated[
 
 def make_config(given: RunOptions) -> RunConfig:
     """Merge options over their configuration file, if they name one. Raises ConfigError for unknown settings."""
-    from tactile_loc.io.config import WHOLE, RunConfig, parse_overrides, parse_settings
+    from tactile_loc.io.config import COMMAND_LINE, WHOLE, RunConfig, parse_overrides, parse_settings
     from tactile_loc.io.options import TUNABLE
     from tactile_loc.io.toml import read_toml
 
@@ -166,9 +166,20 @@ def make_config(given: RunOptions) -> RunConfig:
     for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # the other defaults depend on the grid
         settings[slot] = _merge_component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}), grid)
         grid = settings["grid"]["name"]
-    chosen = {"top": given.top, "coverage": given.coverage, "seed": given.seed}
-    settings |= plain | _drop_none({**chosen, "drop_outliers": given.drop_outliers or None})
-    return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
+    if given.zero is not None:
+        _require_zero(settings["sensor"]["name"])
+    chosen = _drop_none({"top": given.top, "coverage": given.coverage, "seed": given.seed})
+    RunConfig.from_dict(chosen, COMMAND_LINE)  # raises errors that name the flag, not the file
+    settings |= plain | chosen | _drop_none({"drop_outliers": given.drop_outliers or None})
+    return RunConfig.from_dict(settings, COMMAND_LINE if given.config is None else str(given.config))
+
+
+def _require_zero(sensor: str) -> None:
+    """Raise ConfigError when the sensor of this name takes no newer image of the untouched gel."""
+    if "zero" not in registry().load("sensor", sensor).Options.model_fields:
+        raise ConfigError(
+            f"--zero needs a calibrated sensor, but {sensor} is not one; choose --sensor FOLDER, or leave out --zero"
+        )
 
 
 def _drop_none(values: Mapping[str, Any]) -> dict[str, Any]:

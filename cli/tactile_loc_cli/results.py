@@ -1,4 +1,4 @@
-"""Results in print: millimetres, degrees, per cent."""
+"""Tables and lines that show results, in millimetres, degrees and per cent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
 
 IMPRINT = "imprint IoU %"
-POSE = ("x mm", "y mm", "z mm", "turn deg", "about axis")
+POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
 def make_title(record: ResultRecord) -> str:
@@ -48,22 +48,25 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     )
     if (found := record.pose_set) is not None:
         yield (
-            f"{found.coverage:.1%} set: {found.grid_poses} of these poses, {len(record.hypotheses)} hypotheses; it "
-            f"holds the pose nearest to the truth this often, by {found.examples} simulated examples"
+            f"{100 * found.coverage:.1f} % set: {found.grid_poses} of these poses, {len(record.hypotheses)} hypotheses. "
+            f"In {found.examples} simulated examples, such a set holds the pose nearest to the truth this often"
         )
     grid = record.configuration["grid"]
     if grid["name"] == "whole":
-        yield "searched: the whole object; if you know that it touches with its face +z: --grid face -o grid.face=+z"
+        yield (
+            "searched: the whole object. If you know which face touches, search only that face, such as "
+            "--grid face -o grid.face=+z"
+        )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
-            f"searched: {_describe_side(record)}, on which it rests lowest; another side: -o grid.face=+z; "
-            "the whole object: --grid whole"
+            f"searched: {_describe_side(record)}, on which it rests lowest. For another side, add -o grid.face=+z; "
+            "for the whole object, --grid whole"
         )
     if (errors := record.errors) is not None:
         yield (
-            f"error: {format_mm(errors.best_m)} mm (best pose), {format_mm(errors.best_listed_m)} mm (nearest listed "
-            f"pose), {format_mm(errors.closest_in_grid_m)} mm (nearest grid pose); RMS surface distance, symmetric "
-            "poses equal"
+            f"pose error: {format_mm(errors.best_m)} mm (best pose), {format_mm(errors.best_listed_m)} mm (nearest "
+            f"listed pose), {format_mm(errors.closest_in_grid_m)} mm (nearest grid pose); the RMS surface "
+            "distance, with symmetric poses counted as equal"
         )
     yield "time: " + ", ".join(f"{stage} {format_duration(s)}" for stage, s in record.seconds.items())
 
@@ -101,19 +104,25 @@ def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
 
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
     """Write the best approaches, those out of reach, and the poses that no approach distinguishes."""
-    say(f"{record.object}: {len(record.modes)} possible poses, doubt {record.entropy_nats:.2f} nats")
-    header = ["rank", "approach", "information nats", "doubt left nats", "meets %", "travel mm", "cost"]
+    say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
+    header = ["rank", "approach", "information nats", "entropy left nats", "meets %", "travel mm", "cost"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
     for one in record.out_of_reach:
         say(f"out of reach: {one.name} {one.reason}")
     if record.unlisted > 0.01:
-        say(f"{record.unlisted:.0%} of the probability belongs to poses not listed in the result; run --top lists more")
+        say(
+            f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
+            "run --top lists more"
+        )
     if record.symmetry != "none":
         say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
     for group in record.alike:
         say(f"no approach distinguishes poses {', '.join(map(str, group))}")
     if record.alike:
-        say(f"a doubt of {record.doubt_left:.0%} remains with any approach")
+        say(
+            "even after any of these approaches, the most probable pose is wrong with a probability of at least "
+            f"{100 * record.doubt_left:.0f} %"
+        )
 
 
 def _list_rated_cells(one: RatedRecord) -> list[str]:
@@ -130,7 +139,7 @@ def say_identification(record: IdentificationRecord) -> None:
     say_table([header, *map(_list_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
     if others := len(record.objects) - len(located):
         say(f"not located, because others explain the touches better or no pose does: {others} more")
-    say(f"touched: {record.identified or 'none of these'}, by {format_count(len(record.touches), 'touch')}")
+    say(f"identified: {record.identified or 'none of these objects'} ({format_count(len(record.touches), 'touch')})")
 
 
 def _list_known_cells(one: KnownObjectRecord) -> list[str]:

@@ -140,7 +140,9 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         raise CalibrationError(f"there is no folder {folder}; make it with tactile-loc calibrate")
     for name in (SENSOR, BACKGROUND, CALIBRATION, WEIGHTS):
         if not (folder / name).is_file():
-            raise CalibrationError(f"{folder} is no calibrated sensor: it has no {name}; calibrate the sensor again")
+            raise CalibrationError(
+                f"{folder} is not a calibration folder: it has no {name}; give the folder that tactile-loc calibrate wrote"
+            )
     try:
         record = read_json(folder / CALIBRATION)
         geometry = read_sensor_file(folder / SENSOR)

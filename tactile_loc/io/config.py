@@ -18,6 +18,9 @@ from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, Tr
 from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.store.files import recover_folder
 
+COMMAND_LINE = "the command line"  # the source of a configuration without a file
+FLAGS = {"top": "--top", "seed": "--seed", "coverage": "--coverage", "touch.press_depth_mm": "--press-depth"}
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -38,7 +41,7 @@ class SlotConfig(_Strict):
         if isinstance(value, dict) and "options" not in value:
             return {"name": value.get("name"), "options": {k: v for k, v in value.items() if k != "name"}}
         if not isinstance(value, dict | SlotConfig):
-            raise PydanticCustomError("slot", "input should be a component's name, or a table of its name and options")
+            raise PydanticCustomError("slot", "it must be a component's name, or a table of its name and options")
         return value
 
 
@@ -134,7 +137,11 @@ class RunConfig(_Strict):
             key = sorted(unknown)[0]
             near = did_you_mean(key, cls.model_fields)
             raise ConfigError(f"{source} has an unknown entry {key!r}.{near} Known: {', '.join(cls.model_fields)}")
-        result: RunConfig = validate_options(cls, values, f"configuration {source!r}")
+
+        def name_option(key: str) -> str:
+            return FLAGS.get(key, key) if source == COMMAND_LINE else f"{source}: {key}"
+
+        result: RunConfig = validate_options(cls, values, f"configuration {source!r}", name_option)
         return result
 
     def resolve(self) -> dict[str, Any]:

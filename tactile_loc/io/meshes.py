@@ -121,7 +121,7 @@ def load_object(
         notes.append(f"{path.name} is not watertight; touches are drawn from its existing faces")
     group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
-        notes.append(f"symmetry found: {group}; give --symmetry to be sure")
+        notes.append(f"detected the symmetry {group}; pass --symmetry '{group}' to confirm it, or --symmetry none")
     for note in notes:
         log.warning(note)
     return ObjectModel(name, mesh, group, tuple(notes), str(path))

@@ -138,8 +138,12 @@ def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: st
         return T
     if not given:
         return None
-    if "xyz_mm" not in given or len(given) != 2:
-        raise ValueError(f"{', '.join(given)} make no pose; {name_pose_keys(name)}")
+    if "xyz_mm" not in given:
+        raise ValueError(f"the pose has no position; add xyz_mm to {' and '.join(given)}, or give {name} instead")
+    if len(given) == 1:
+        raise ValueError(f"the pose has no rotation; add rpy_deg or quaternion_wxyz to xyz_mm, or give {name} instead")
+    if len(given) == 3:
+        raise ValueError(f"the pose has two rotations; leave out rpy_deg or quaternion_wxyz, or give {name} instead")
     return make_transform(_read_rotation(keys), 1e-3 * np.array(keys.xyz_mm))
 
 

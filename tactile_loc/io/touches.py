@@ -65,8 +65,8 @@ def read_contents(path: Path) -> FileContents:
 
 def _explain_image(path: Path) -> str:
     return (
-        f"{path} is not an 8-bit colour image, which a sensor calibrated for images reads; convert it, or give a "
-        f"contact shape as {FORMATS}, with its unit"
+        f"{path} is neither a contact shape nor an 8-bit colour photo; give a contact shape ({FORMATS}, with its "
+        "unit), or an 8-bit colour photo with a calibrated sensor"
     )
 
 
@@ -81,7 +81,7 @@ def _read_npz(path: Path) -> FileContents:
 
 
 def _find_depth(arrays: Mapping[str, NDArray[Any]], path: Path) -> NDArray[Any]:
-    """Return the array `depth`, else the only array of two or more dimensions that is no pose."""
+    """Return the array `depth`, else the only array of two or more dimensions that is not a pose."""
     if "depth" in arrays:
         return arrays["depth"]
     maps = [a for name, a in arrays.items() if a.ndim >= 2 and not name.startswith("T_")]
@@ -138,7 +138,7 @@ def read_touch(
     """Read a touch taken by `sensor`: a contact shape, as `read_contact_shape` does, or a colour image.
 
     A calibrated sensor converts the image to a contact shape. The poses (4, 4), metres, are those of the file. Raises
-    TouchError when the file is no touch, does not fit the sensor, shows no contact, or is in contact everywhere.
+    TouchError when the file is not a touch, does not fit the sensor, shows no contact, or is in contact everywhere.
     """
     path = Path(path)
     geometry = sensor.geometry

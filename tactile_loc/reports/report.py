@@ -35,7 +35,7 @@ def find_source(path: Path) -> Source:
         return _find_in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
     if kind is None:
-        what = "is no result" if os.path.exists(path) else "does not exist"
+        what = "is not a result" if os.path.exists(path) else "does not exist"
         raise ResultError(f"{path} {what}; give the folder that run, evaluate or sweep wrote, or its {_list_names()}")
     document = path.with_suffix(".json")
     if not os.path.isfile(document):

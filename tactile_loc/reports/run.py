@@ -115,7 +115,7 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
         size += ", or a pose that was not found" if found.elsewhere else ""
         holds = f"holds the pose nearest to the truth this often, by {found.examples} simulated examples"
-        yield f"{found.coverage:.1%} set", size, holds
+        yield f"{100 * found.coverage:.1f} % set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
     probability = format_percent(best.probability)

@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -15,6 +16,7 @@ from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import (
+    COMMAND_LINE,
     LISTED,
     ObjectConfig,
     RunConfig,
@@ -57,8 +59,13 @@ class Plan:
         """Make a plan from one value or a list of values for each of KEYS.
 
         Missing keys have the defaults of an evaluation: all demo objects, each slot's default, strong noise, seed 0.
-        Raises ConfigError that names `source`, or PluginError, for unknown or ill-typed values.
+        Raises ConfigError or PluginError, which name `source`, for unknown or ill-typed values.
         """
+        with nullcontext() if source == COMMAND_LINE else name_source(source):
+            return cls._read(values, source)
+
+    @classmethod
+    def _read(cls, values: Mapping[str, Any], source: str) -> Plan:
         for key in values:
             if key not in KEYS:
                 near = did_you_mean(key, KEYS)
@@ -242,9 +249,13 @@ def read_whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[i
     for entry in list_values(value, key, source):
         is_number = isinstance(entry, int) and not isinstance(entry, bool)
         if not (is_number or (isinstance(entry, str) and entry.strip().isdecimal())) or int(entry) < least:
-            raise ConfigError(f"{source} has {key} = {entry!r}; it must be a whole number, {least} or more")
+            raise ConfigError(f"{_name_key(key, source)} cannot be {entry!r}; give a whole number, {least} or more")
         found.append(int(entry))
     return tuple(dict.fromkeys(found))
+
+
+def _name_key(key: str, source: str) -> str:
+    return f"--{key}" if source == COMMAND_LINE else f"{source}: {key}"
 
 
 def read_options(given: Any, source: str) -> Options:

@@ -125,7 +125,7 @@ def test_unknown_option_lists_the_known_ones(refused):
 
 
 def test_ill_typed_option(refused):
-    refused("-o", "refiner.iterations=many", mentions=("iterations", "'many'", "integer"))
+    refused("-o", "refiner.iterations=many", mentions=("iterations", "'many'", "whole number"))
     refused("-o", "grid.spacing_mm=-1", mentions=("spacing_mm", "-1"))
 
 
@@ -137,8 +137,21 @@ def test_option_that_cannot_be_read(refused):
 def test_unknown_flag_and_value(refused):
     refused("--objct", "pin", mentions=("--objct", "tactile-loc run -h"))
     refused("--units", "feet", mentions=("feet", "inch"))
-    refused("--top", "many", mentions=("--top",))
-    refused("--top", 0, mentions=("top",))
+    refused("--units", "feet", mentions=("--units cannot be 'feet'; give auto, m, mm, cm or inch",))
+    refused("--top", "many", mentions=("--top cannot be 'many'; give a whole number",))
+    refused("--top", 0, mentions=("--top cannot be 0; give 1 or more",))
+    refused("--zero", "new.png", mentions=("--zero", "gelslim", "--sensor FOLDER"))
+
+
+def test_a_wrong_value_is_refused_in_the_same_words_everywhere(refused, cli):
+    refused("--seed", -1, mentions=("--seed cannot be -1; give 0 or more",))
+    assert_refused(cli("evaluate", "--seed", -1), "--seed cannot be -1; give 0 or more")
+    Path("run.toml").write_text("seed = -1")
+    refused("--config", "run.toml", mentions=("run.toml: seed cannot be -1; give 0 or more",))
+    Path("run.toml").write_text("seed = 1")
+    refused("--config", "run.toml", "--seed", -2, mentions=("--seed cannot be -2; give 0 or more",))
+    Path("plan.toml").write_text("refiner = 'ipc'")
+    assert_refused(cli("sweep", "plan.toml"), "plan.toml", "'ipc'", "choose none, ")
 
 
 def test_unknown_command(cli):

@@ -39,12 +39,12 @@ def test_no_key_is_no_pose():
 @pytest.mark.parametrize(
     ("keys", "matrix", "values"),
     [
-        ({"xyz_mm": [0, 0, 0]}, None, ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
-        ({"rpy_deg": [0, 0, 0]}, None, ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
+        ({"xyz_mm": [0, 0, 0]}, None, ("T", "no rotation", "rpy_deg", "quaternion_wxyz")),
+        ({"rpy_deg": [0, 0, 0]}, None, ("T", "xyz_mm", "rpy_deg", "no position")),
         (
             {"xyz_mm": [0, 0, 0], "rpy_deg": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0]},
             None,
-            ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz"),
+            ("T", "two rotations", "rpy_deg", "quaternion_wxyz"),
         ),
         ({"xyz_mm": [0, 0, 0], "quaternion_wxyz": [1, 1, 0, 0]}, None, ("quaternion_wxyz", "1.414")),
         ({"xyz_mm": [0, 0, 0]}, np.eye(4).tolist(), ("T", "xyz_mm")),

@@ -244,7 +244,10 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
         ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
         ("ambiguous touches; median ADD of all touches and of the unambiguous ones, mm", tabulate_ambiguity(runs)),
         ("by share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm", tabulate_areas(runs)),
-        ("coverage: share of true poses in the credible sets, and means", tabulate_posteriors(runs)),
+        (
+            "coverage: share of true poses in the credible sets; means of likelihood, entropy and expected error",
+            tabulate_posteriors(runs),
+        ),
     ):
         say(title)
         say_table(table)

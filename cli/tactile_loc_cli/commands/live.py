@@ -42,7 +42,8 @@ CameraOption = Annotated[
     options.declare("--camera", "N", "Use a camera: its number, from 0, or its device, such as /dev/video2."),
 ]
 Once = Annotated[
-    bool, typer.Option("--once", help="Locate all present frames without dropping any, and end; not with --camera.")
+    bool,
+    typer.Option("--once", help="Locate every frame already in the folder or video, then exit; not with --camera."),
 ]
 Track = Annotated[
     bool,

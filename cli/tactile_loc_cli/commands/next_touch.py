@@ -1,4 +1,4 @@
-"""`tactile-loc next-touch`: choose where to touch next to reduce doubt the most."""
+"""`tactile-loc next-touch`: choose the next touch with the largest information gain."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.store.files import lock_folder, require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
-from tactile_loc_cli.console import make_progress, say, say_written
+from tactile_loc_cli.console import format_count, make_progress, say, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -202,8 +202,8 @@ def _warn_of_doubtful(names: list[str]) -> None:
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         logger.warning(
-            "%d best poses have an imprint IoU below %.0f %% and are probably wrong: %s",
-            len(names), 100 * LEAST_IOU, some,
+            "the best pose of %s has an imprint IoU below %.0f %% and is probably wrong: %s",
+            format_count(len(names), "touch"), 100 * LEAST_IOU, some,
         )  # fmt: skip
 
 

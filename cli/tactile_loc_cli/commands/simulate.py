@@ -66,7 +66,7 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate touches with known poses.
 
-    The poses are random ones of the grid's range. `run --touch` reads the written contact shapes (npz).
+    The poses are drawn at random from the grid's range. `run --touch` reads the written contact shapes (npz).
     """
     settings = options.make_config(given)
     seen_by = _find_optics(optics, settings.sensor.name) if images or optics is not None else None

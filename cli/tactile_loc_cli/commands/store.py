@@ -134,7 +134,7 @@ def _is_being_built(place: StageStore, entry: Entry) -> bool:
 
 
 def _is_confirmed(entries: Sequence[Entry]) -> bool:
-    """Ask for confirmation. Raises ConfigError where stdin is no terminal."""
+    """Ask for confirmation. Raises ConfigError where stdin is not a terminal."""
     if not _is_terminal():
         raise ConfigError("removing needs a confirmation; give --yes, or --dry-run to list what would be removed")
     return typer.confirm(f"Remove {_summarise(entries)}?", err=True)

@@ -49,7 +49,12 @@ Count = Annotated[
     int | None, declare("--count", "N", "Simulated touches for each combination. Default: 150.", min=1, max=100_000)
 ]
 Line = Annotated[
-    str, declare("--line", "LINE", "Line of the protocol in sweep.md, pictures and comparisons: best-1, reg-1, ...")
+    str,
+    declare(
+        "--line",
+        "LINE",
+        "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation-protocol.md).",
+    ),
 ]
 Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
 Threads = Annotated[
@@ -131,15 +136,16 @@ def sweep(
 
 def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
     """Return the file's plan, overridden by the command line."""
+    from tactile_loc.io.config import COMMAND_LINE
     from tactile_loc.io.toml import read_toml
     from tactile_loc.sweeps.plan import Plan, merge_options, read_options, split_all
 
-    source = "the command line" if path is None else str(path)
+    source = COMMAND_LINE if path is None else str(path)
     in_file = {} if path is None else read_toml(path)
     values = {**in_file, **{key: value if key == "count" else split_all(value) for key, value in given.items()}}
     if "option" in given:
         written = read_options(in_file.get("option", []), source)
-        values["option"] = merge_options(written, read_options(given["option"], "the command line"))
+        values["option"] = merge_options(written, read_options(given["option"], COMMAND_LINE))
     table = {"units": units, "symmetry": symmetry}
     table = {key: str(value) for key, value in table.items() if value is not None}
     if table:

@@ -6,7 +6,7 @@ import importlib
 import logging
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -39,8 +39,8 @@ class ComponentSpec:
     """One component offered for one slot.
 
     `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
-    it needs beyond tactile-loc's own. `interface` is the interface version that it was written for: a number, not
-    INTERFACE_VERSION, which is that of the installed tactile-loc. Plugins for version 1 leave it out.
+    it needs beyond tactile-loc's own. `interface` is the interface version that it was written for. Write a number:
+    INTERFACE_VERSION changes with the installed tactile-loc. Plugins for version 1 leave it out.
     """
 
     slot: str
@@ -131,7 +131,7 @@ class Registry:
         broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
         known = self.names(slot)
         also = ", and no folder or file with that name" if slot == "sensor" else ""
-        return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
+        return f"there is no {slot} {name!r}{also}; choose {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
         """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does.
@@ -192,8 +192,13 @@ def _require_component(kind: Any, slot: str) -> None:
         raise TypeError(f"{kind.__name__} does not implement {', '.join(sorted(kind.__abstractmethods__))}")
 
 
-def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
-    """Build the pydantic options `model` from `values`. Raises ConfigError, naming the valid options."""
+def validate_options(
+    model: Any, values: Mapping[str, Any], owner: str, name_option: Callable[[str], str] | None = None
+) -> Any:
+    """Build the pydantic options `model` from `values`.
+
+    Raises ConfigError, which names the `owner` and the valid options, or calls a wrong option `name_option(key)`.
+    """
     try:
         return model(**values)
     except ValidationError as error:
@@ -206,9 +211,32 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
             allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none"
             near = did_you_mean(str(problem["loc"][-1]), fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
-        raise ConfigError(
-            f"the {owner} cannot take {key} = {quote(problem['input'])}: {problem['msg'].lower()}"
-        ) from error
+        subject = f"{key} of the {owner}" if name_option is None else name_option(key)
+        raise ConfigError(f"{subject} cannot be {quote(problem['input'])}; {explain_allowed(problem)}") from error
+
+
+_ALLOWED = {
+    "greater_than_equal": "give {ge} or more",
+    "greater_than": "give more than {gt}",
+    "less_than_equal": "give at most {le}",
+    "less_than": "give less than {lt}",
+    "literal_error": "give {expected}",
+    "finite_number": "give a finite number",
+    "string_type": "give a text",
+}
+_KINDS = {"int": "a whole number", "float": "a number", "bool": "true or false"}
+
+
+def explain_allowed(problem: Mapping[str, Any]) -> str:
+    """Return what to give instead of a refused value; `problem` is an item of `ValidationError.errors()`."""
+    kind, about = problem["type"], problem.get("ctx", {})
+    if kind in _ALLOWED:
+        return _ALLOWED[kind].format_map({k: f"{v:g}" if isinstance(v, float) else v for k, v in about.items()})
+    if kind == "value_error":
+        return str(about["error"]).rstrip(".")
+    if (wanted := kind.partition("_")[0]) in _KINDS:
+        return f"give {_KINDS[wanted]}"
+    return str(problem["msg"]).replace("Input should be", "it must be")
 
 
 def _name_type(annotation: Any) -> str:

@@ -86,6 +86,8 @@ class Recording:
         self._in_mcap = os.path.isfile(self.path) and self.path.suffix.lower() == ".mcap"
         if not (self._in_mcap or os.path.isdir(self.path) or self.path.suffix.lower() == ".bag"):
             raise RecordingError(f"{self.path} is not a recording; give {FORMATS}")
+        if os.path.isdir(self.path) and not os.path.isfile(self.path / "metadata.yaml"):
+            raise RecordingError(f"{self.path} is not a ROS 2 bag: it has no metadata.yaml; give {FORMATS}")
 
     def read_messages(self, *names: str) -> Iterator[Message]:
         """Yield the messages of the topics of these names, or all. Raises RecordingError if none can be read."""

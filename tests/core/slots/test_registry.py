@@ -239,7 +239,7 @@ def test_an_unknown_option_is_answered_with_the_near_and_the_known():
 
 
 @pytest.mark.parametrize(("values", "problem"), [
-    ({"coats": "many"}, ("coats", "'many'", "integer")), ({"coats": 0}, ("coats", 0, "1")),
+    ({"coats": "many"}, ("coats", "'many'", "whole number")), ({"coats": 0}, ("coats", 0, "1")),
     ({"finish": "satin"}, ("finish", "'satin'", "'matt'")), ({"colour": 5}, ("colour", 5)),
 ])  # fmt: skip
 def test_an_ill_typed_option_is_answered_with_what_is_wrong(values, problem):
