@@ -1,4 +1,4 @@
-"""What all commands share: --json, -v, -q, completion of names, and failures in one line."""
+"""The options and the error handling that all commands share: --json, -v, -q, completion of names."""
 
 from __future__ import annotations
 

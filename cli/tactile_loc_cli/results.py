@@ -48,8 +48,9 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     )
     if (found := record.pose_set) is not None:
         yield (
-            f"{100 * found.coverage:.1f} % set: {found.grid_poses} of these poses, {len(record.hypotheses)} hypotheses. "
-            f"In {found.examples} simulated examples, such a set holds the pose nearest to the truth this often"
+            f"{100 * found.coverage:.1f} % set: {found.grid_poses} of these poses, {len(record.hypotheses)} "
+            f"hypotheses. In {found.examples} simulated examples, such a set holds the pose nearest to "
+            "the truth this often"
         )
     grid = record.configuration["grid"]
     if grid["name"] == "whole":

@@ -141,7 +141,8 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     for name in (SENSOR, BACKGROUND, CALIBRATION, WEIGHTS):
         if not (folder / name).is_file():
             raise CalibrationError(
-                f"{folder} is not a calibration folder: it has no {name}; give the folder that tactile-loc calibrate wrote"
+                f"{folder} is not a calibration folder: it has no {name}; give the folder that "
+                "tactile-loc calibrate wrote"
             )
     try:
         record = read_json(folder / CALIBRATION)

@@ -22,7 +22,7 @@ BEST, OTHERS = "#2b6cb0", "#a0aec0"
 
 
 def draw_next_touch(found: NextTouch, title: str) -> Figure:
-    """Draw the contact shapes that the best approach would show for the likeliest modes, and each approach's doubt."""
+    """Draw the best approach's contact shapes for the most probable modes, and the entropy that each leaves."""
     depths = found.contacts(found.best)
     count = min(SHOWN, len(depths))
     columns = min(COLUMNS, count)
@@ -35,7 +35,7 @@ def draw_next_touch(found: NextTouch, title: str) -> Figure:
     for k, axes in enumerate(panels.flat[:count]):
         _draw_mode(axes, found, depths[k], k)
     left.supxlabel(f"contact shape of each mode at {found.best.approach.name or 'the best approach'}", size=9)
-    _draw_doubt(right.subplots(), found.ranked, found.modes.entropy)
+    _draw_entropies(right.subplots(), found.ranked, found.modes.entropy)
     return figure
 
 
@@ -50,7 +50,7 @@ def _draw_mode(axes: Any, found: NextTouch, depth_m: NDArray[np.float32], number
     axes.set_title(f"{number + 1}: {format_percent(float(modes.probabilities[number]))}, {stops}", size=8)
 
 
-def _draw_doubt(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> None:
+def _draw_entropies(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> None:
     """Draw the entropy expected after each approach, the best one first."""
     left = [rated.entropy for rated in ranked]
     axes.bar(np.arange(1, len(left) + 1), left, width=1.0, color=[BEST, *[OTHERS] * (len(left) - 1)])

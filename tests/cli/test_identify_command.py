@@ -37,7 +37,7 @@ def test_a_touch_tells_which_object_it_is_of_or_none(cli, parts):
     (parts / "plate.stl").unlink()
     done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out")
     assert done.exit_code == 1, done.stderr
-    assert re.search(r"touched\b.*\bnone\b", done.stdout)
+    assert re.search(r"identified\b.*\bnone\b", done.stdout)
 
 
 def test_what_cannot_be_used_is_one_sentence(cli, parts):
