@@ -30,11 +30,7 @@ STEEP = 0.25  # least slope of the skirt, share of the steepest slope
 HANGING_M = 1 / 600  # slope over curvature: a ball's is half the distance from its tip
 SMOOTHING_M = 1e-4  # standard deviation of the smoothing of slope and curvature
 TIP_M = 3e-4  # side of the deepest square, which defines the press depth
-<<<<<<< HEAD
-LEAST_M = 5e-5  # no sensor can distinguish a lighter press from no touch
-=======
 LEAST_M = 5e-5  # no sensor distinguishes a lighter press from no contact
->>>>>>> h-p4
 ABOVE_NOISE = 4.0  # least press, in noise standard deviations
 ABOVE_FALSE = 1.5  # least press, times the false press of the untouched gel
 MOST_FALSE_M = 1e-4  # largest threshold from a false press: a larger one shows an unreliable image of the untouched gel
