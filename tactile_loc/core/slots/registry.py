@@ -131,7 +131,7 @@ class Registry:
         broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
         known = self.names(slot)
         also = ", and no folder or file with that name" if slot == "sensor" else ""
-        return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
+        return f"there is no {slot} {name!r}{also}; choose {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
         """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does.
