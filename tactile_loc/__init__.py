@@ -1,6 +1,6 @@
 """Locate known objects from touch.
 
-This is the public API. Names are imported at their first use, so `import tactile_loc` costs nothing.
+This is the public API. Names are imported at their first use, so `import tactile_loc` is fast.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The method: an object's model, scores, probabilities, hypotheses, and the result with its files."""
+"""The localisation method: object models, scores, probabilities, hypotheses, and results with their files."""

@@ -18,7 +18,7 @@ from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.hypotheses import Refine, keep_apart
 from tactile_loc.locate.results.localization import Agreement, Hypothesis
 
-FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it this much worse than another pose does
+FAR = 0.45  # imprint IoU: a touch contradicts a pose if another pose explains it better by this much
 WELL = 0.7  # mean imprint IoU above which touches agree on a pose
 ALONE = 8  # poses that are refined against one touch alone
 
@@ -30,7 +30,7 @@ def find_agreement(
 ) -> tuple[Hypotheses, Agreement]:
     """Return the hypotheses of all touches except outliers, and how the touches agree.
 
-    `find` returns the hypotheses refined against all touches except those whose numbers it is given. `best_alone`
+    `find` takes the numbers of touches to leave out, and returns hypotheses refined against all others. `best_alone`
     returns, for each touch, the imprint IoU of the pose that explains it best on its own (N,); it is called only if
     needed. A touch is an outlier if more than half of the touches agree on a pose that explains it far worse than
     another pose does, and if no other touch can be blamed instead.
@@ -66,9 +66,9 @@ def _find_far(hypotheses: Hypotheses, best: NDArray[np.float64]) -> set[int]:
 def explain_alone(
     view: View, posterior: PosePosterior, refine: Refine, radius_m: float, options: HypothesisOptions
 ) -> float:
-    """Return how well the best pose from a touch's own grid explains it, refined against it alone: imprint IoU.
+    """Return the imprint IoU of a touch with the best pose of its own grid, refined against this touch alone.
 
-    The ALONE most probable poses are refined, none within `radius_m` metres of a more probable one.
+    Refines the ALONE most probable poses that are not within `radius_m` metres of a more probable one.
     """
     listed = posterior.top(options.listed)
     poses = posterior.grid.T_sensor_object[listed]
@@ -79,7 +79,7 @@ def explain_alone(
 
 
 def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
-    """Raise GridError when no two touches are near enough to be on one object, as a wrong unit or frame would have it.
+    """Raise GridError when no two touches are near enough to be on one object; then a unit or frame is probably wrong.
 
     If some are near enough, `find_agreement` names a touch that is farther off. Skips touches without sensor poses.
     """

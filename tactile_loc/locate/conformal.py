@@ -7,8 +7,9 @@ If a touch is exchangeable with the n held-out ones, the credible set of level
     the ceil((n + 1) coverage)-th smallest of their scores
 
 holds the grid pose nearest to the truth with at least the probability asked for, however bad the posteriors are.
-Uncertain posteriors err differently from certain ones. So the quarter of the examples with the greatest entropy serves
-posteriors like them, and the rest serves the others (Mondrian sets). The coverage then holds for both groups.
+Uncertain posteriors err differently from certain ones. So posteriors with a high entropy are compared with the quarter
+of the examples that have the greatest entropy, and all others with the rest (Mondrian sets). The coverage then holds
+for both groups.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 
 STAGE, STAGE_VERSION = "conformal", 3
 EXAMPLES = 200  # held out
-UNCERTAIN = 0.25  # share of the examples, those with the greatest entropy, that serve posteriors like them
+UNCERTAIN = 0.25  # share of the examples with the greatest entropy, used for posteriors of high entropy
 MOST_TOUCHES = 7  # used for more touches too: their sets are no larger
 NOT_FOUND = 1.0  # score if the truth is at none of the posterior's poses
 SEED = 0xC0DE  # differs from those of evaluations and of fits
@@ -40,7 +41,7 @@ class ConformalSets:
     entropies: Sequence[float]
 
     def find_alike(self, entropy: float) -> NDArray[np.float64]:
-        """Return the sorted scores (m,) of the examples that serve posteriors with this entropy, nats."""
+        """Return the sorted scores (m,) of the examples used for posteriors with this entropy, nats."""
         entropies = np.asarray(self.entropies)
         border = np.quantile(entropies, 1 - UNCERTAIN)
         return np.sort(np.asarray(self.scores)[(entropies >= border) == (entropy >= border)])
@@ -48,7 +49,7 @@ class ConformalSets:
     def level(self, coverage: float, entropy: float) -> float:
         """Return the credible level, 0 to 1, of sets that hold the truth with probability `coverage`, 0 to 1.
 
-        `entropy`, nats, is that of the posterior. Raises ConfigError if so few examples do not support the coverage.
+        `entropy`, nats, is that of the posterior. Raises ConfigError if there are too few examples for the coverage.
         """
         scores = self.find_alike(entropy)
         count = len(scores)
@@ -65,9 +66,10 @@ class ConformalSets:
 class PoseSet:
     """Grid poses that include the one nearest to the truth with probability `coverage`, 0 to 1.
 
-    `indices` (K,) are those in the posterior's grid, the likeliest first. Their total posterior probability is `level`
-    or more, which need not be the true one. `examples` counts the held-out examples behind the coverage. If the search
-    misses the truth too often for the coverage, the set holds all poses found, and `elsewhere` is true.
+    `indices` (K,) are the poses' indices in the posterior's grid, the likeliest first. Their total posterior
+    probability is at least `level`, which may differ from `coverage`. `examples` counts the held-out examples that
+    support the coverage. If the search misses the truth too often for the coverage, the set holds all poses found, and
+    `elsewhere` is true.
     """
 
     coverage: float

@@ -1,4 +1,4 @@
-"""Doubts about a result: warnings on the terminal, in reports and in tables of many touches."""
+"""Doubts about a result, shown as warnings on the terminal, in reports and in tables of many touches."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ def _list_unexplained(record: ResultRecord) -> list[str]:
 def _list_contradictions(record: ResultRecord) -> list[str]:
     touches = [record.touch, *record.other_touches]
     fits = [
-        f"{touch.name} to {100 * iou:.0f} % (another pose to {100 * (touch.best_imprint_iou or iou):.0f} %)"
+        f"{touch.name} {100 * iou:.0f} % ({100 * (touch.best_imprint_iou or iou):.0f} %)"
         for touch, iou in zip(touches, record.hypotheses[0].imprint_ious, strict=False)
     ]
     outliers = [fit for touch, fit in zip(touches, fits, strict=False) if touch.outlier]
     said = [f"{touch.name} contradicted the other touches and was left out" for touch in record.left_out]
     if outliers:
         said.append(
-            f"the pose on which {len(touches) - len(outliers)} of {len(touches)} touches agree explains "
-            f"{', '.join(outliers)}; check that sensor's T_base_sensor, and that it touched this object"
+            f"{len(touches) - len(outliers)} of {len(touches)} touches agree on a pose; its imprint IoU (and that of "
+            f"another pose): {', '.join(outliers)}. Check that sensor's T_base_sensor, and that it touched this object"
         )
     elif record.contradictory:
-        why = "the wrong one of two touches cannot be found" if len(touches) == 2 else "the wrong touch is unknown"
-        said.append(f"no pose was found that explains all touches: the best explains {', '.join(fits)}; {why}")
+        said.append(
+            f"no pose explains all touches; imprint IoU of the best pose (and of another pose): {', '.join(fits)}. "
+            "Check each T_base_sensor, and that each touch is of this object"
+        )
     return said

@@ -28,7 +28,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
-EACH_LEVEL = 10_000  # between the seeds of examples of one noise level and the next
+EACH_LEVEL = 10_000  # step between the seeds of two noise levels
 UNKNOWN = 1e3  # nats: the entropy if no pose explains the touches
 
 Simulate = Callable[[int, int, str], list[Touch]]  # count, seed, noise level
@@ -50,8 +50,9 @@ class Example:
 class FittedProbabilities:
     """The temperature, the tempering of fused touches and the calibrated sets of one localizer, fitted at first use.
 
-    `source` scores all poses exactly. `described` returns what decides its scores, and `drawn` is what decides the
-    simulated touches, as JSON values. A `temperature` from the user replaces all fits except that of the sets.
+    `source` scores all poses exactly. `described` returns everything that determines its scores, and `drawn` determines
+    the simulated touches; both are JSON values. A `temperature` from the user replaces all fits except those of the
+    sets.
     """
 
     def __init__(
@@ -65,14 +66,14 @@ class FittedProbabilities:
 
     @cached_property
     def temperature_scaling(self) -> TemperatureScaling:
-        """How scores become probabilities: with the user's temperature, or with one fitted to simulated touches."""
+        """The scaling from scores to probabilities, with the user's temperature or one fitted to simulated touches."""
         if self.temperature is not None:
             return TemperatureScaling(self.temperature)
         artifact = self.store.build(self.temperature_key(), self._fit_temperature)
         return TemperatureScaling(**artifact.load_json(probabilities.STAGE))
 
     def temperature_key(self) -> StageKey:
-        """Return the store key of the temperature scaling: everything that decides it."""
+        """Return the store key of the temperature scaling, made from everything that determines it."""
         touches = probabilities.describe_touches(self.plan.touches, self.plan.noise)
         return StageKey(
             probabilities.STAGE, probabilities.STAGE_VERSION, {**self.described(), **self.drawn, **touches}
@@ -95,7 +96,7 @@ class FittedProbabilities:
 
     @cached_property
     def fused_scaling(self) -> FusedScaling:
-        """How several touches are tempered: fitted to simulated examples, unless the user gave a temperature."""
+        """The tempering of several touches, fitted to simulated examples unless the user gave a temperature."""
         if self.temperature is not None:
             return FusedScaling()
         described = self._describe_examples(self.plan.fused_touches, self.plan.fused_examples, probabilities.FUSED_SEED)
@@ -124,7 +125,7 @@ class FittedProbabilities:
         return ConformalSets(**artifact.load_json(conformal.STAGE))
 
     def _score_sets(self, work: Workspace, touches: int) -> None:
-        """Save how much probability is on poses likelier than the true one, in held-out examples."""
+        """Save the total probability of all poses likelier than the true one, for each held-out example."""
         power = 1.0 if touches == 1 else self.fused_scaling.power(touches)
         scores, entropies = [], []
         for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):

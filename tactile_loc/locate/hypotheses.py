@@ -1,4 +1,4 @@
-"""From posteriors to distinct hypotheses: modes are proposed, refined against all touches, merged and weighed."""
+"""Distinct hypotheses from posteriors: modes are proposed, refined against all touches, merged and weighed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tactile_loc.locate.results.localization import Hypothesis
 SHARPNESS = 30.0  # nats for an imprint IoU of 1, when weighed against errors of sensor poses
 STILL_MOVING = 10
 AT_ONCE = 500  # poses compared with the chosen ones at once
-DOUBT = 8.0  # nats: how much less likely than its best pose a touch's grid can make a pose
+DOUBT = 8.0  # nats: most that one touch's grid can lower a pose's log-probability below that of its best pose
 
 Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
 
@@ -33,7 +33,7 @@ def find_hypotheses(
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Refine modes in the first touch's sensor frame, merge those within `radius_m` metres, and weigh them.
 
-    `weigh` decides between the refined poses. Views numbered `outliers` do not count.
+    `weigh` determines the probabilities of the refined poses. Views whose numbers are in `outliers` do not count.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
@@ -57,8 +57,8 @@ def find_hypotheses(
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
     """Merge hypotheses whose refined poses are within `radius_m` metres of a likelier one.
 
-    The hypotheses are sorted, the most probable first. A merged one has the probability of its likeliest member: that
-    several modes lead to one pose does not make it likelier. Poses that did not converge are merged within a
+    The hypotheses are sorted, the most probable first. A merged hypothesis has the probability of its likeliest member:
+    a pose is not likelier because several modes lead to it. Poses that did not converge are merged within a
     STILL_MOVING-th of the radius.
     """
     poses = np.array([h.T_sensor_object for h in hypotheses]).reshape(-1, 4, 4)
@@ -77,8 +77,8 @@ def weigh(
     """Return hypotheses with probabilities from the evidence of their refined poses, the most probable first.
 
     The grid's posterior compares coarse shapes at poses that are all slightly off; refined poses show which of several
-    explanations is right. `evidence` (K,), nats, is of all touches; `log_prior` (K,) is added. The hypotheses share
-    the probability that their modes had together.
+    explanations is right. `evidence` (K,), nats, is the sum over all touches; `log_prior` (K,) is added. The hypotheses
+    share the probability that their modes had together.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
     worth = evidence + known
@@ -91,7 +91,7 @@ def weigh(
 def compute_imprint_ious(
     views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: imprint IoUs (K, N)."""
+    """Return the imprint IoUs (K, N) of poses (K, 4, 4), in the first sensor's frame, with each of N touches."""
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
@@ -100,9 +100,9 @@ def compare_where_seen(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return imprint IoUs and evidence, nats, of poses (K, 4, 4) for each of N touches: (K, N) each.
 
-    `seen` (K, N, 4, 4), metres, is where each sensor would see the object if its reported pose is slightly wrong. That
-    error costs nats, half its square in standard deviations; one nat costs a SHARPNESS-th of imprint IoU. The better
-    value, with the error or without, counts.
+    `seen` (K, N, 4, 4), metres, is where each sensor would see the object if its reported pose is slightly wrong. An
+    error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / SHARPNESS of imprint IoU. The better of
+    the values with and without the error counts.
     """
     here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
@@ -130,7 +130,7 @@ def keep_likeliest(
 def _find_seen_poses(
     views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
 ) -> NDArray[np.float64]:
-    """Find where sensors see refined poses, (K, N, 4, 4): trusted ones as the refiner says, others fitted alone."""
+    """Find refined poses in each sensor's frame, (K, N, 4, 4): the refiner's for trusted touches, else fitted alone."""
     seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
     for k, pose in enumerate(refined):
         if pose.T_sensors_object is not None:
@@ -157,9 +157,9 @@ def propose_together(
 ) -> list[Mode]:  # fmt: skip
     """Return modes to refine against several touches, in the first touch's sensor frame.
 
-    Each touch proposes its most probable poses. The poses that are likely in the grids of all touches are rendered
-    coarsely, and those that explain all touches best are kept, none within `radius_m` metres of a better one. Each
-    mode has the index of the nearest pose in the first touch's grid.
+    The most probable poses of each touch are collected. Those that are likely in the grids of all touches are rendered
+    coarsely. The poses that explain all touches best are kept, none within `radius_m` metres of a better one. Each mode
+    has the index of the nearest pose in the first touch's grid.
     """
     poses = np.concatenate([
         invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(options.listed)]
@@ -202,7 +202,7 @@ def keep_apart(
 ) -> NDArray[np.int64]:
     """Return the indices of at most `count` poses (K, 4, 4), sorted by their `worth` (K,), the greatest first.
 
-    No chosen pose is within `radius_m` metres of one with greater worth.
+    No chosen pose is within `radius_m` metres of a pose with greater worth.
     """
     order = np.argsort(-worth, kind="stable")
     chosen: list[int] = []

@@ -1,4 +1,4 @@
-"""The method, as one can read it aloud: score poses for each touch, fuse, propose modes, refine and weigh them."""
+"""The localisation method: score poses for each touch, fuse the scores, propose modes, then refine and weigh them."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Localizer:
         cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
         store: StageStore | str | Path | None = None, progress: Progress | None = None, **settings: Any,
     ) -> Self:  # fmt: skip
-        """Load an object (a mesh file or the name of a demo object) and make its localizer; `store` may be a folder.
+        """Load an object (a mesh file, or a demo object's name) and make its localizer; `store` may be a folder.
 
         `settings` are those of RunConfig: slots by name (`refiner="icp"`) or with options
         (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
@@ -119,7 +119,7 @@ class Localizer:
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(
-                f"{touch.name} was taken by another sensor than {self.config.sensor.name}: its camera, field or "
+                f"{touch.name} was not taken by the sensor {self.config.sensor.name}: its camera, field or "
                 "maximal depth differs; make a Localizer for that sensor"
             )
 
@@ -127,7 +127,7 @@ class Localizer:
 
     @cached_property
     def source(self) -> PoseSource:
-        """Where candidate poses come from: the grid's list, or a search of the whole object."""
+        """The source of candidate poses: the grid's list, or a search of the whole object."""
         return self._make_source(lambda: self._create("matcher"))
 
     def _make_source(self, new_matcher: NewMatcher) -> PoseSource:
@@ -155,7 +155,7 @@ class Localizer:
         if isinstance(self.source, GridSource):
             return self.source
         raise ConfigError(
-            f"the command or encoder needs a grid of listed poses, and the grid {self.config.grid.name} has none; "
+            f"the grid {self.config.grid.name!r} does not list its poses, which this command or encoder needs; "
             "choose --grid face or --grid hopf"
         )
 
@@ -176,9 +176,9 @@ class Localizer:
         )  # fmt: skip
 
     def describe_scores(self) -> dict[str, Any]:
-        """Return what decides a touch's scores, except the touch, as JSON values; trains the encoder if necessary.
+        """Return all inputs of the scores except the touch, as JSON values; trains the encoder if necessary.
 
-        The matcher is not part of it, since all matchers that look at all poses find the same scores.
+        The matcher is left out, because all matchers that score all poses find the same scores.
         """
         return {
             **self.source.describe(), "sensor": self.sensor.geometry.describe(), "encoder": self.encoder.describe(),
@@ -198,7 +198,7 @@ class Localizer:
 
     @property
     def merge_radius_m(self) -> float:
-        """Distance below which refined poses are one hypothesis, metres."""
+        """Distance below which refined poses count as one hypothesis, metres."""
         return self.config.hypotheses.merge_radius * self.mode_radius_m
 
     # answers
@@ -206,18 +206,19 @@ class Localizer:
     def localize(
         self, touch: Touch, prior: Prior | None = None, top: int | None = None, coverage: float | None = None
     ) -> Localization:
-        """Return the distribution over poses given a touch, and its `top` distinct hypotheses, refined.
+        """Return the posterior over poses given a touch, and its `top` distinct hypotheses, refined.
 
         `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are all
-        modes of a set that holds the true pose with that probability: see `PoseSet`. Raises TactileLocError when
-        nothing fits.
+        modes of a set that holds the true pose with that probability: see `PoseSet`. Raises TactileLocError when no
+        pose fits the touch.
         """
         return localize_together([(self, touch)], prior, top, coverage)
 
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
-        """Localise touches of this sensor separately, as `localize` does; match those of one press depth together.
+        """Localise touches of this sensor separately, as `localize` does; those of equal press depth are matched
+        together.
 
-        Raises TactileLocError when nothing fits one of them.
+        Raises TactileLocError when no pose fits one of the touches.
         """
         times = StageTimes()
         alone = self.posteriors(touches, times)
@@ -235,7 +236,7 @@ class Localizer:
     ) -> list[PosePosterior]:
         """Return each touch's own posterior over the grid's poses, before fusion.
 
-        A `prior` only guides the search of a whole object. Raises TouchError for another sensor's touch.
+        A `prior` only guides the search of a whole object. Raises TouchError for a touch of another sensor.
         """
         for touch in touches:
             self.require_own(touch)
@@ -262,15 +263,16 @@ def localize_together(
     observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
     coverage: float | None = None,
 ) -> Localization:  # fmt: skip
-    """Return the distribution over poses given touches of one object, and its `top` distinct hypotheses, refined.
+    """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
-    Each touch comes with the localizer of its object and its sensor; sensors may differ. Several touches each need
-    `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's grid;
-    `prior` maps that grid's poses (N, 4, 4) to log-weights (N,); `coverage` is as for `Localizer.localize`.
-    Raises TactileLocError when nothing fits all of them.
+    Each touch comes with the localizer of its object and its sensor; sensors may differ. If there are several touches,
+    each needs `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's
+    grid; `prior` maps that grid's poses (N, 4, 4) to log-weights (N,); `coverage` is as for `Localizer.localize`.
+    Raises TactileLocError when no pose fits all touches.
 
     `Localization.outliers` names the touches that contradict the others. If the first localizer's configuration has
-    `drop_outliers`, they are `left_out`: the answer uses only the other touches, in the frame of their first one.
+    `drop_outliers`, these touches are `left_out`: the answer uses only the others, and is in the sensor frame of the
+    first of them.
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
@@ -365,7 +367,7 @@ class _Query:
         return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
     def answer(self, alone: Sequence[PosePosterior]) -> Localization:
-        """Answer from each touch's own posterior: fuse, propose modes, refine and weigh them."""
+        """Make the answer from each touch's own posterior: fuse them, then propose, refine and weigh modes."""
         posterior = self.fuse(alone)
         pose_set = self._calibrate(posterior)
         with self.times.stage("modes"):
@@ -380,7 +382,7 @@ class _Query:
 
     @property
     def known(self) -> Prior | None:
-        """The prior, tempered as one of all touches: an earlier posterior was tempered by its own touches only."""
+        """The prior, tempered for all touches; an earlier posterior was tempered only for its own."""
         told = count_touches(self.prior)
         if self.prior is None or not told:
             return self.prior
@@ -435,7 +437,7 @@ class _Query:
         return tuple(excluding) if len(excluding) == 1 else ()
 
     def leave_out(self, outliers: Sequence[int]) -> _Query:
-        """Make the same query of the other touches, in the frame of their first one."""
+        """Make the same query with the other touches, in the sensor frame of the first of them."""
         left = [one for k, one in enumerate(self.observations) if k not in outliers]
         before, after = self.touches[0], left[0][1]
         prior = self.prior
@@ -445,7 +447,7 @@ class _Query:
 
 
 def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
-    """Return a touch as a view: its scene, and where its sensor is from the first touch's sensor."""
+    """Return a touch as a view: its scene, and the transform from the first touch's sensor frame."""
     scene = localizer.scene.match_touch(touch)
     T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
     return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)

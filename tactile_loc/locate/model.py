@@ -1,4 +1,4 @@
-"""Stages of the store that are built once for an object and a sensor: grid, shapes, encoder, bank."""
+"""Artifacts that are built once for an object and a sensor, and stored: grid, shapes, encoder, bank."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def build_bank(
             for depths in _press_shapes(model, pressed):
                 rows.append(encoder.encode(depths, press_depth_m, pressed.geometry))
                 advance(len(depths))
-        # the rows of an encoder that does not learn are mostly zeros: compress them
+        # without learning, an encoder's rows are mostly zeros: compress them
         work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
     return np.asarray(store.build(make_bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
@@ -134,8 +134,8 @@ def build_bank(
 def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
     """Yield the contact depths (S, H, W), S > 0, metres, of the grid's poses at the scene's press.
 
-    A lighter press is a full press cut off, if rays are parallel or shapes are drawn as in the paper. A pinhole camera
-    sees a lighter press from farther away, so those shapes are rendered.
+    If rays are parallel or shapes are drawn as in the paper, the shape of a lighter press is that of a full press, cut.
+    A pinhole camera sees a lighter press from farther away, so its shapes are rendered.
     """
     press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
     if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":
@@ -207,10 +207,10 @@ def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -
 def train_encoder(
     encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
 ) -> str:
-    """Train `encoder` on a problem, or load the weights stored under `key`; return what identifies them.
+    """Train `encoder` on a problem, or load the weights stored under `key`; return the digest that identifies them.
 
     Without a key the encoder needs no training, and the result is empty. If torchrun started several processes, they
-    train together, and the first one stores the result. Raises what `fit` raises.
+    train together, and the first one stores the result. Raises the errors of `fit`.
     """
     if key is None:
         return ""

@@ -17,8 +17,8 @@ from tactile_loc.locate.scoring import Scores
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
-TRAINING_VERSION = 1  # of how the touches are drawn from which an encoder learns
-ENCODED = 512  # places encoded at once: what fits a cache
+TRAINING_VERSION = 1  # version of how an encoder's training touches are drawn
+ENCODED = 512  # places encoded at once, so that they fit in a processor's cache
 
 
 class PlaceBanks:
@@ -55,7 +55,7 @@ class PlaceBanks:
     def bank(self, press_depth_m: float) -> Scores:
         """Return the bank (N, D) of the places cut at a press depth, metres.
 
-        Only the bank of an encoder that learned is stored: a network encodes places more slowly than they are read.
+        Only banks of trained encoders are stored, because a network encodes places more slowly than a disk reads them.
         """
         if not self.trained:
             return self._encode(press_depth_m)

@@ -1,7 +1,7 @@
 """Probabilities from scores, with parameters fitted to simulated touches of known pose.
 
 A single temperature (Guo et al., ICML 2017) that suits most touches is overconfident for the few that resemble another
-pose. So a share of the probability is spread with a temperature TAIL_HEAT times as high.
+pose. So a share of the probability, the tail, is spread with a temperature TAIL_HEAT times as high.
 
 Such a posterior accounts for the distance from the true pose to the nearest grid pose. A product of several posteriors
 counts this common error several times. So it is overconfident, increasingly with the number of touches.
@@ -27,7 +27,7 @@ TOUCH_NOISE = "strong"  # real touches differ from renders at least as much
 SEED = 0x5EED  # differs from those of evaluations, which must not use the same touches
 
 TAIL_HEAT = 4.0
-TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # not less: a hundred touches cannot exclude what happens to one in twenty
+TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # not less: too few touches for rarer errors
 STEPS_PER_E = 6  # temperatures tried per factor of e
 REACH = 12  # factors of e tried below the highest temperature
 LEAST = 1e-12  # probability of the truth, so that one touch does not decide alone
@@ -36,9 +36,9 @@ FUSED_STAGE, FUSED_VERSION = "fused-temperature", 2
 FUSED_TOUCHES = (2, 3, 5, 7)  # touches per example
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # for each number of touches
 SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # fewer, because a search takes longer
-SEARCHED_NOISE = ("none", "mild", "strong")  # in turn, to learn how trust depends on how well a touch is explained
+SEARCHED_NOISE = ("none", "mild", "strong")  # used in turn, so that the fit covers touches explained well and badly
 MOST_ELSEWHERE = 0.999
-AS_KNOWN = 3  # pretended touches that are explained not at all, and as many that are explained fully
+AS_KNOWN = 3  # pretended touches with score 0, and as many with score 1
 EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
@@ -54,7 +54,7 @@ class FitPlan:
 
 
 def plan_fit(searched: bool) -> FitPlan:
-    """Return the plan for a listed grid, or a smaller one for a whole object that is `searched`."""
+    """Return the plan for a listed grid, or a smaller one if the whole object is `searched`."""
     if searched:
         return FitPlan(SEARCHED, SEARCHED_NOISE, SEARCHED_TOUCHES, SEARCHED_EXAMPLES)
     return FitPlan(TOUCHES, (TOUCH_NOISE,), FUSED_TOUCHES, FUSED_EXAMPLES)
@@ -65,7 +65,8 @@ class TemperatureScaling:
     """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
 
     For a search that scores only the likeliest poses, the log odds that the true pose is among them are linear in the
-    best score: `found` (offset, slope), after Platt (1999). A touch that no pose explains well was not found.
+    best score: `found` (offset, slope), after Platt (1999). If no pose explains a touch well, its true pose was
+    probably not found.
     """
 
     temperature: float
@@ -95,22 +96,22 @@ class TemperatureScaling:
             return PosePosterior(grid, self.log_p(scores), elsewhere=self.elsewhere(float(np.max(scores))))
 
     def elsewhere(self, best: float) -> float:
-        """Return the probability that the true pose is near none of the scored poses, whose best score is `best`."""
+        """Return the probability that the true pose is near none of the scored poses; `best` is their best score."""
         return _elsewhere(self.found, best)
 
 
 def fit_temperature_scaling(
     scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64], searched: bool = False
 ) -> TemperatureScaling:
-    """Return the scaling that makes the true poses most probable: least mean negative log-likelihood.
+    """Return the scaling that makes the true poses most probable, with the least mean negative log-likelihood.
 
-    `scores` holds (N,) for each of T touches. `truth` (T,) are the indices of the poses nearest to the true ones, -1
-    if none is near. With `searched`, the probability of that is fitted too.
+    `scores` holds (N,) for each of T touches. `truth` (T,) are the indices of the poses nearest to the true ones, -1 if
+    none is near. With `searched`, the probability that none is near is fitted too.
     """
     known = np.flatnonzero(truth >= 0)
     odds = _fit_found(np.array([max(row) for row in scores]), truth >= 0) if searched else None
     if len(known) == 0:
-        return TemperatureScaling(1.0, TAILS[-1], odds)  # the scores discriminate nothing
+        return TemperatureScaling(1.0, TAILS[-1], odds)  # the scores do not discriminate between poses
     rows, truth = [np.asarray(scores[int(number)], np.float64) for number in known], truth[known]
     spread = float(np.median([np.ptp(row[np.isfinite(row)]) for row in rows]))
     hottest = np.log(max(spread, np.finfo(float).tiny))
@@ -154,7 +155,7 @@ class FusedExample(NamedTuple):
 
 
 def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> FusedScaling:
-    """Return the scaling that makes the true poses of fused examples most probable: least negative log-likelihood.
+    """Return the scaling that makes the true poses of fused examples most probable, by least negative log-likelihood.
 
     With `searched`, the probability that no pose is near the true one is fitted too.
     """
@@ -180,7 +181,7 @@ def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str
 
 
 def describe_touches(touches: int = TOUCHES, levels: Sequence[str] = (TOUCH_NOISE,)) -> dict[str, Any]:
-    """Return what decides which touches are fitted to, except their sampler, as JSON values."""
+    """Return everything except the sampler that determines the touches of a fit, as JSON values."""
     noise = [make_noise(level).describe() for level in levels]
     return {"noise": noise, "touches": touches, "batch": BATCH, "seed": SEED}
 
@@ -202,7 +203,7 @@ def _elsewhere(found: tuple[float, float] | None, best: float) -> float:
 
 
 def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
-    """Fit the line (offset, slope) of log odds over best scores (T,), 0 to 1, to which touches (T,) were found.
+    """Fit the line (offset, slope) of the log odds of `found` (T,) over the best scores (T,), 0 to 1.
 
     AS_KNOWN pretended touches with score 0 were not found, and as many with score 1 were: few real touches of either
     kind determine the slope poorly.

@@ -1,4 +1,4 @@
-"""Refinement: by the chosen refiner, or by the joint registration where that refiner cannot."""
+"""Refinement by the chosen refiner, or by the joint registration where that refiner cannot be used."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tactile_loc.locate.results.localization import Hypothesis
 
 @dataclass(frozen=True)
 class Refinement:
-    """The chosen refiner and the joint registration. `together` decides which refines against several touches."""
+    """The chosen refiner and the joint registration. `together` is the one that refines against several touches."""
 
     refiner: Refiner
     registration: JointRegistration
@@ -55,9 +55,9 @@ class Refinement:
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Return hypotheses with the joint registration's covariances, given the touches, where the refiner gives none.
+        """Add the joint registration's covariances, given the touches, to hypotheses whose refiner gives none.
 
-        A pose that was not refined has none.
+        Poses that were not refined get no covariance.
         """
         unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
         if not unknown or not self.refiner.capabilities.refines:

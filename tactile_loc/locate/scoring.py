@@ -21,7 +21,7 @@ MOST_MATCHERS = 8  # kept in memory, the last used
 
 
 class GridScores:
-    """Scores touches against the banks of a grid, one bank for each press depth that occurs.
+    """Scores touches against the banks of a grid; each press depth has its own bank.
 
     `bank` returns the bank (N, D) of a press depth in metres, `new_matcher` an empty matcher. `max_depth_m` is the
     sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder.
@@ -75,7 +75,7 @@ class GridScores:
     def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
         """Encode a touch: (1, D)."""
         shape = touch.contact_shape.press_to(press_depth_m)
-        # The press that the shape is really cut at: below the bank's, pixels without contact would count as contact.
+        # The press depth at which the shape is really cut: with less, pixels without contact would count as contact.
         press_m = shape.press_depth_m
         embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
         return embedding

@@ -1,8 +1,8 @@
-"""Search of the whole object: at which of its places, and with which yaw, a touch can have been made.
+"""Search of the whole object for the places and yaws at which a touch can have been made.
 
 The patch around a touch's deepest point, rotated to many yaws, is compared with the patches of all places. The most
-similar places are registered to the touch, rendered, and compared with it. The result is the likeliest poses with their
-imprint IoUs.
+similar places are registered to the touch, rendered, and compared with it. The results are the likeliest poses and
+their imprint IoUs.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress
 
 
 class PlaceSearch:
-    """Searches all places of an object for the poses that a touch may show."""
+    """Searches all places of an object for poses that explain a touch."""
 
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
@@ -75,7 +75,7 @@ class PlaceSearch:
     def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
         """Return the likeliest poses of a touch, and their imprint IoUs (K,) in coarse renders; adds to `times`.
 
-        With a `prior`, half of the registered poses are the ones that it prefers among many.
+        With a `prior`, half of the registered poses are those with the greatest prior weight in a larger pool.
         """
         view, options = View(touch, self.scene.match_touch(touch)), self.options
         with times.stage("match"):
@@ -89,7 +89,7 @@ class PlaceSearch:
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides which poses are found, except the encoder and the touch, as JSON values."""
+        """Return everything except the encoder and the touch that determines the poses found, as JSON values."""
         return {
             "places": self.key.digest, "search": SEARCH_VERSION, "options": self.options.model_dump(mode="json"),
             "registration": self.registration.describe(),
@@ -97,7 +97,7 @@ class PlaceSearch:
         }  # fmt: skip
 
     def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
-        """Return the `count` most similar rotated places; with a prior, also the `count` that it prefers of the pool.
+        """Return the `count` most similar rotated places; with a prior, also the `count` in the pool that it favours.
 
         Each group is poses (K, 4, 4), metres, and the values (K,) that order them.
         """
@@ -135,7 +135,7 @@ def encode_rotated(
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
-    """Return the rows and columns (K,) of the `count` highest scores (M, N), without those of -inf, unsorted."""
+    """Return the rows and columns (K,) of the `count` highest scores (M, N), unsorted; scores of -inf are left out."""
     best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
     return np.unravel_index(best[scores.ravel()[best] > -np.inf], scores.shape)
 
@@ -172,9 +172,9 @@ def search_together(
 ) -> FoundTogether:
     """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses in the first one's frame.
 
-    Each touch proposes the rotated places most similar to it. Of these, the poses whose surface is nearest to all
-    touches are registered to all touches, rendered, and compared with each touch; no pose is near a better one. If none
-    of the first poses explains the touches well, more are registered.
+    The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
+    registered to all touches, rendered, and compared with each touch. No returned pose is near a better one. If none of
+    the first poses explains the touches well, more are registered.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
@@ -197,7 +197,7 @@ def search_together(
 
 
 def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
-    """Return how well the best of poses (K, 4, 4), metres, explains touches: mean imprint IoU, 0 to 1.
+    """Return the mean imprint IoU, 0 to 1, of touches with the best of poses (K, 4, 4), metres.
 
     The `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
     """

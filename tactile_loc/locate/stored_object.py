@@ -1,4 +1,4 @@
-"""An object's surface and symmetry, kept in the store because it takes seconds to read a mesh and find its symmetry."""
+"""An object's surface and symmetry, stored because reading a mesh and finding its symmetry takes seconds."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tactile_loc.store.workspace import Workspace
 
 logger = logging.getLogger(__name__)
 
-SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that refer to no other file's triangles
+SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that contain all their triangles
 SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # raise when the same file would give another surface or symmetry
 
 Kept = TypeVar("Kept")
 
 
 def load_stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
-    """Load an object as `load_object` does; take its surface and symmetry from the store if they are there."""
+    """Load an object as `load_object` does, with its surface and symmetry from the store if possible."""
     return load_object(
         path, units, symmetry, read=lambda file: _load_surface(file, store),
         judge=lambda declared, mesh: _load_symmetry(declared, mesh, Path(path).stem, store),
@@ -85,6 +85,6 @@ def _load_or_keep(
     made = make()
     try:
         store.build(key, lambda work: save(made, work))
-    except StoreError as error:  # the next stage raises it if the store cannot be written at all
+    except StoreError as error:  # if the store cannot be written at all, the next stage raises an error
         logger.info("cannot store the %s, so it is made again next time: %s", key.stage, error)
     return made

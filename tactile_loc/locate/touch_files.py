@@ -1,4 +1,4 @@
-"""Touches from paths: a folder or pattern of separate touches, or a list of several touches of one object."""
+"""Touches read from paths: a folder or pattern of separate touches, or a list of touches of one object."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ TOGETHER = 32  # touches read and located at once
 
 @dataclass(frozen=True, eq=False)
 class LocatedFile:
-    """The result of one touch's file: its best hypothesis and verdict, or the `problem` in one sentence.
+    """The result for one touch file: its best hypothesis and verdict, or the `problem` in one sentence.
 
     A file that cannot be read has no verdict.
     """
@@ -76,12 +76,12 @@ def make_pose_cells(T: NDArray[np.float64]) -> dict[str, str]:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path means many touches: a folder, or a pattern such as `folder/*.png`."""
+    """Whether a path stands for many touches: a folder, or a pattern such as `folder/*.png`."""
     return os.path.isdir(path) or ("*" in path.name and not os.path.exists(path))
 
 
 def is_list(path: Path) -> bool:
-    """Whether a path's name is that of a list of touches."""
+    """Whether a path is, by its name, a list of touches."""
     return path.suffix.lower() == ".toml"
 
 
@@ -104,7 +104,7 @@ def find_touches(folder: Path) -> list[Path]:
 def localize_files(
     localizer: Localizer, files: Sequence[Path], press_depth_m: float | None = None
 ) -> Iterator[tuple[LocatedFile, Localization | None]]:
-    """Locate the touch of each file separately, in their order; the localisation is None where that fails.
+    """Locate the touch of each file separately, in the files' order; a localisation that fails is None.
 
     `press_depth_m`, metres, is the press depth of files that do not state it.
     """
@@ -174,7 +174,7 @@ def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
 
 
 def _add_mount_error(touch: Touch, mount: Mount) -> Touch:
-    """Return the touch with the mount's error added to that of the flange's pose."""
+    """Return the touch with the mount's error added to the error of the flange's pose."""
     std_m, std_rad = mount.find_std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
     return dataclasses.replace(
         touch, T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),

@@ -1,10 +1,10 @@
 """Identification: which of several objects, if any, was touched, and where it is.
 
-All objects are compared with the touches at a glance, the best ones are searched roughly, and the best of these are
-located, each by all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its best pose lacks to
-explain all touches fully. That does not depend on how much the touches show. An object outside the library explains
-touches by chance as well as the best other object does. The misfit of "none of these" was fitted to that, with
-simulated touches of objects that were left out.
+A quick comparison ranks all objects. The best ones are searched roughly, and the best of these are located, each from
+all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its best pose lacks to explain all
+touches fully. It does not depend on how much of the object the touches show. If the touched object is not in the
+library, the best other object still explains the touches to some extent, by chance. The misfit of "none of these" was
+fitted to such cases: simulated touches of objects that were left out.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from tactile_loc.tasks.library import Glance, Library
 
 Float64 = NDArray[np.float64]
 
-LOOKED_INTO = 64  # objects searched roughly: the most similar ones at a glance
-LOCATED = 8  # of those, the ones that explain the touches best
+LOOKED_INTO = 64  # objects searched roughly: the most similar ones in the quick comparison
+LOCATED = 8  # of those, objects located: the ones that explain the touches best
 MISFITS = np.geomspace(0.3, 20, 30).round(2).tolist()  # tried in the fit, nats
 TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()
 LEAST = 1e-3  # probability of the truth, so that one touch does not decide alone
@@ -39,10 +39,12 @@ LEAST = 1e-3  # probability of the truth, so that one touch does not decide alon
 @keep_old_names(shortfall="measure_misfit")
 @dataclass(frozen=True)
 class NullEvidence:
-    """The misfit of "none of these", nats, and the `temperature`: the nats that make an object e times as probable.
+    """The misfit of "none of these" and the `temperature`, nats: less misfit by this makes an object e times as
+    probable.
 
-    The misfit is `alone` for one touch, and `together` per touch for several: many objects share what one touch shows,
-    but few share what several touches show at known distances. Raises ConfigError unless all are positive.
+    The misfit is `alone` for one touch, and `together` for each of several touches. They differ because many objects
+    have a feature in common, but few have several features at the same distances. Raises ConfigError unless all are
+    positive.
     """
 
     alone: float = 1.97
@@ -58,7 +60,9 @@ class NullEvidence:
         return self.alone if touches == 1 else touches * self.together
 
     def probabilities(self, misfits: Float64, touches: int) -> tuple[Float64, float]:
-        """Return the probabilities (K,) of objects with misfits (K,), nats (infinite: impossible), and of none."""
+        """Return probabilities (K,) of objects with misfits (K,), nats (infinite: impossible), and that of "none of
+        these".
+        """
         logits = -np.append(misfits, self.measure_misfit(touches)) / self.temperature
         weights = np.exp(logits - logits.max())
         p = weights / weights.sum()
@@ -98,10 +102,11 @@ def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
 class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
-    `alike`, unitless, is the mean similarity at a glance of the touches and its places. The most similar objects are
-    searched roughly: `rough_iou` is their mean imprint IoU with the touches, 0 for the others. The best of these are
-    located: `found` is the result, None if that was not tried or failed. `misfit`, nats, is what its best pose lacks to
-    explain the touches fully, infinite without a pose. `probability`, 0 to 1, is that of this object.
+    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison. The most
+    similar objects are searched roughly: `rough_iou` is their mean imprint IoU with the touches, 0 for the others. The
+    best of these are located: `found` is the result, None if that was not tried or failed. `misfit`, nats, is the
+    evidence that its best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is
+    the probability that this object was touched.
     """
 
     name: str
@@ -116,7 +121,7 @@ class KnownObject:
 class Identification:
     """The objects, the most probable first, and the probability that `none` of them was touched.
 
-    `KnownObject.found` is the distribution of an object's pose, given that it is the right object.
+    `KnownObject.found` has the distribution of an object's pose, assuming that it is the right object.
     """
 
     objects: tuple[KnownObject, ...]
@@ -133,11 +138,11 @@ def identify(
     touches: Sequence[Touch], models: Library | Sequence[Localizer], located: int = LOCATED,
     null: NullEvidence | None = None,
 ) -> Identification:  # fmt: skip
-    """Return the probabilities that each of the models' objects was touched, or none of them.
+    """Return the probability of each of the models' objects that it was touched, and that none of them was.
 
-    Several touches each need `T_base_sensor`. The LOOKED_INTO most similar objects are searched roughly, and the best
-    `located` ones are located. The order of the models does not matter. Raises TactileLocError for touches of another
-    sensor, several touches without sensor poses, models that share a name, or no models.
+    If there are several touches, each needs `T_base_sensor`. The LOOKED_INTO most similar objects are searched roughly,
+    and the best `located` of them are located. The order of the models does not matter. Raises TactileLocError for
+    touches of another sensor, several touches without sensor poses, models that share a name, or no models.
     """
     library = models if isinstance(models, Library) else Library(models)
     if not touches:
@@ -172,7 +177,7 @@ def measure_misfit(model: Localizer, found: Localization) -> float:
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     seen = None if len(views) == 1 else _find_seen_poses(views, found)
     evidence = compare_where_seen(views, poses, seen)[1].sum(axis=1)
-    fully = sum(map(_compute_full_evidence, (*found.touches, *found.left_out)))  # nothing explains those left out
+    fully = sum(map(_compute_full_evidence, (*found.touches, *found.left_out)))  # no pose explains touches left out
     return max(0.0, fully - float(evidence.max()))
 
 
@@ -187,7 +192,7 @@ def _look_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np.i
 
 
 def _locate(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
-    """Locate an object; return None if no pose of it makes these touches."""
+    """Locate an object; return None if none of its poses explains the touches."""
     try:
         return localize_together([(model, touch) for touch in touches])
     except StoreError:

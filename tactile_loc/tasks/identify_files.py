@@ -23,7 +23,7 @@ SCHEMA_VERSION = 1
 
 
 class PoseRecord(Record):
-    """A pose of an object, if it is the right object."""
+    """An object's pose, assuming that it is the right object."""
 
     probability: float = Field(description="of this pose, given this object, 0 to 1")
     T_sensor_object: Matrix = Field(description="(4, 4), m, in the first touch's sensor frame")
@@ -57,7 +57,7 @@ class IdentificationRecord(Record):
 
 
 def read_library(folder: Path, config: RunConfig, store: StageStore, progress: Progress) -> Library:
-    """Open the meshes of a folder as a library; `config` has the other settings of their localizers.
+    """Open the meshes of a folder as a library; `config` holds all settings of the localizers except the object.
 
     Raises ObjectError when there is no such folder, or no mesh in it.
     """

@@ -1,8 +1,8 @@
 """A library of objects, and two quick comparisons of all of them with touches.
 
-At a glance, some places of each object, encoded once for a few press depths, are compared with the touch at a few yaws.
-That costs a thousandth of locating an object, but noise misleads it. The most similar objects are searched roughly: a
-few poses from the glance are registered roughly to all touches, which costs a thirtieth.
+A glance compares the touch, at a few yaws, with some places of each object, which are encoded once for a few press
+depths. It takes a thousandth of the time of locating the object, but is sensitive to noise. A rough search of the most
+similar objects registers a few poses from the glance roughly to all touches. It takes a thirtieth of that time.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ PROPOSED, REGISTERED = 1000, 30  # rotated places per object and touch; poses re
 class Glance:
     """The similarity of one touch, rotated by each of YAWS_RAD, to places of each of K objects.
 
-    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` (M, N) of each object are for M
-    yaws and N places, unitless; higher is more similar.
+    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` has an array (M, N) for each
+    object, for M yaws and N places, unitless; higher is more similar.
     """
 
     touch: Touch
@@ -59,7 +59,7 @@ class Glance:
 
 
 class Library:
-    """The objects that a touch may be of, each with its localizer, all with one sensor. Raises TactileLocError.
+    """The objects that may have been touched, each with its localizer, all for one sensor. Raises TactileLocError.
 
     Each object needs its own name. The order of the objects does not matter.
     """
@@ -109,7 +109,7 @@ class Library:
         return Glance(touch, T_sensor_anchor, tuple(matcher.scores(*codes) for matcher in self._matchers_of(level_m)))
 
     def look_into(self, k: int, glances: Sequence[Glance]) -> float:
-        """Return how well object k explains touches, from their glances: mean imprint IoU of a rough search, 0 to 1.
+        """Search object k roughly, starting from the touches' glances; return the best mean imprint IoU, 0 to 1.
 
         Several touches need their `T_base_sensor`.
         """
@@ -152,5 +152,5 @@ def _encode_places(model: Localizer, search: PlaceSearch) -> Codes:
 
 
 def _step(search: PlaceSearch) -> int:
-    """The step from one place of an object that a glance sees to the next."""
+    """The step between the places of an object that a glance uses."""
     return -(-len(search.places) // MOST_PLACES)

@@ -1,4 +1,4 @@
-"""Live frames, located one after another: each separately, or tracked from one to the next."""
+"""Live frames, located in turn: each separately, or tracked from one to the next."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tactile_loc.tasks.tracker import Tracker
 
 Floats = NDArray[np.float64]
 
-RECENT = 20  # frames that count for the rate
+RECENT = 20  # number of last frames from which the rate is computed
 
 
 class LiveRecord(LocatedRecord):
@@ -37,7 +37,7 @@ class LiveRecord(LocatedRecord):
 
 @dataclass(frozen=True, eq=False)
 class LiveResult:
-    """A frame, its pose, its `touch` if there is one, the frames `dropped` so far, and the frames per second now."""
+    """A frame, its pose, its `touch` if any, the number of frames `dropped` so far, and the current frame rate, Hz."""
 
     frame: SourceFrame
     located: LocatedFrame
@@ -59,7 +59,7 @@ class LiveResult:
 class LiveLocator:
     """Locates the frames of one sensor: with a `tracker` as one sequence, else each separately.
 
-    A frame's file gives the sensor's pose (`Touch.T_base_sensor`); without one, the sensor is taken to stand still.
+    A frame's file gives the sensor's pose (`Touch.T_base_sensor`); without one, the sensor is assumed to be at rest.
     `unit` and `press_depth_m` are as for `read_touch`.
     """
 
@@ -74,14 +74,14 @@ class LiveLocator:
     _T_base_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
     def prepare(self) -> None:
-        """Build, load and compile everything once, so that frames need not wait for it."""
+        """Build, load and compile everything once, so that no frame waits for it."""
         touch = self.localizer.simulate(1, self.localizer.config.seed)[0]
         self.localizer.localize(touch)
         if self.tracker is not None:
             Tracker(self.localizer).update(0.0, touch, np.eye(4))
 
     def locate(self, frame: SourceFrame, dropped: int = 0) -> LiveResult:
-        """Locate a frame; never raises for its content. `dropped` is the number of frames dropped so far."""
+        """Locate a frame; its content never raises an error. `dropped` is the number of frames dropped so far."""
         start = time.perf_counter()
         touch = None
         try:
@@ -110,7 +110,7 @@ class LiveLocator:
         return self._track(self.tracker, frame, touch)
 
     def _predict(self, frame: SourceFrame, error: NoContactError) -> LocatedFrame:
-        """Predict a track without contact; without a track, return the error's frame."""
+        """Predict the track for a frame without contact; if there is no track, return the error's frame."""
         if self.tracker is None:
             return LocatedFrame.of_error(error)
         return replace(self._track(self.tracker, frame, None), says=str(error))
@@ -122,7 +122,7 @@ class LiveLocator:
 
 @dataclass(frozen=True)
 class LiveSummary:
-    """How many frames had which result; `reasons` why frames without a pose were not located, most frequent first."""
+    """The number of frames with each result, and the `reasons` why frames have no pose, the most frequent first."""
 
     frames: int
     located: int

@@ -1,7 +1,8 @@
 """The sensor's mount on a robot's flange, found from touches of one part at rest at an unknown pose.
 
-Each touch is located separately. The mount on which most hypotheses agree (`mount_guess`) predicts where each sensor
-sees the part. Each touch is registered again there, and all of them are fitted together, until nothing moves.
+Each touch is located separately. The mount on which most hypotheses agree (`mount_guess`) predicts the part's pose in
+each sensor's frame. Each touch is registered again from there, and all touches are fitted together, until the poses
+converge.
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ from tactile_loc.tasks.mount_guess import MountGuess, guess_mounts
 
 HYPOTHESES = 100  # per touch
 GUESSES = 3  # mounts that are refined
-LEAST = 4  # touches that must agree: some hypotheses of three touches always do
-ROTATED_RAD = np.radians(3.0)  # about two axes, root mean square over pairs of flange poses: less determines nothing
+LEAST = 4  # touches that must agree: three always have hypotheses that do
+ROTATED_RAD = np.radians(3.0)  # least rotation about two axes, root mean square over pairs of flange poses
 LIMIT_M, LIMIT_RAD = 2e-3, np.radians(2.0)  # standard deviations above which a mount is unknown
 NOMINAL_M, NOMINAL_RAD = 0.03, np.radians(30.0)  # largest error of a nominal mount
 SHORT = 0.25  # imprint IoU that a touch may lose against its best hypothesis
-ROUNDS, STILL_M = 30, 5e-6  # of refinement; the last one moves no prediction farther
+ROUNDS, STILL_M = 30, 5e-6  # steps of refinement; the last one moves no prediction farther
 REJECTIONS = 3  # rounds of looking for touches that contradict the others
 NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad, of what a touch does not determine
 Floats = NDArray[np.float64]
@@ -79,7 +80,7 @@ class FlangeTouches:
 class Measured:
     """Where the sensor sees the object, from each of N touches separately: T_sensor_object (N, 4, 4), metres.
 
-    `covariances` (N, 6, 6), as in RefinedPose, contain the errors of the touch and of the flange's pose.
+    `covariances` (N, 6, 6), as in RefinedPose, include the errors of the touch and of the flange's pose.
     """
 
     T_sensor_object: Poses
@@ -91,9 +92,8 @@ class Measured:
 class FoundMount:
     """A mount found from N touches: the `fit` of those `kept` (N,), and the `guess` that it began with.
 
-    `measured` is where all touches see the object, registered from where the mount predicts it. `imprint_ious` (N,),
-    0 to 1, are how well the object explains each touch there; `best_ious` (N,) are those of the best hypotheses of each
-    touch alone.
+    `measured` has the object's poses as all touches see them, registered from the mount's predictions. `imprint_ious`
+    (N,), 0 to 1, are the touches' imprint IoUs there. `best_ious` (N,) are those of each touch's best hypothesis alone.
     """
 
     given: FlangeTouches
@@ -150,8 +150,8 @@ def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
 def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None = None) -> FoundMount:
     """Find the mount of the localizer's sensor, and the object's pose, from touches at known flange poses.
 
-    A `nominal` mount limits the search to NOMINAL_M and NOMINAL_RAD around it. Raises MountError when there are too few
-    touches, too few agree, or the flange's motions do not determine the mount.
+    A `nominal` mount limits the search to mounts within NOMINAL_M and NOMINAL_RAD. Raises MountError when there are too
+    few touches, too few of them agree, or the flange's motions do not determine the mount.
     """
     require_motions(given)
     located = _locate(localizer, given.touches)
@@ -190,7 +190,7 @@ def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
 
 
 def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:
-    """Locate each touch; one that no pose of the grid explains has no hypotheses."""
+    """Locate each touch; a touch that no pose of the grid explains gets no hypotheses."""
     found: list[tuple[Hypothesis, ...]] = []
     with localizer.progress.task("locating the touches", len(touches)) as advance:
         for touch in touches:
@@ -221,7 +221,7 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_
     measured = registration.measure(X, Y)
     fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
     kept = kept & registration.find_trusted(X, Y, best_ious)
-    # registration absorbs part of the errors
+    # registration absorbs a part of them
     fit = dataclasses.replace(fit, variance=estimate_typical_variance(fit.chi2))
     return FoundMount(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
 
@@ -245,7 +245,7 @@ class _Registration:
         return cls(given, views, localizer.refinement.registration, PoseMetric(localizer.object))
 
     def converge(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
-        """Fit X and Y to some of the touches (N,); `finely` if X and Y are already near."""
+        """Fit X and Y to the touches marked in `some` (N,); `finely` if X and Y are already near."""
         scales_mm = self.registration.list_scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
         for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
@@ -257,7 +257,7 @@ class _Registration:
         return X, Y
 
     def measure(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
-        """Register the touches from where X and Y predict the object; by default at the finest scale."""
+        """Register the touches from the object poses that X and Y predict; by default at the finest scale."""
         scale_mm = float(self.registration.list_scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
@@ -267,7 +267,7 @@ class _Registration:
         return Measured(S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m))
 
     def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
-        """Find which touches (N,) contradict X and Y neither in the object's pose nor in its imprint there."""
+        """Mark the touches (N,) that agree with X and Y, both in the object's pose and in its imprint there."""
         measured = self.measure(X, Y)
         F = self.given.T_base_flange
         chi2 = fit_hand_eye(F, measured.T_sensor_object, measured.covariances, X, Y, robust=True).chi2
@@ -279,13 +279,13 @@ class _Registration:
         return predict(self.given.T_base_flange, X, Y)
 
     def compute_imprint_ious(self, X: Floats, Y: Floats) -> Floats:
-        """How well the object explains each touch (N,) where X and Y predict it."""
+        """Return the imprint IoUs (N,) of the touches with the object where X and Y predict it."""
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         return np.array([float(view.imprint_ious(T[None])[0]) for view, T in pairs])
 
 
 def require_motions(given: FlangeTouches) -> None:
-    """Raise MountError unless there are enough touches, and the flange was rotated about two axes."""
+    """Raise MountError unless there are enough touches and the flange was rotated about two axes."""
     if len(given) < LEAST:
         raise MountError(f"a mount takes at least {LEAST} touches, better ten, but there are {len(given)}; add touches")
     (most, second, _), axes = measure_turns(given.T_base_flange)
@@ -332,7 +332,7 @@ def require_determined(covariance: Floats) -> None:
 
 
 def _name_axis(v: Floats) -> str:
-    """Name a direction: x, y or z if it is near one, else its numbers."""
+    """Name a direction: x, y or z if it is near that axis, else its numbers."""
     k = int(np.abs(v).argmax())
     if abs(v[k]) > np.cos(np.radians(5.0)):
         return "xyz"[k]

@@ -1,8 +1,8 @@
 """A first guess of a sensor's mount: the one on which most touches agree.
 
 Two hypotheses of different touches are compatible if the part, seen from the sensor, moved by the same screw as the
-flange did. Three that are pairwise compatible give a mount. All touches then rate it. This is consensus as in RANSAC,
-but over all compatible triples rather than random ones.
+flange. Three hypotheses that are pairwise compatible give a mount, which is then scored by all touches. This is a
+consensus as in RANSAC, but over all compatible triples rather than random ones.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class MountGuess:
-    """A mount T_flange_sensor (4, 4) and T_base_object (4, 4), metres, and the errors of the N touches.
+    """A mount T_flange_sensor (4, 4), T_base_object (4, 4), metres, and the errors of the N touches.
 
-    `off_m` (N,) are surface distances from where the mount predicts the object to each touch's nearest hypothesis.
+    `off_m` (N,) are surface distances, metres, from the object as the mount predicts it to each touch's nearest
+    hypothesis.
     """
 
     T_flange_sensor: Floats
@@ -45,11 +46,11 @@ class MountGuess:
 
     @property
     def score(self) -> float:
-        """How many touches agree; a touch that agrees less well counts less."""
+        """The number of touches that agree; a touch that agrees less well counts less."""
         return float(_score(self.off_m))
 
     def is_another(self, other: MountGuess) -> bool:
-        """Whether the other guess differs enough to be another mount."""
+        """Whether the other guess differs enough to count as a different mount."""
         X, Y = self.T_flange_sensor, other.T_flange_sensor
         rotated = float(rotation_angle(X[:3, :3].T @ Y[:3, :3]))
         return rotated > ANOTHER_RAD or float(np.linalg.norm(X[:3, 3] - Y[:3, 3])) > ANOTHER_M
@@ -127,7 +128,7 @@ class _Nodes:
         return cls(touch, T_base_flange[touch], np.concatenate(poses), own)
 
     def anchors(self) -> Iterator[int]:
-        """Yield the own nodes that are compatible with those of most touches, at most ANCHORS."""
+        """Yield at most ANCHORS of the `own` nodes: those compatible with nodes of most touches."""
         with_touches = [len(np.unique(self.touch[self._partners(k)])) for k in self.own]
         order = np.argsort(np.negative(with_touches), kind="stable")
         yield from (int(self.own[k]) for k in order[:ANCHORS] if with_touches[k] >= 2)

@@ -1,9 +1,9 @@
-"""The next touch: the approach after which the least doubt between the modes is expected.
+"""The next touch: the approach with the greatest information gain about the modes, for its cost.
 
-For each approach and mode, the travel of the sensor up to contact and the contact that it then sees are computed. If
-mode i is true, travel and contact speak against mode j by some number of nats. From these follows the entropy left if i
-is true. Its mean over the modes rates the approach (Lindley, 1956). The nats of contacts are the ones by which
-`imprints.py` weighs hypotheses, fitted to touches with strong noise.
+For each approach and mode, the sensor's travel up to contact and the contact that it then sees are computed. If mode i
+is true, travel and contact give a number of nats of evidence against each mode j. These determine the entropy left if i
+is true. Its mean over the modes rates the approach (Lindley, 1956). The evidence of contacts is that of `imprints.py`,
+which also weighs hypotheses; it was fitted to touches with strong noise.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 LOOKED_AT_PX = 24  # pixels per side of the contacts that are compared
-MOST_DRAWN = 1500  # contacts rendered: those of the approaches that promise most by travel alone
+MOST_DRAWN = 1500  # approaches whose contacts are rendered: the best ones by travel alone
 AT_ONCE = 500  # contacts rendered together
 TRAVEL_STD_M = 5e-4  # standard deviation of where a sensor is stopped: the mode's pose, the press, the robot
-MOST_NATS = 8.0  # evidence of one touch between two modes; real touches differ from the expected ones
-ALIKE_NATS = 1.0  # modes between which no approach gives more evidence stay alike
+MOST_NATS = 8.0  # most evidence of one touch between two modes: real touches differ from expected ones
+ALIKE_NATS = 1.0  # modes are alike if no approach gives more evidence between them
 LEAST_PERCENT = 0.25  # of the observed pixels: a smaller contact is not a touch
-IN_THE_WAY = 0.01  # probability of a start inside the object that puts an approach out of reach
+IN_THE_WAY = 0.01  # an approach is out of reach if it starts inside the object with this probability
 
 
 Cost = Callable[[Approach], float]
@@ -48,9 +48,9 @@ Cost = Callable[[Approach], float]
 class Foreseen:
     """The encounters of A approaches with the object, for each of K modes as the true one.
 
-    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose seen by the pressed sensor. `travel_m` (A, K) is the
-    sensor's travel up to contact. `meets` (A, K) tells whether it touches anything on its way, `blocked` (A, K) whether
-    its gel starts inside or beyond the object.
+    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose in the frame of the pressed sensor. `travel_m` (A, K)
+    is the sensor's travel up to contact. `meets` (A, K) marks where it touches the object on its way, `blocked` (A, K)
+    where its gel starts inside or beyond the object.
     """
 
     T_sensor_object: Float64
@@ -63,8 +63,9 @@ class Foreseen:
 class RatedApproach:
     """An approach and its expected result.
 
-    `information`, nats, is the expected drop of the modes' entropy, and `entropy` what is left. `meets`, 0 to 1, is the
-    probability that it makes a touch. `travel_m` (K,) is the travel up to contact with each mode, NaN if it misses.
+    `information`, nats, is the expected decrease of the modes' entropy, and
+    `entropy` the entropy that remains. `meets`, 0 to 1, is the probability that it makes a touch. `travel_m` (K,) is
+    the travel up to contact with each mode, NaN if it misses.
     """
 
     approach: Approach
@@ -96,7 +97,7 @@ class NextTouch:
 
     @cached_property
     def alike(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of modes, numbered from 0, that no approach tells apart; the largest first."""
+        """Groups of modes, numbered from 0, that no approach can tell apart; the largest first."""
         count = len(self.modes.probabilities)
         apart, at_once = np.zeros((count, count)), max(1, MOST_DRAWN // count)
         for start in range(0, len(self.ranked), at_once):
@@ -126,12 +127,12 @@ def choose_next_touch(
     found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
     renderer: Renderer | None = None,
 ) -> NextTouch:  # fmt: skip
-    """Rate approaches by the doubt between the modes of `found` that is expected after each.
+    """Rate approaches by the entropy of the modes of `found` that is expected after each.
 
     An approach can also be just the pose (4, 4), metres, at which the sensor starts. Poses are in the frame of the
     touch's `T_base_sensor` or, without one, in its sensor's frame. A press that meets nothing, or shows only a flat
-    face, gives no information, because it cannot be located. The travel up to contact counts, too, since it differs
-    between modes. `cost` replaces the approaches' own costs; infinite means out of reach. Raises ConfigError if there
+    face, gives no information, because it cannot be located. The travel up to contact also counts, because it differs
+    between modes. `cost` replaces the approaches' own costs; infinity means out of reach. Raises ConfigError if there
     is no approach, none is within reach, or a cost or press is invalid.
     """
     modes = found if isinstance(found, PoseModes) else PoseModes.of(found)
@@ -161,7 +162,7 @@ def choose_next_touch(
 
 
 def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> Foreseen:
-    """Return what approaches would meet, for each mode as the true one."""
+    """Return the encounters of approaches with the object, for each mode as the true one."""
     T = invert(np.stack([a.T_base_sensor for a in approaches]))[:, None] @ modes.T_base_object[None]
     bare = dataclasses.replace(scene.geometry, standoff_m=scene.geometry.surface_m, indentation_m=0.0)  # unpressed
     touching, over = dataclasses.replace(scene, geometry=bare).bring_to_contact(T.reshape(-1, 4, 4))
@@ -176,8 +177,8 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
 def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
     """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
-    `nats` (A, K, K) is by how much the touch made by mode i speaks for i against j. `tells` (A, K) is whether the touch
-    made by mode i can be located and so changes anything.
+    `nats` (A, K, K) is the evidence for i against j of the touch that mode i makes. `tells` (A, K) marks the modes
+    whose touch can be located; other touches change nothing.
     """
     with np.errstate(divide="ignore"):
         logits = np.log(probabilities) - nats
@@ -187,7 +188,7 @@ def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools
 
 
 def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
-    """Return by how many nats each of K contacts speaks for the mode that made it against each other mode: (K, K).
+    """Return the evidence (K, K), nats, of each of K contacts for the mode that made it, against each other mode.
 
     That is the evidence for contact i of the depths i minus that of the depths j (K, H, W), metres; see
     `core.sensing.imprints.compare_imprints`. All pairs are compared at once, from the contacts' sums and the sums of
@@ -211,7 +212,7 @@ def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Boo
 
 
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of two or more of K things that are alike (K, K), directly or via others; largest first."""
+    """Return the groups of two or more of K items that are `alike` (K, K), directly or via others; largest first."""
     from scipy.sparse.csgraph import connected_components
 
     _, label = connected_components(alike, directed=False)
@@ -251,7 +252,7 @@ def _compare_drawn(
 
 
 def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """Return the modes that each approach meets, and the contact depths (M, h, w), metres, it would see of them."""
+    """Return the modes that each approach meets, and the contact depths (M, h, w), metres, that they would show."""
     poses = seen.T_sensor_object[seen.meets]
     depths = [glance.render_contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
     every = np.concatenate(depths) if depths else np.empty((0, *glance.geometry.shape), np.float32)
@@ -262,14 +263,14 @@ def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArra
 
 
 def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
-    """Whether contacts (M, h, w) are touches: large enough, and more than a flat face all over the sensor."""
+    """Whether contacts (M, h, w) can be located: large enough, and not a flat face all over the sensor."""
     seen = depth_m[:, geometry.observed_mask]
     share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
     return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
 
 
 def _compare_travels(seen: Foreseen) -> Float64:
-    """Return by how many nats the travel speaks for mode i against j: (A, K, K)."""
+    """Return the evidence (A, K, K), nats, of the travel for mode i against mode j."""
     apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
     both = seen.meets[:, :, None] & seen.meets[:, None, :]
     either = seen.meets[:, :, None] | seen.meets[:, None, :]

@@ -69,9 +69,9 @@ class NextTouchRecord(Record):
 
 
 def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
-    """Return the modes of a result.json with its .npz beside it, and its touch's T_base_sensor (4, 4), metres.
+    """Return the modes of a result.json, with the .npz beside it, and the touch's T_base_sensor (4, 4), metres.
 
-    T_base_sensor may be None; modes are then in the sensor's frame. Raises ResultError when files cannot be used.
+    If T_base_sensor is None, the modes are in the sensor's frame. Raises ResultError when the files cannot be used.
     """
     path = Path(path)
     record = read_record(path)

@@ -1,13 +1,13 @@
 """A Kalman filter of one object's pose, from touches whose errors are correlated from frame to frame.
 
 An error (6,) of a pose is that of x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are
-along the axes of the frame that the pose is seen from, as in `hand_eye.compute_pose_errors` and
+along the axes of the frame in which the pose is given, as in `hand_eye.compute_pose_errors` and
 `RefinedPose.covariance`.
 
-Frames of one contact have similar errors: counted as independent, a thousand would be thirty times as exact as one. So
-the touches' common error and the error of the sensor's reported pose are unknowns of the filter, beside the pose. They
-are first-order autoregressive as the sensor moves on (coloured noise: Bryson and Johansen, 1965). The filter keeps the
-prediction of all that a touch does not determine.
+Frames of one contact have similar errors. If they counted as independent, a thousand frames would seem thirty times as
+exact as one. So the filter's unknowns are the pose, the touches' common error and the error of the sensor's reported
+pose. Both errors are first-order autoregressive as the sensor moves on (coloured noise: Bryson and Johansen, 1965).
+Where a touch does not determine the pose, the filter keeps its prediction.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class PoseFilter:
     def update(self, seen: SeenPose, share: float) -> PoseFilter:
         """Return the filter after a touch.
 
-        `share`, 0 to 1, is how much of the common errors of touches and sensor poses is new since the touch before.
+        `share`, 0 to 1, is the new share of the common errors of touches and sensor poses since the previous touch.
         """
         kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
         P = kept[:, None] * self.covariance * kept
@@ -93,19 +93,19 @@ class PoseFilter:
         e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
         known = H @ P @ H.T
         S = known + fresh * _to_unit(seen.common) + _to_unit(seen.own)
-        # Student's t, whose heavy tails suit registrations that end in another valley: S may be too small
+        # Student's t: its heavy tails allow for registrations that end in a wrong local minimum, so S may be too small
         doubt = max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
         P[TOUCH, TOUCH] += doubt * fresh * _to_unit(seen.common)
         own = doubt * _to_unit(seen.own)
         S = H @ P @ H.T + own
         K = np.linalg.solve(S, H @ P).T
         kept_back = np.eye(18) - K @ H
-        P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form: stays positive
+        P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form keeps the covariance positive
         return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
 
 
 def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:
-    """Return how errors (18,) of pose, touch and sensor change the pose that is seen: (6, 18), in UNIT."""
+    """Return the matrix (6, 18), in UNIT, that maps errors of pose, touch and sensor to the error of the pose seen."""
     H = np.zeros((6, 18))
     H[:3, :3] = H[3:, 3:6] = T_base_sensor[:3, :3].T
     H[:, TOUCH] = H[:, SENSOR] = np.eye(6)

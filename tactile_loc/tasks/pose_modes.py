@@ -1,4 +1,4 @@
-"""The modes of an object's pose: few distinct poses with their probabilities, between which a next touch decides."""
+"""The modes of an object's pose: a few distinct poses with probabilities, between which the next touch shall decide."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from tactile_loc.locate.results.localization import Localization
 Float64 = NDArray[np.float64]
 
 MOST_MODES = 30
-NOISY, SHARPEST = 0.25, 5.0  # share of an imprint unexplained with strong noise; greatest sharpness of a clean one
-SAME_POSE_M = 5e-4  # modes that are nearer, by the object's symmetry, are merged
+NOISY, SHARPEST = 0.25, 5.0  # unexplained share of an imprint with strong noise; sharpness of a clean imprint
+SAME_POSE_M = 5e-4  # modes that are nearer, up to the object's symmetry, are merged
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class PoseModes:
     """K modes of an object's pose: `T_base_object` (K, 4, 4), metres, and their probabilities (K,), which sum to one.
 
     `unlisted`, 0 to 1, is the probability of poses left out; they favour no approach. `geometry` is that of the next
-    sensor, and `press_m` metres its press unless an approach has another. `sharpness`, 1 or more, is how much more
-    evidence contacts give than with strong noise: see `measure_sharpness`.
+    touch's sensor; `press_m`, metres, is its press depth, unless an approach has its own. `sharpness`, 1 or more, is
+    how much more evidence contacts give than with strong noise: see `measure_sharpness`.
     """
 
     object: ObjectModel
@@ -53,7 +53,7 @@ class PoseModes:
 
     @property
     def entropy(self) -> float:
-        """The doubt between the modes, nats: 0 when one is certain."""
+        """The entropy of the modes, nats: 0 when one is certain."""
         return float(compute_entropy(self.probabilities))
 
 

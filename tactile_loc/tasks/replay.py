@@ -1,4 +1,4 @@
-"""Replay of a recording: each image of a topic is located, in order, and an interrupted replay is resumed."""
+"""Replay of a recording: the images of a topic are located in order, and an interrupted replay can be resumed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class FrameRecord(LocatedRecord):
 
     @property
     def T(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
-        """The object's pose (4, 4), metres, of a frame that was located."""
+        """The object's pose (4, 4), metres, in `frame`. Use it only if the object was located."""
         return np.array(self.T_frame_object)
 
 
@@ -100,7 +100,7 @@ class Replay:
             touch = self.touch(decode_image(image))
             T_base_frame = self._find_base_pose(frame, given["stamp_ns"])
             located = estimator(touch)
-        except (RecordingError, StoreError):  # not the frame's fault, so the journal must not keep it as refused
+        except (RecordingError, StoreError):  # the frame is not at fault, so the journal must not record it as refused
             raise
         except TactileLocError as error:
             located = LocatedFrame.of_error(error)
@@ -124,7 +124,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class ReplaySummary:
-    """How many frames had which result; `reasons` why frames without a pose were not located, most frequent first."""
+    """The number of frames with each result, and the `reasons` why frames have no pose, the most frequent first."""
 
     frames: int
     located: int
@@ -136,7 +136,7 @@ class ReplaySummary:
 
     @classmethod
     def of(cls, records: Iterable[FrameRecord]) -> ReplaySummary:
-        """Count the frames' results, and how often the clock of their stamps went back."""
+        """Count the frames' results, and how often their stamps went back in time."""
         records = list(records)
         without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
         reasons = Counter(record.says for record in without)

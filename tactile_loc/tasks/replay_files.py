@@ -45,8 +45,9 @@ def replay_to(
 ) -> Replayed:
     """Locate each of a recording's `frames` images; write the results to `out`, and .csv and .json files beside it.
 
-    A journal beside `out` keeps the finished frames until all is written, so the same call resumes there. An estimator
-    forgets earlier frames then. Raises RecordingError when no frame has a pose, OutputError.
+    A journal beside `out` keeps the finished frames until all files are written, so the same call resumes there. A
+    tracker does not remember the frames before that. Raises RecordingError when no frame has a pose, and OutputError
+    when a file cannot be written.
     """
     path = out.with_name(f"{out.name}.journal")
     with open_journal(path, replay) as kept:
@@ -77,7 +78,7 @@ def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) ->
 def write_poses(
     path: Path, replay: Replay, records: Sequence[FrameRecord], pose_topic: str, alone: bool = False
 ) -> Path:
-    """Write the recording's messages with each pose after its image, or the poses `alone`; return the path.
+    """Write the recording's messages, with each pose after its image, or only the poses if `alone`; return the path.
 
     A pose has its image's stamp and log time. Raises OutputError.
     """

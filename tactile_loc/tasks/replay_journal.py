@@ -14,13 +14,13 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
 from tactile_loc.tasks.replay import FrameRecord, Replay
 
-VERSION = 2  # raise when a replay would give other results
+VERSION = 2  # raise it when replays give other results
 
 
 class Journal:
     """The finished frames of a replay, in an open file: `records`, in order.
 
-    A last line that a killed process left incomplete is dropped. `stale`: the file was of another replay.
+    A last line that a killed process left incomplete is dropped. `stale`: the file belonged to another replay.
     """
 
     def __init__(self, file: IO[bytes], key: str) -> None:
@@ -41,7 +41,7 @@ class Journal:
 
 @contextmanager
 def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
-    """Open and lock the journal of a replay; delete it in the end if no frame has a pose.
+    """Open and lock the journal of a replay; delete it at the end if no frame has a pose.
 
     Raises OutputError when it cannot be written, or another process uses it.
     """
@@ -56,7 +56,7 @@ def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
 
 
 def make_replay_key(replay: Replay) -> str:
-    """Return a digest of all that decides the frames' results: the recording and how it is located."""
+    """Return a digest of everything that determines the frames' results: the recording and the settings."""
     localizer = replay.localizer
     return StageKey("replay", VERSION, {
         "recording": _identify(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
@@ -66,7 +66,7 @@ def make_replay_key(replay: Replay) -> str:
 
 
 def _identify(path: Path) -> list[Any]:
-    """Identify a recording, and whether it has grown, without reading it."""
+    """Return what identifies a recording and changes when it grows, without reading its messages."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 

@@ -1,9 +1,10 @@
 """Tracking of an object from frame to frame, while a sensor slides and rotates over it.
 
 A few possible poses, the modes, are predicted from the sensor's motion and registered to each touch. Prediction and
-touch are fused, so the prediction keeps what the touch does not show, such as a bolt's rotation. Keyframes, touches at
-places far enough apart, decide between modes. If no mode explains the touch, nearby poses are tried, in case the object
-slipped. If that fails, or no mode is certain, the whole object is searched with all keyframes together.
+touch are fused, so the prediction determines what the touch does not show, such as a bolt's rotation. Keyframes are
+touches at places far enough apart; their evidence decides between modes. If no mode explains the touch, nearby poses
+are tried, in case the object slipped. If that fails, or no mode is certain, the whole object is searched with all
+keyframes together.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The sensor's motion since the frame before: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of its
-    error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes.
+    """The sensor's motion since the previous frame: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of
+    its error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes.
 
     Raises TouchError for an invalid pose or covariance.
     """
@@ -62,12 +63,12 @@ class Motion:
 class TrackedPose:
     """The object's pose at one frame.
 
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with `covariances`
-    (K, 6, 6) as in RefinedPose, and `probabilities` (K,); the rest to 1 is elsewhere. `imprint_iou`, 0 to 1, is how
-    well the first pose explains the touch; NaN without a touch.
+    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with `covariances` (K, 6,
+    6) as in RefinedPose, and `probabilities` (K,). If these sum to less than 1, the rest is the probability that the
+    pose is elsewhere. `imprint_iou`, 0 to 1, is how well the first pose explains the touch; NaN without a touch.
 
     `verdict` is as in a run, with the tracker's thresholds (`tracker.certain`, `tracker.least_iou`). Without contact,
-    poses are predicted. `searched`: poses were searched for, nearby or on the whole object, which takes longer.
+    poses are predicted. `searched`: poses were searched nearby or on the whole object, which takes longer.
     """
 
     time_s: float
@@ -109,11 +110,11 @@ class _Mode:
 
 
 class Tracker:
-    """Tracks one object by touches of one sensor, frame after frame.
+    """Tracks one object from frame to frame, by touches of one sensor.
 
-    The object rests, except for a creep with standard deviations of `creep_m` metres along and `creep_rad` radians
-    about each axis per second; it may jump. Sensor poses have the touches' errors (`Touch.T_base_sensor_std_m`).
-    Raises ConfigError for a creep that is negative or not finite.
+    The object is assumed to rest, except for a creep per second with standard deviations of `creep_m` metres along and
+    `creep_rad` radians about each axis. It may also jump. The errors of sensor poses are those that the touches state
+    (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not finite.
     """
 
     def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
@@ -132,13 +133,14 @@ class Tracker:
         self._T_base_sensor: Floats | None = None
         self._relative = False
         self._usual, self._elsewhere = 0.0, 0.0
-        self._alike = 0.0  # share of the touch before's errors that this touch has too
+        self._alike = 0.0  # share of the previous touch's errors that this touch has, too
 
     def start(self, T_base_object: Floats, covariance: Floats) -> None:
         """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
 
-        Otherwise the first touch is searched for on the whole object. The base is that of the sensors' poses; if their
-        motions are given instead, it is the first frame's sensor. Raises TouchError for an invalid pose or covariance.
+        Without a start, the whole object is searched for the first touch. The base is that of the sensors' poses; if
+        their motions are given instead, it is the first frame's sensor. Raises TouchError for an invalid pose or
+        covariance.
         """
         T = require_rigid(T_base_object, "T_base_object", TouchError)
         covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
@@ -153,8 +155,8 @@ class Tracker:
         """Return the pose at `time_s` seconds, given a touch, or None without contact.
 
         The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from its `motion` since the
-        frame before: poses for all frames, or motions for all. Raises TouchError if it is missing, if time runs
-        backwards, or for another sensor's touch.
+        previous frame. Give poses for all frames, or motions for all. Raises TouchError if neither is given, if time
+        runs backwards, or for a touch of another sensor.
         """
         self._require_later(time_s)
         if touch is not None:
@@ -171,7 +173,7 @@ class Tracker:
         return self._update_touched(replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
-        """Follow the modes to a touch; search if they do not explain it, or are not certain of a new keyframe."""
+        """Follow the modes to a touch; search if none explains it, or if none is certain at a new keyframe."""
         is_keyframe = (
             not self._keyframes
             or self._motion_m(self._keyframes[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.keyframe_mm
@@ -204,7 +206,7 @@ class Tracker:
         return self.localizer.scene.geometry.gel_middle_m
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
-        """How far the gel moved between sensor poses (4, 4), metres; rotations count at a distance of `lever_mm`."""
+        """Distance the gel moved between sensor poses (4, 4), metres; rotations count with a lever of `lever_mm`."""
         T = invert(T_base_first) @ T_base_second
         shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
         return float(shift_m + 1e-3 * self.options.lever_mm * rotation_angle(T[:3, :3]))
@@ -224,7 +226,7 @@ class Tracker:
     def _place(
         self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
     ) -> tuple[Floats, Floats | None]:
-        """Return the sensor's pose (4, 4), and the covariance added by its motion, along the base's axes."""
+        """Return the sensor's pose (4, 4), and the covariance that its motion adds, along the base's axes."""
         told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
         before = self._T_base_sensor
         relative = told is None if before is None else self._relative
@@ -261,7 +263,7 @@ class Tracker:
         return SeenPose(T, T_sensor_object, common * covariance, (1 - common) * covariance, sensor, self._gel_m)
 
     def _follow(self, touch: Touch, is_keyframe: bool) -> list[_Mode]:
-        """Register the modes to a touch, fuse them with it, and merge them; a keyframe's evidence counts."""
+        """Register the modes to a touch, fuse them with it, and merge them; add the evidence of a keyframe."""
         if not self._modes:
             return []
         view = View(touch, self.localizer.scene.match_touch(touch))
@@ -289,7 +291,7 @@ class Tracker:
         )
 
     def _keep_distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
-        """Return the likeliest modes; drop those near a likelier one, or improbable beside it."""
+        """Return the likeliest modes; drop modes near a likelier one, or much less probable than the best."""
         ordered = sorted(modes, key=lambda mode: -mode.evidence)
         least = ordered[0].evidence + math.log(self.options.improbable) if ordered else 0.0
         ordered = [mode for mode in ordered if mode.evidence >= least]
@@ -298,7 +300,7 @@ class Tracker:
         return [ordered[k] for k in np.unique(of[of >= 0])]
 
     def _slip(self, touch: Touch, is_keyframe: bool) -> bool:
-        """Search where the likeliest modes may have slipped to; return whether one of those poses is the pose now."""
+        """Search the poses to which the likeliest modes may have slipped; return whether one of them was accepted."""
         view = View(touch, self.localizer.scene.match_touch(touch))
         slipped = self._guess_slips(view)
         poses, covariances = self._first_registration.follow([view], np.stack([m.T_sensor_object for m in slipped]))
@@ -367,7 +369,7 @@ class Tracker:
         )
 
     def _weigh(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
-        """Add the evidence of all keyframes to modes, and set how well they explain the last one."""
+        """Add the evidence of all keyframes to modes, and set their imprint IoU with the last one."""
         if not modes:
             return []
         poses = np.stack([mode.known.T_base_object for mode in modes])

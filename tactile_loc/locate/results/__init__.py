@@ -1,1 +1,1 @@
-"""Results of locating: localisations, located frames, verdicts, and their files."""
+"""Results of the localisation: localisations, located frames, verdicts, and their files."""

@@ -22,10 +22,11 @@ from tactile_loc.locate.results.verdict import Verdict, judge
 class Hypothesis:
     """One distinct explanation of the touches.
 
-    `probability` is that of its whole mode, which holds `grid_poses` poses of the grid. `T_sensor_object_grid` (4, 4),
-    metres, is the most probable of them, at `grid_index`. `refined` is the refiner's result; its pose is the answer.
-    `imprint_iou`, 0 to 1, is how well that pose explains the touches in depth and outline (`Scene.imprint_ious`). For
-    several touches, `imprint_ious` has one value per touch, and `imprint_iou` is their mean without outliers.
+    `probability` is the probability of its whole mode, which holds `grid_poses` poses of the grid.
+    `T_sensor_object_grid` (4, 4), metres, is the most probable of them, at `grid_index`. `refined` is the refiner's
+    result; its pose is the answer. `imprint_iou`, 0 to 1, is how well that pose explains the touches in depth and
+    outline (`Scene.imprint_ious`). For several touches, `imprint_ious` has one value per touch, and `imprint_iou` is
+    their mean without outliers.
     """
 
     probability: float
@@ -43,7 +44,7 @@ class Hypothesis:
 
     @property
     def is_refined(self) -> bool:
-        """Whether the refined pose differs from the grid's; if not, its imprint IoU says little."""
+        """Whether the refined pose differs from the grid's; if not, its imprint IoU means little."""
         return not np.array_equal(self.T_sensor_object, self.T_sensor_object_grid)
 
 
@@ -51,9 +52,9 @@ class Hypothesis:
 class Agreement:
     """Whether N touches agree on a pose. Touches are numbered from 0, in the order given.
 
-    `best_ious` (N,), 0 to 1, are the best imprint IoUs with each touch of any pose that was tried. If the best
-    hypothesis explains a touch far worse than that, the touches are `contradictory`. `outliers` are the touches that
-    contradict all others while those agree; empty if the wrong touch is unknown, as with two touches.
+    `best_ious` (N,), 0 to 1, are the best imprint IoUs of any pose tried with each touch. If the best hypothesis
+    explains a touch far worse than that, the touches are `contradictory`. `outliers` are touches that contradict all
+    others, while the others agree. It is empty if the wrong touch is unknown, as with two touches.
     """
 
     best_ious: tuple[float, ...] = ()
@@ -65,10 +66,10 @@ class Agreement:
 class Localization:
     """The answer: the posterior, its distinct hypotheses, the best first, and the seconds of each stage.
 
-    `touch` is the first touch, in whose sensor's frame the answer is; `others` are the rest. `pose_set` are the poses
-    that hold the true one with the coverage asked for; the hypotheses are then its modes. Outliers (see `agreement`)
-    count in the posterior, but not in the hypotheses. Touches that were `left_out`, because they contradict the
-    others, count in neither.
+    The answer is in the sensor frame of the first touch, `touch`; `others` are the other touches. `pose_set` holds the
+    true pose with the requested coverage; the hypotheses are then its modes. Outliers (see `agreement`) count in the
+    posterior, but not in the hypotheses. Touches that were `left_out` because they contradict the others count in
+    neither.
     """
 
     touch: Touch
@@ -87,7 +88,7 @@ class Localization:
 
     @property
     def outliers(self) -> tuple[Touch, ...]:
-        """The touches that contradict all others, which agree."""
+        """The touches that contradict all others, while the others agree."""
         return tuple(self.touches[number] for number in self.agreement.outliers)
 
     @property
@@ -99,7 +100,7 @@ class Localization:
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.
 
-        It is a poor fit, too, if touches contradict each other and the wrong one is unknown.
+        It is also "poor fit" if touches contradict each other and the wrong one is unknown.
         """
         if self.agreement.contradictory and not self.agreement.outliers:
             return Verdict.POOR_FIT
@@ -116,6 +117,6 @@ class Localization:
 
     @cached_property
     def normalised_entropy(self) -> float:
-        """Entropy of the posterior over N poses divided by log N, unitless: 0 one pose is certain, 1 nothing known."""
+        """Entropy of the posterior over N poses divided by log N, unitless: 0 if a pose is certain, 1 if all are alike."""
         count = len(self.posterior.grid)
         return float(self.posterior.entropy / np.log(count)) if count > 1 else 0.0

@@ -54,7 +54,7 @@ class LocatedFrame:
 
     @classmethod
     def of_error(cls, error: TactileLocError) -> LocatedFrame:
-        """Make the frame that an error leaves: no contact, not found or, without a verdict, refused."""
+        """Make the frame of a touch that raised an error: no contact, not found or, without a verdict, refused."""
         verdict = None
         if isinstance(error, NoContactError):
             verdict = Verdict.NO_CONTACT
@@ -127,7 +127,7 @@ def record_fields(located: LocatedFrame) -> dict[str, Any]:
 
 
 def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
-    """Return the numbers of all `frames`, and of those `located`, `not_found`, with `no_contact` and `refused`.
+    """Count all `frames`, and those that are `located`, `not_found`, without contact (`no_contact`) or `refused`.
 
     A poor fit counts as located.
     """

@@ -1,4 +1,4 @@
-"""The file `result.npz`: the arrays that `result.json` lacks and a report draws. SI units.
+"""The file `result.npz`: the arrays for a report that `result.json` does not hold. SI units.
 
 It holds the posterior, the surface and the contact shapes as plain arrays and JSON texts. Nothing is pickled.
 """
@@ -41,8 +41,8 @@ AGAIN = "run tactile-loc again with this touch alone, which writes both files"
 class TouchArrays:
     """One touch, and the contact shapes that the hypotheses would make on its sensor.
 
-    `T_sensor_first` (4, 4), metres, leads from the first touch's sensor frame to this one's. `made_m` (K, H, W) are
-    the hypotheses' contact depths at the touch's press, metres. `image` (H, W, 3) is the photo, if there was one.
+    `T_sensor_first` (4, 4), metres, transforms from the first touch's sensor frame to this one's. `made_m` (K, H, W)
+    are the hypotheses' contact depths at the touch's press, metres. `image` (H, W, 3) is the photo, if there is one.
     """
 
     shape: ContactShape
@@ -120,7 +120,7 @@ def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path
 
 
 def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
-    """Read the arrays that belong to a record. Raises ResultError when they cannot be used."""
+    """Read the arrays of a record. Raises ResultError when they cannot be used."""
     if not path.is_file():
         raise ResultError(f"{path} is missing, and a report of this result needs it; {AGAIN}")
     try:
@@ -142,7 +142,7 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
 
 
 def hash_record(record: ResultRecord) -> str:
-    """Return the SHA-256 (hex) of a record's content, which ties the two files together."""
+    """Return the SHA-256 (hex) of a record's content, by which each file is matched with the other."""
     try:
         return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
     except PydanticSerializationError as error:  # for instance a lone surrogate in a text
@@ -161,7 +161,7 @@ def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
 
 
 def unpack_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
-    """Return the result from stored arrays. Raises KeyError, ValueError or TypeError when they are no result."""
+    """Return the result from stored arrays. Raises KeyError, ValueError or TypeError for invalid arrays."""
     mesh = TriangleMesh(_read_numbers(arrays, "vertices_m"), _read_numbers(arrays, "faces").astype(np.int64))
     if mesh.vertices_m.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
         raise ValueError("its vertices or faces do not have three columns")

@@ -85,7 +85,7 @@ class HypothesisRecord(Record):
 
 
 class PoseSetRecord(Record):
-    """Grid poses that include the one nearest to the true pose with known probability (split conformal prediction)."""
+    """Grid poses that include the one nearest to the truth with a known probability (split conformal prediction)."""
 
     coverage: float = Field(description="the probability asked for, 0 to 1")
     level: float = Field(description="the credible level that this coverage takes, 0 to 1")
@@ -119,8 +119,8 @@ class ResultRecord(Record):
     other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
     contradictory: bool = Field(
         default=False,
-        description="whether no pose was found that explains all touches; each touch that contradicts the others is an "
-        "`outlier`, and none is if the wrong touch is unknown",
+        description="true if no pose found explains all touches; each touch that contradicts the others is an "
+        "`outlier`, but no touch is one if the wrong touch is unknown",
     )
     left_out: list[TouchRecord] = Field(
         default_factory=list, description="touches that contradict these and were left out of the result"
@@ -162,7 +162,8 @@ class ResultRecord(Record):
         """The number of scored poses and the probability that the object is at none of them, in words."""
         if not self.elsewhere:
             return f"{self.grid_poses} poses searched"
-        return f"{self.grid_poses} poses found likely, {self.elsewhere:.0%} that it is at none of them"
+        elsewhere = f"{100 * self.elsewhere:.0f} % probability that the true pose is elsewhere"
+        return f"{self.grid_poses} likely poses found, {elsewhere}"
 
 
 def read_record(path: Path) -> ResultRecord:

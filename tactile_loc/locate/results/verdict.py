@@ -1,4 +1,4 @@
-"""The verdict on a located touch: one word, the same for runs, tracks, live frames, recordings and ROS."""
+"""The verdict on a located touch: one word, with the same meaning in runs, tracks, live frames, recordings and ROS."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from enum import StrEnum
 from tactile_loc.io.options import CERTAIN
 
 LEAST_IOU = 0.5  # imprint IoU of one touch: below it, 1 of 83 simulated touches had the right pose
-MOSTLY_ELSEWHERE = 0.5  # probability above which the search more likely missed the pose than found it
+MOSTLY_ELSEWHERE = 0.5  # above it, the search has probably missed the true pose
 
 
 class Verdict(StrEnum):
-    """How far the first pose can be trusted."""
+    """How far to trust the first pose."""
 
     CERTAIN = "certain"
     AMBIGUOUS = "ambiguous"
@@ -54,8 +54,8 @@ def judge(
 
     `probability`, 0 to 1, is the first pose's; None if there is no pose. `imprint_iou`, 0 to 1, is how well it explains
     the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search missed the pose. `touched` tells
-    whether there is a touch. A pose is certain if its probability is at least `certain`, and a poor fit below
-    `least_iou`.
+    whether there is a touch. A pose is certain if its probability is at least `certain`. It is a poor fit if its
+    imprint IoU is below `least_iou`.
     """
     if not touched:
         return Verdict.NO_CONTACT
