@@ -117,6 +117,6 @@ class Localization:
 
     @cached_property
     def normalised_entropy(self) -> float:
-        """Entropy of the posterior over N poses divided by log N, 0 to 1: 0 if a pose is certain, 1 if all are alike."""
+        """Entropy of the posterior over N poses divided by log N: 0 if a pose is certain, 1 if all are alike."""
         count = len(self.posterior.grid)
         return float(self.posterior.entropy / np.log(count)) if count > 1 else 0.0
