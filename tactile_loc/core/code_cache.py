@@ -37,12 +37,12 @@ _opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # by sourc
 
 
 def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
-    """Return the folder for the compiled code of a function's file, created if necessary, without unreadable files.
+    """Return the folder for the compiled code of a function's file; create it if necessary, delete unreadable files.
 
     It is under `chosen` (NUMBA_CACHE_DIR), else in `__pycache__` beside the file, else in the user's cache. A file has
-    one folder per process, which depends on what its first compiled function sees; so put imports before it. Of the
-    folders for other states of the file, only the last used one is kept. Returns None if no code can be kept: the
-    function is not in a file, or no folder is writable.
+    one folder per process, which depends on the names defined before its first compiled function; so put imports first.
+    Of the folders for other states of the file, only the last used one is kept. Returns None if no code can be kept:
+    the function is not in a file, or no folder is writable.
     """
     path = Path(function.__code__.co_filename).absolute()
     if not path.is_file():
@@ -172,7 +172,7 @@ def _read_names(path: Path) -> set[tuple[str, str]]:
 
 
 def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
-    """Whether a module still has a name, and its file is one of `files` or is older than a time."""
+    """Whether a module still has a name, and its file is in `files` or older than a time."""
     if module in sys.builtin_module_names:
         return True
     loaded = sys.modules.get(module)

@@ -1,7 +1,7 @@
 """Compiled loops, and threads that share them.
 
 Kernels are plain numba functions that release the GIL. Our own threads call them for parts of a range. numba's parallel
-loops take several times as long to compile, and their threads wait actively, which slows down everything else.
+loops take several times as long to compile, and their threads wait in busy loops, which slows down all other work.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numba import njit as numba_njit
 
 from tactile_loc.core.code_cache import open_code_folder
 
-PARTS = 4  # per thread: a thread that ends early takes another
+PARTS = 4  # parts per thread: a thread that finishes early takes another part
 
 FASTMATH = {"nsz", "arcp", "contract"}  # for `fast`: all but ignoring infinities and NaN
 
@@ -70,7 +70,7 @@ def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> 
     others = [_pool(os.getpid(), threads - 1).submit(work) for _ in range(threads - 1)]
     work()
     for other in others:
-        if not other.cancel():  # it may not have begun, if other callers keep the threads busy
+        if not other.cancel():  # it may not have started, if other callers keep the threads busy
             other.result()
 
 

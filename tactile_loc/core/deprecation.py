@@ -1,6 +1,6 @@
 """Deprecated names: they still work until version REMOVAL, and warn.
 
-`RENAMED` lists those of modules. Those of a class's members are in its decorator `keep_old_names`.
+`RENAMED` lists the old names in modules. The decorator `keep_old_names` of a class lists those of its members.
 """
 
 from __future__ import annotations

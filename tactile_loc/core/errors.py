@@ -14,7 +14,7 @@ MOST_LETTERS = 1500  # of a message
 
 
 class TactileLocError(Exception):
-    """Base of all errors raised on purpose. The command line prints it and exits with code 2.
+    """Base class for all errors raised on purpose. The command line prints it and exits with code 2.
 
     It is one line of bounded length without control characters, whatever it quotes from a file.
     """
@@ -48,7 +48,7 @@ class RecordingError(TactileLocError):
 
 
 class SourceError(TactileLocError):
-    """A camera, a folder or a video gives no images: it does not exist, or it went away."""
+    """A camera, a folder or a video gives no images: it does not exist, or it has disappeared."""
 
 
 class FrameError(TactileLocError):

@@ -1,4 +1,4 @@
-"""Progress of long work, by default not shown, and the durations of its stages."""
+"""Progress of long work, which is not shown by default, and the durations of its stages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Progress:
         yield lambda steps: None
 
     def note(self, text: str) -> None:
-        """Show one line about the running task, such as a loss; the next replaces it."""
+        """Show one line about the running task, such as a loss; the next line replaces it."""
 
 
 class StageTimes:

@@ -15,7 +15,7 @@ from tactile_loc.core.geometry.rigid import invert
 
 Transform = NDArray[np.float64]
 
-JUMP_NS = 1_000_000_000  # a clock that goes back farther was reset; otherwise messages only came out of order
+JUMP_NS = 1_000_000_000  # a clock that goes back farther was reset; smaller steps back mean messages out of order
 
 
 @dataclass(eq=False)

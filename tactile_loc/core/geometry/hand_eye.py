@@ -163,7 +163,7 @@ def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats)
 
 
 def estimate_typical_variance(chi2: Floats) -> float:
-    """Return the squared ratio of most residuals to their expected size; at least 1."""
+    """Return the typical squared ratio of residuals to their expected size; at least 1."""
     return max(1.0, float(np.median(chi2)) / MEDIAN_6)
 
 
@@ -185,9 +185,9 @@ def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -
 
 
 def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
-    """Return how far flanges (N, 4, 4) are rotated against each other, rad, about three axes, the most first.
+    """Return the rotations between flange poses (N, 4, 4), rad, about three axes, the greatest first.
 
-    These are root mean squares (3,) over all pairs. The axes (3, 3), one per row, are unit vectors in the flange's
+    They are root mean squares (3,) over all pairs. The axes (3, 3), one per row, are unit vectors in the flange's
     frame. If the second value is near zero, all rotations are about the first axis.
     """
     R = T_base_flange[:, :3, :3]

@@ -16,7 +16,7 @@ TRIANGLES = 24  # per block
 class Blocks(NamedTuple):
     """Items of C corners each, in blocks of neighbours, in any unit.
 
-    `corners` (N, C, 3) are those of the items with numbers `order` (N,). Block b has items from starts[b] to
+    `corners` (N, C, 3) are the corners of the items whose numbers are `order` (N,). Block b has items from starts[b] to
     starts[b + 1], inside the sphere about centres[b] (B, 3) with radius radii[b] (B,).
     """
 

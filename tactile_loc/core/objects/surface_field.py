@@ -1,9 +1,9 @@
 """Nearest points of an object's surface, found with the nearest triangle of each cell of a box around it.
 
 The field is built once per object, by a wave that carries triangles outwards from the cells that they cross. Then a
-nearest point is found in constant time, whatever the mesh. It is exact if a point and its cell's centre have the same
-nearest triangle. Beside an edge they may differ, by less than a cell; so the search goes on to nearer triangles that
-share an edge.
+nearest point is found in constant time for any mesh. It is exact if a point and its cell's centre have the same nearest
+triangle. Beside an edge, the two may differ by less than a cell. So the search continues to nearer triangles that share
+an edge.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -49,7 +49,7 @@ class SurfaceField:
         return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners)), reach_m)
 
     def to_unit(self, per_m: float) -> NearestTriangles:
-        """Return the arrays for compiled code in another unit of length; `per_m` of it are a metre."""
+        """Return the arrays for compiled code in another unit of length, of which a metre has `per_m`."""
         of = self.triangles
         return of._replace(
             corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m

@@ -23,7 +23,7 @@ _IGNORED = 1e-3  # fraction of the few points that may be farther off; the many 
 _EQUAL_MOMENTS = 0.06
 _VERIFY_STEP_RAD = math.radians(16.0)
 _VERIFY_EVALUATIONS = 40_000
-_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # its multiples are in no finite group
+_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # no finite group has its multiples
 _SCAN_ORDERS = (2, 3, 5, 7)
 _LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # among equivalent half turns, x is named before y, and y before z
 
@@ -35,9 +35,9 @@ def detect_symmetry(
 
     `vertices_m` (V, 3), `faces` (F, 3). A rotation counts unless some patch of the rotated surface, at least half a
     millimetre wide, is farther than `tolerance_m` from the surface: a pocket breaks a plate's symmetry, however large
-    the plate is. The error of a tessellated curve's facets is allowed in addition, where they are. Axes of up to
-    60-fold symmetry and continuous ones are found. A sphere is reported as a cylinder, with a warning. `seed` draws the
-    surface points used, 0.4 mm apart, at most 40,000. Raises ObjectError for a mesh without a surface.
+    the plate is. On tessellated curves, the error of the facets is also allowed. Axes of up to 60-fold symmetry and
+    continuous ones are found. A sphere is reported as a cylinder, with a warning. `seed` draws the surface points used,
+    0.4 mm apart, at most 40,000. Raises ObjectError for a mesh without a surface.
     """
     probe = SurfaceProbe(vertices_m, faces, seed)
     search = _Search(probe, tolerance_m)

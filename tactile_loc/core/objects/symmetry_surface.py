@@ -17,7 +17,7 @@ _PITCH_M, _MOST_CHECKED = 4e-4, 40_000  # of the points that find local features
 _PATCH = 1.5  # pitches: two deviating points this near are a patch that a sensor sees; a single one is a speck
 _FACETS = 1.5  # error of facets, as a multiple of the sagitta: larger on a doubly curved surface than on a cylinder
 _EVENLY = (0.7548776662466927, 0.5698402909980532)  # multiples fill a square evenly: 1 / p, 1 / p^2, p^3 = p + 1
-_FEW = 500  # points for which the closest search is affordable
+_FEW = 500  # most points for which the closest search is fast enough
 _NEAR = 24  # samples around a point whose facets count: about a millimetre
 _SMOOTH_RAD = math.radians(25.0)  # a smaller bend belongs to a curve of at least 15 facets per turn, not to an edge
 _CURVE_EDGES = 12  # fewer such bends are draft angles and chamfers, not a tessellated curve

@@ -151,7 +151,7 @@ class PoseGrid:
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return distance (M,), metres, and index (M,) of the grid pose nearest to poses (M, 4, 4), up to symmetry.
 
-        If none is nearer than `within_m` metres, the distance is inf and the index -1. A bound makes it faster.
+        If none is nearer than `within_m` metres, the distance is inf and the index -1. A bound makes the search faster.
         """
         points = self._move_to_level(self.metric.embed_orbits(T_sensor_object))
         distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
@@ -197,7 +197,7 @@ def measure_distances(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray
 
 
 def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> NDArray[np.bool_]:
-    """Mark (N,) the poses (N, 4, 4) to keep, so that no two are within `radius_m` metres, up to symmetry."""
+    """Mark (N,) which poses (N, 4, 4) to keep, so that no two of them are within `radius_m` metres, up to symmetry."""
     keep = np.ones(len(T_sensor_object), bool)
     if len(keep) == 0 or metric.object.symmetry.is_trivial:
         return keep

@@ -36,9 +36,9 @@ class PosePosterior:
 
     `log_train` (N,) is the distribution P_train of the poses that the probabilities were fitted to, up to a constant;
     None if it was uniform. Fusers divide by it. `touches` is the number of touches behind the posterior. `elsewhere`,
-    below 1, is the probability that the pose is near none of the grid's, after a search of only the likeliest poses.
-    The probabilities are normalised on creation to sum to one with it. Raises GridError when no pose has any
-    probability, a value is NaN, or `log_train` is not finite.
+    below 1, is the probability that the true pose is near none of the grid's poses, because a search found only likely
+    ones. On creation, the probabilities are normalised to sum to one together with `elsewhere`. Raises GridError when
+    no pose has any probability, a value is NaN, or `log_train` is not finite.
     """
 
     grid: PoseGrid
@@ -88,8 +88,8 @@ class PosePosterior:
     def credible_set(self, level: float, most: int | None = None) -> NDArray[np.int64]:
         """Return the indices (K,), likeliest first, of the poses whose `credible_level` is at most `level`.
 
-        Together they hold at least that probability; without the least likely of them, at most. If there are more than
-        `most`, only the likeliest are returned.
+        Together they hold at least that probability; without the least likely one, they hold at most that. If there are
+        more than `most`, only the likeliest are returned.
         """
         order = self.top(len(self.log_p) if most is None else most)
         p = self.probabilities[order]

@@ -42,7 +42,7 @@ class PosePrior(ABC):
 
     @property
     def touches(self) -> int:
-        """Number of touches that it was learned from: 0 unless it is an earlier posterior."""
+        """Number of touches behind the prior: 0 unless it is an earlier posterior."""
         return 0
 
     def temper(self, power: Callable[[int], float]) -> PosePrior:
@@ -50,7 +50,7 @@ class PosePrior(ABC):
         return self
 
     def view_from(self, T_base_sensor: Poses) -> SeenFrom:
-        """Take this prior as one over T_base_object; return that over T_sensor_object for a sensor at (4, 4)."""
+        """Convert this prior over T_base_object to one over T_sensor_object, for a sensor at (4, 4)."""
         return SeenFrom(self, T_base_sensor)
 
     def __mul__(self, other: Prior) -> ProductPrior:
@@ -191,8 +191,8 @@ class PosteriorPrior(PosePrior):
     it is inv(T_base_sensor_new) @ T_base_sensor_old. The distance d is the pose metric, up to symmetry. s is `std_m`,
     the uncertainty of the motion, and at least half the earlier grid's spacing, so that the two grids do not miss each
     other. `floor`, f, leaves a share of 1 / N everywhere, with N earlier poses; the earlier posterior's `elsewhere` is
-    added to it. The whole is raised to `power`. Metres.
-    Raises ConfigError when the motion is not rigid, std_m is negative or f is not in [0, 1).
+    added to it. The sum is raised to `power`. Metres. Raises ConfigError when the motion is not rigid, std_m is
+    negative or f is not in [0, 1).
     """
 
     posterior: PosePosterior

@@ -1,4 +1,4 @@
-"""The base of refiners that register contact clouds of a touch and its candidates."""
+"""Base class for refiners that register candidates' contact clouds to that of a touch."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Registration:
 
 
 class CloudRefiner(Refiner):
-    """Registers the contact cloud of each candidate to the touch's; a subclass defines `register`.
+    """Registers the contact cloud of each candidate to that of the touch; a subclass defines `register`.
 
     A subclass's options derive from this class's.
     """
@@ -64,7 +64,7 @@ class CloudRefiner(Refiner):
         """Return the transform that moves a candidate's cloud onto the touch's; neither is empty."""
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Register several candidates of one touch; override it if that is faster than one by one."""
+        """Register several candidates of one touch; override it if this is faster than one by one."""
         return [self.register(source, target) for source in sources]
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
@@ -103,7 +103,7 @@ class CloudRefiner(Refiner):
         return [next(results) if len(s) >= FEWEST_POINTS else Registration() for s in sources]
 
     def _cloud(self, shape: ContactShape, geometry: SensorGeometry, most: int) -> Cloud:
-        """Return a contact shape's cloud, thinned evenly to about `most` points."""
+        """Return a contact shape's cloud, evenly reduced to about `most` points."""
         points, normals = make_contact_cloud(shape, geometry, self.options.walls)
         every = max(1, round(len(points) / most))
         return Cloud(points[::every] * MILLI, normals[::every], geometry.pixel_pitch_m * MILLI * every**0.5)

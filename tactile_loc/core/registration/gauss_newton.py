@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 class Registered(NamedTuple):
-    """Where poses end: `T` (K, 4, 4) in the first sensor's frame, and `T_each` (K, N, 4, 4) as each touch shows it.
+    """Registered poses: `T` (K, 4, 4) in the first sensor's frame, and `T_each` (K, N, 4, 4) as each touch shows it.
 
     `information` (K, 6, 6) is that of a twist of T about the object's centre before the last step. `moved` (K,) is the
     length of that step, mm.

@@ -1,8 +1,9 @@
 """The joint registration engine: fits poses of the object's surface to all touches at once, point to plane.
 
-The surface that a touch shows lies on the object, and no other surface reaches deeper into the gel. Both give residuals
-of one robust Gauss-Newton problem. Its unknowns are the pose and, within their standard deviations, the press depth of
-each touch and the pose of each sensor except the first. The Hessian gives the covariance.
+The surface that a touch shows must lie on the object, and no other surface may reach deeper into the gel. Both
+conditions give residuals of one robust Gauss-Newton problem. Its unknowns are the pose and, within their standard
+deviations, the press depth of each touch and the pose of each sensor except the first. The Hessian gives the
+covariance.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ Covariances = list[Floats | None]
 
 
 class RegistrationOptions(ComponentOptions):
-    """How many points of a touch are used, how far they are trusted, and how the robust weights become narrower."""
+    """The number of points used of a touch, their noise, and the scales of the robust weights."""
 
     image_px: int = Field(default=120, ge=16, description="the longer image side is thinned to about this, pixels")
     points: int = Field(default=300, ge=20, description="points of each touch's surface, thinned evenly")
@@ -58,13 +59,13 @@ class JointRegistration:
         self.options = options or RegistrationOptions()
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the engine's output, as JSON values."""
+        """Return everything that determines the engine's output, as JSON values."""
         return {"version": VERSION, "options": self.options.model_dump(mode="json")}
 
     def refine(self, views: Sequence[View], T_first_object: Poses) -> list[RefinedPose]:
         """Refine poses (K, 4, 4), metres, in the first touch's sensor frame, against all touches.
 
-        A pose that explains the touches worse after registration is returned unchanged, not converged.
+        A pose that explains the touches worse after registration is returned unchanged, and marked as not converged.
         """
         if not len(T_first_object):
             return []

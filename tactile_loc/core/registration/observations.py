@@ -64,7 +64,7 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     sizes = np.array([image.shape[:2] for image in images])
     starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
     middles = np.stack([
-        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # thinning may leave nothing
+        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # may be empty
         for touch, cloud in zip(touches, clouds, strict=True)
     ])  # fmt: skip
     cameras = np.stack([_camera_mm(t, weight) for t in touches])
@@ -74,7 +74,7 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return contact points (P, 3), mm, thinned evenly, their normals (P, 3), weights (P,), 1/mm^2, and slack (P,), mm.
+    """Return evenly chosen contact points (P, 3), mm, their normals (P, 3), weights (P,), 1/mm^2, and slack (P,), mm.
 
     Walls have slack, because they lie somewhere between two pixels. The total weight is that of as many points as there
     are patches with independent errors.

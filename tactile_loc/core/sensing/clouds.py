@@ -16,10 +16,10 @@ SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's 
 def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = True) -> tuple[Points, Points]:
     """Return the surface in contact as points (P, 3), metres, sensor frame, and unit normals (P, 3).
 
-    A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too. Where
-    contact ends and the surface drops too fast to be a slope, the pressed solid ends in a wall, from the surface up to
-    the press depth. Walls hold a flat face sideways, which its surface alone cannot. There
-    are none at the sensor's border, where the solid is only cut off.
+    A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too. Where contact
+    ends and the surface drops too fast to be a slope, the pressed solid ends in a wall, from the surface up to the
+    press depth. Walls determine the sideways position of a flat face, which its surface alone does not. The sensor's
+    border has no walls, because the solid is only cut off there.
     """
     rows, columns = _crop(shape.contact & geometry.observed_mask)
     observed = geometry.observed_mask[rows, columns]

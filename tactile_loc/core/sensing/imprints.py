@@ -1,9 +1,9 @@
-"""Comparison of the contacts that poses make with that of a touch: how well the poses explain it.
+"""Comparison of the contacts that poses make with that of a touch, to measure how well they explain it.
 
-An intersection over union is easy to read, and treats contact hidden by noise and contact added by a wrong pose alike.
+An intersection over union is easy to read, but weighs contact hidden by noise and contact added by a wrong pose alike.
 Evidence also uses the area that a pose explains and the error of depth there. Its weights were fitted to simulated
-touches with strong noise: to the true poses among all poses that a search of the whole object finds. The IoU's
-weight was then raised, because the IoU discriminates between clean touches.
+touches with strong noise: to the true poses among all poses that a search of the whole object finds. The IoU's weight
+was then raised, because the IoU discriminates between clean touches.
 """
 
 from __future__ import annotations

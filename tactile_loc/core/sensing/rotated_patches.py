@@ -20,9 +20,9 @@ from tactile_loc.core.sensing.touch import Touch
 
 
 def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where a touch is deepest, (3,), metres, and how the gel lies there.
+    """Return the deepest point (3,) of a touch, metres, and the gel's orientation there.
 
-    The latter is R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
+    The orientation is R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
     """
     geometry, shape = touch.geometry, touch.contact_shape
     depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)

@@ -34,11 +34,11 @@ class SensorGeometry:
     `fx`, `fy` are pixels for a pinhole camera and pixels per metre for an orthographic one; `cx`, `cy` are pixels.
     `standoff_m` is the distance from the camera to the undeformed surface, `max_depth_m` the deepest press in metres.
     While an object is pressed in by `indentation_m` metres (see `press`), its deepest point is at z = `standoff_m`, and
-    it is seen up to `max_depth_m` metres beyond; the undeformed surface is at `surface_m`.
-    `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default it is all that the
-    image sees. `observed` (H, W) bool is False at pixels without information; by default, all pixels on the rectangle
-    count. `relief_m` (H, W) float32, metres, is how much farther along z than `surface_m` each pixel sees the
-    undeformed gel, if that is not flat. Raises SensorError for contradictory numbers.
+    it is seen up to `max_depth_m` metres beyond; the undeformed surface is at `surface_m`. `rectangle_m` (x_min, x_max,
+    y_min, y_max) bounds the gel on the sensing surface; by default it is all that the image sees. `observed` (H, W)
+    bool is False at pixels without information; by default, all pixels on the rectangle count. `relief_m` (H, W)
+    float32, metres, is the distance along z from `surface_m` to the undeformed gel that each pixel sees, if the gel is
+    not flat. Raises SensorError for contradictory numbers.
     """
 
     camera: Literal["pinhole", "orthographic"]
@@ -210,7 +210,7 @@ class SensorGeometry:
         return np.asarray(map_coordinates(self.relief_m, at, np.float32, order=1, mode="nearest"))
 
     def subsample(self, step: int) -> SensorGeometry:
-        """Return the sensor with only every `step`-th pixel, from the first: what [::step, ::step] keeps."""
+        """Return the sensor with only every `step`-th pixel, from the first, as [::step, ::step] selects."""
         rows, columns = len(range(0, self.height_px, step)), len(range(0, self.width_px, step))
         observed = None if self.observed is None else self.observed[::step, ::step]
         relief_m = None if self.relief_m is None else self.relief_m[::step, ::step]
@@ -288,7 +288,7 @@ def find_drawing(
     """Return the poses (..., 4, 4), metres, and the sensor with which poses are rendered for comparison with touches.
 
     "pressed" renders what the sensor sees: the pressed object. "paper" renders the object where it just touches, as in
-    Bauza et al. (CoRL 2020). A pinhole camera sees that smaller; parallel rays see no difference.
+    Bauza et al. (CoRL 2020). A pinhole camera sees that object smaller; parallel rays see no difference.
     """
     if drawing == "pressed" or geometry.indentation_m == 0.0:
         return T_sensor_object, geometry

@@ -21,8 +21,8 @@ class ContactShape:
     """Distance of the object's surface from full penetration: `depth_m` (H, W) float32, metres, 0 to press depth.
 
     A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable if both are cut at the
-    same press depth: see `press_to`. `indentation_m` is how deep the object really was pressed in, if that is more
-    than the shape shows; None means that nothing was cut off.
+    same press depth: see `press_to`. `indentation_m` is the true indentation of the object, if the shape shows less;
+    None means that nothing was cut off.
     """
 
     depth_m: Depth

@@ -1,11 +1,11 @@
 """Depths by a z-buffer: every triangle is drawn pixel by pixel into each image, exactly at pixel centres.
 
-Each pose costs one pass over the visible part of the mesh, whatever its rotation. This suits poses that all differ a
-little. Triangles are kept in blocks of neighbours. Blocks beyond the contact band or beside the view are skipped.
-A pixel's ray is r = (x/z, y/z, 1). With the corners of a triangle as the columns of P, P b = r gives the weights b of
-the corners. The ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind
-the camera need no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates, Graphics
-Hardware 1997). Parallel rays have r = (x, y, 1), and the depth is the weighted mean of the corners' depths.
+Each pose costs one pass over the visible part of the mesh, whatever its rotation. This suits poses that share no
+rotation. Triangles are kept in blocks of neighbours. Blocks beyond the contact band or beside the view are skipped. A
+pixel's ray is r = (x/z, y/z, 1). With the corners of a triangle as the columns of P, P b = r gives the weights b of the
+corners. The ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind the
+camera need no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates, Graphics Hardware
+1997). Parallel rays have r = (x, y, 1), and the depth is the weighted mean of the corners' depths.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"

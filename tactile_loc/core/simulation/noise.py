@@ -1,7 +1,7 @@
 """A seeded model of the imperfections of real touches, in separable parts.
 
-In order of occurrence: the sensor is not exactly where its calibration says; the press is measured with an error; the
-elastomer rounds edges off; the contact's edge and the measured depth inside it vary randomly; patches are missed
+The parts, in order: the sensor's calibrated pose has an error. The press is measured with an error. The elastomer
+rounds edges off. The contact's edge and the measured depth inside it vary randomly. Patches of contact are missed
 (bubbles, dirt, a lifted border), and others appear (wear, markers, reflections). All sizes are metres on the sensing
 surface, so the noise does not depend on the number of pixels.
 """
@@ -169,11 +169,11 @@ class TouchNoise:
 
     `press_share` (least, most) of the sensor's deepest press is drawn uniformly, and measured with a relative error of
     standard deviation `press_error`. `smoothing_m` is the elastomer's rounding: the standard deviation of a Gaussian on
-    the imprint. An imprint shallower than `least_m` does not show. This threshold varies with standard deviation
-    `edge_m` over patches of `edge_patch_m`, but never falls below `FAINTEST` of `least_m`. The measured depth varies
-    with standard deviation `drift_m` over patches of `drift_patch_m`, without losing contact. `missing` and `spurious`
-    are mean numbers of round patches with radii up to `patch_m`. Contact is lost in a strip, up to `border_m` wide,
-    along a random side of the sensing rectangle. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
+    the imprint. An imprint shallower than `least_m` is not seen. This threshold varies with standard deviation `edge_m`
+    over patches of `edge_patch_m`, but never falls below `FAINTEST` of `least_m`. The measured depth varies with
+    standard deviation `drift_m` over patches of `drift_patch_m`, without losing contact. `missing` and `spurious` are
+    mean numbers of round patches with radii up to `patch_m`. Contact is lost in a strip, up to `border_m` wide, along a
+    random side of the sensing rectangle. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
     calibration error, along and about each axis. Raises ConfigError for impossible values.
     """
 
@@ -268,13 +268,13 @@ class TouchNoise:
         """Return the contact depths (N, H, W) that a sensor reports if it measures presses (N,) as `measured_m` (N,).
 
         `depth_m` (N, H, W) are the noisy ones at the true presses; all in metres. A press measured as lighter loses the
-        rim of its contact. A press measured as deeper shows no more than it did. No contact is the measured press.
+        rim of its contact. A press measured as deeper shows no additional contact. No contact is the measured press.
         """
         press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
         return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
 
     def _draw_threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
-        """Draw the imprint below which nothing shows, metres: one number, or (count, H, W) if it varies."""
+        """Draw the threshold below which no imprint is seen, metres: one number, or (count, H, W) if it varies."""
         least = np.float32(self.least_m)
         if self.edge_m == 0:
             return least

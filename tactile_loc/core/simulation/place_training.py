@@ -208,7 +208,7 @@ class PlaceTouches(TrainingTouches):
         problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
         geometry, clean = problem.fine.geometry, self.depth_m[chosen]
         believed_m = np.minimum(press_m + PRESS_STEP_M * rng.random(len(chosen)), geometry.max_depth_m)
-        # the true press is lighter by the factor by which it is measured too deep
+        # the measured press is too deep by this factor, so the true press is lighter by it
         true_m = np.minimum(believed_m**2 / noise.measure_press(believed_m, np.inf, rng), geometry.max_depth_m)
         noisy = noise.cut(noise.corrupt(clean, true_m, geometry, rng), true_m, np.full(len(chosen), press_m))
         plain = [self._make_clean(depth, press_m) for depth in clean]

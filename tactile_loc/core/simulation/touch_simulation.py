@@ -36,8 +36,8 @@ def draw_touches(
     sensor's calibration error; its contact is corrupted, and cut at the measured press depth. The press is drawn unless
     it is given. A press is refused and drawn again if noise leaves less true contact than the sampler requires, or if
     it shows only a flat face. Apart from that, the same `rng` draws the same poses with any noise. Raises TouchError
-    for a press beyond the sensor's range or one that hardly ever leaves an imprint, GridError when the object hardly
-    ever touches.
+    for a press beyond the sensor's range, or one that hardly ever leaves an imprint. Raises GridError when hardly any
+    pose touches.
     """
     deepest = scene.geometry.max_depth_m
     press = deepest if press_depth_m is None else press_depth_m

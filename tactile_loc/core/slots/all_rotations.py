@@ -1,4 +1,4 @@
-"""The base of grids that combine all rotations with a plane lattice, whichever rotations they list."""
+"""Base class for grids that combine a list of rotations from all of SO(3) with a plane lattice."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class AllRotationsGrid(GridSampler):
     class Options(GridSampler.Options):
         """How dense the grid is, and when it is too large."""
 
-        # Halving it makes 32 times as many poses, so this cannot be as fine as a grid of one face.
+        # Half the spacing gives 32 times as many poses, so it cannot be as fine as that of a grid of one face.
         spacing_mm: float = Field(default=8.0, gt=0, description="mean distance between neighbouring poses, mm")
         max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid with more poses than this")
 
@@ -53,11 +53,11 @@ class AllRotationsGrid(GridSampler):
 
     @abstractmethod
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Return a lower or approximate bound on the poses that `sample` would make at a spacing in metres."""
+        """Return a lower bound, which may be approximate, on the poses from `sample` at a spacing in metres."""
 
     @abstractmethod
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Return what to choose, "take ...", if a spacing in metres makes too many poses."""
+        """Return advice for a message, "take ...", if a spacing in metres makes too many poses."""
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one of each set that looks the same.
@@ -101,7 +101,7 @@ class AllRotationsGrid(GridSampler):
 def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
     """Return low and high (N, 2), metres, of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
 
-    Between them, the rotated object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
+    Between them, the rotated object's bounding box overlaps the sensing rectangle. Outside, contact is impossible.
     """
     points = obj.mesh.hull_corners_m - obj.mesh.centroid_m
     low, high = np.empty((len(R), 2)), np.empty((len(R), 2))

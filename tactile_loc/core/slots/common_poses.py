@@ -1,4 +1,4 @@
-"""Poses that touch every sensor, looked up in each sensor's grid, and the base of fusers that use them."""
+"""Poses that touch every sensor, looked up in each sensor's grid, and the base class for fusers that use them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tactile_loc.core.slots.fuser import Fuser
 
 Indices = NDArray[np.int64]
 
-SAMPLE = 200  # poses, at least, used to find the contact that excludes most
+SAMPLE = 200  # least number of poses used to find the contact that excludes most
 
 
 class CommonPosesFuser(Fuser):
@@ -87,7 +87,7 @@ class OtherSensor:
     reach_m: float
 
     def look_up(self, T_first_object: Poses) -> Indices:
-        """Return the index (M,) of this grid's pose nearest to the first sensor's poses (M, 4, 4); -1 beyond reach."""
+        """Return the indices (M,) of this grid's poses nearest to poses of the first (M, 4, 4); -1 beyond reach."""
         return self.grid.nearest(self.T_sensor_first @ T_first_object, self.reach_m)[1]
 
 
@@ -152,13 +152,13 @@ def find_common_poses(
 ) -> CommonPoses:
     """Find which of the first grid's `possible` (N,) poses touch all sensors, in the grid's order.
 
-    Seen from sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. It touches sensor i
-    if that grid's nearest pose, up to symmetry, is within reach. The sensor that excludes most is looked up first.
-    Raises GridError, naming the contact that drops the last poses, when none is left.
+    Seen from sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. It touches sensor i if
+    that grid's nearest pose, up to symmetry, is within reach. The sensor that excludes the most poses is looked up
+    first. Raises GridError, naming the contact that drops the last poses, when none is left.
     """
     others = _list_others(grids, T_base_sensor, reach)
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
-    found = np.tile(first, (len(grids), 1))  # already right for the first grid and those seen from the same place
+    found = np.tile(first, (len(grids), 1))  # correct for the first grid, and the same grid seen from there
     for number in _order_others(others, poses[first]):
         found[number] = others[number].look_up(poses[first])
         touching = found[number] >= 0
@@ -184,7 +184,7 @@ def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reac
 
 
 def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
-    """Order the sensors so that each excludes most of the poses left, judged by a few poses: less is looked up."""
+    """Order the sensors, judged by a few poses, so that the first ones exclude most: then fewer poses are looked up."""
     if len(T_first_object) <= SAMPLE:
         return list(others)
     some = T_first_object[:: len(T_first_object) // SAMPLE]

@@ -1,4 +1,4 @@
-"""Components that cannot be combined, by their declared capabilities; refused when a configuration is read."""
+"""Components that their declared capabilities exclude from being combined; checked when a configuration is read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The base of all components: options, capabilities, a version, and a description for the store."""
+"""Base class for all components: options, capabilities, a version, and a description for the store."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Float32 = NDArray[np.float32]
 
 
 class ComponentOptions(BaseModel):
-    """Base of every component's options: frozen, no infinity or NaN, unknown keys refused.
+    """Base class for every component's options: frozen, without infinity or NaN; unknown keys are refused.
 
     A field's description states its unit. A field that cannot change any result, such as the device, is marked with
     `json_schema_extra={"neutral": True}`.
@@ -56,13 +56,13 @@ class Capabilities:
     device: InitVar[str] = "cpu"
 
     def __post_init__(self, uses_normals: bool, differentiable: bool, device: str) -> None:
-        """Ignore what interface 1 could declare."""
+        """Ignore the capabilities that only interface 1 had."""
 
 
 class Component(ABC):
-    """Base of all components. `version` is part of the store's keys: raise it when the same input gives new output.
+    """Base class for all components. `version` is part of the store's keys: raise it when a component's output changes.
 
-    `outdated`, set on loading, is what has to be changed in a component of an earlier interface.
+    `outdated`, set on loading, states the changes that a component of an earlier interface needs.
     """
 
     slot: ClassVar[str]
@@ -77,9 +77,9 @@ class Component(ABC):
         self.options: Any = options if options is not None else self.Options()
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies this component's output (class, version, options), as JSON values.
+        """Return the class, version and options that identify this component's output, as JSON values.
 
-        Neutral options are left out: they change where or how it computes, but not its output.
+        Neutral options are left out: they change how the component computes, but not its output.
         """
         kind = f"{type(self).__module__}:{type(self).__qualname__}"
         options = self.options.model_dump(mode="json", exclude=self.options.neutral())

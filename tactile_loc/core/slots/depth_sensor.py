@@ -1,4 +1,4 @@
-"""The base of sensors with a fixed geometry, whose observations are contact shapes already."""
+"""Base class for sensors with a fixed geometry whose observations are already contact shapes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tactile_loc.core.slots.sensor import SensorModel
 
 
 class DepthSensor(SensorModel):
-    """A sensor without a calibration for images: it takes contact shapes. Raises SensorError for a bad geometry."""
+    """A sensor that takes contact shapes; it is not calibrated for images. Raises SensorError for a bad geometry."""
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)

@@ -17,7 +17,7 @@ from tactile_loc.core.slots.component import Component, Float32
 
 
 class Checkpoints:
-    """Where a training keeps its state, to resume after an interruption. This base class keeps nothing."""
+    """Stores the state of a training, so that it can resume after an interruption. This base class stores nothing."""
 
     def load(self) -> Path | None:
         """Return the last intact file that was saved, or None."""
@@ -32,9 +32,9 @@ class TrainingBatch:
     """Noisy touches with labels, each in V views: B touches, V at least one.
 
     `depth_m` (B, V, H, W) are contact depths, metres, cut at presses `press_m` (B,). `seen` (B, V, H, W) marks the
-    pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0
-    shows what the key shows. The others are decoys: the same touch, rotated so that no key of this object explains it.
-    `counts` (B, V) marks the views that count: a decoy that is right by symmetry does not.
+    pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0 matches
+    the key. The other views are decoys: the same touch, rotated so that no key of this object explains it. `counts` (B,
+    V) marks the views that count; a decoy that matches a key by symmetry does not count.
     """
 
     depth_m: Float32
@@ -66,7 +66,7 @@ class TrainingProblem(ABC):
     """The simulated training data of an encoder: touches, and one key for each pose or place that is searched.
 
     `partly_seen`: touches show only a part of what their keys show, and are encoded with `Encoder.encode_seen`. The
-    encoder reports to `progress` and resumes from `checkpoints`.
+    encoder reports its progress to `progress` and resumes from `checkpoints`.
     """
 
     progress: Progress
@@ -113,7 +113,7 @@ class Encoder(Component):
         raise NotImplementedError(f"{type(self).__name__} has no weights")
 
     def load_weights(self, path: Path) -> None:
-        """Read the file of `save_weights` instead of calling `fit`. Raises WeightsError for another encoder's file."""
+        """Read the file of `save_weights` instead of calling `fit`. Raises WeightsError if another encoder wrote it."""
         raise NotImplementedError(f"{type(self).__name__} has no weights")
 
     @abstractmethod
@@ -124,11 +124,11 @@ class Encoder(Component):
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
         """Return embeddings (N, D) of contact depths (N, H, W), metres, known at pixels `seen` (N, H, W), and weights
-        (N, D), 0 to 1: how far each number of an embedding is known. Both are float32.
+        (N, D), the known share of each number of an embedding, 0 to 1. Both are float32.
 
-        A grid of places uses this, because a sensor's field ends; the matcher gets the weights. If all pixels are seen,
-        the embeddings equal those of `encode`, and the weights are one. By default, unseen pixels count as out of
-        contact, and all weights are one: override it where that is a poor guess.
+        A grid of places uses this, because the sensor's field is limited; the matcher gets the weights. If all pixels
+        are seen, the embeddings equal those of `encode`, and the weights are one. By default, unseen pixels count as
+        out of contact, and all weights are one; override the method if that does not suit the encoder.
         """
         embeddings = self.encode(np.where(seen, depth_m, np.float32(press_depth_m)), press_depth_m, geometry)
         return embeddings, np.ones_like(embeddings)

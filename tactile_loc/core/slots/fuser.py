@@ -22,6 +22,6 @@ class Fuser(Component):
     ) -> PosePosterior:
         """Return the posterior over the first touch's grid. `prior` maps its poses (N, 4, 4) to log-weights (N,).
 
-        `T_base_sensor` (4, 4), metres, is each sensor's pose, None if unknown. Raises ConfigError for touches that it
+        `T_base_sensor` has each sensor's pose (4, 4), metres; None if unknown. Raises ConfigError for touches that it
         cannot combine, such as several without sensor poses, and GridError when no pose is left.
         """

@@ -30,7 +30,7 @@ class GridSampler(Component):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """Whether `spacing_mm` is the mean over the whole grid; core then corrects it for the effect of contact.
+        """Whether `spacing_mm` is the mean over the whole grid; if so, core corrects it for the effect of contact.
 
         False if options set some steps separately, such as tilts or a level of rotations.
         """
@@ -41,7 +41,7 @@ class GridSampler(Component):
         """Return candidate poses (N, 4, 4), about `spacing_m` metres apart; z is free, core brings them to contact."""
 
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
-        """Return the object's places that can touch first, which are searched if `Capabilities.places` is declared.
+        """Return the object's places that can touch first; they are searched if `Capabilities.places` is declared.
 
         Poses are then not listed: a touch is aligned by its deepest point, at `options.turns` yaws. `sample` and
         `random` describe the set of poses that this covers.
@@ -52,7 +52,7 @@ class GridSampler(Component):
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
         """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free.
 
-        Equally many are drawn about each pose of the grid. Probabilities P(x | touch) fitted to touches at such poses
-        have a uniform P_train, which fusers assume for a posterior without `log_train`. So a rotation with more places
-        over the sensor must be drawn more often: see `draw_places`.
+        On average, equally many are drawn around each pose of the grid. Probabilities P(x | touch) fitted to touches at
+        such poses have a uniform P_train, which fusers assume for a posterior without `log_train`. So a rotation with
+        more places over the sensor must be drawn more often: see `draw_places`.
         """

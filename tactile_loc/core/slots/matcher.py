@@ -21,11 +21,10 @@ class Matcher(Component):
 
     @abstractmethod
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless, higher is more similar; -inf for rows not looked at.
+        """Return scores (M, N) of queries (M, D), unitless; higher is more similar; -inf for rows not compared.
 
-        `weights` (M, D), 0 to 1, tell how far each number of a query q is known: the score of a row b is
-        -1/2 sum_d w (q - b)^2. None means ones. A matcher that declares `Capabilities(weights=False)` never gets
-        weights.
+        `weights` (M, D), 0 to 1, are the known shares of a query's numbers q. The score of a row b is -1/2 sum_d w (q -
+        b)^2. None means ones. A matcher that declares `Capabilities(weights=False)` never gets weights.
         """
 
 

@@ -27,13 +27,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """A refined pose (4, 4), metres. `contact_iou`, 0 to 1, is how well it explains the touch's outline
-    (`Scene.contact_iou`); for several touches, their mean.
+    """A refined pose (4, 4), metres. `contact_iou`, 0 to 1, is the contact IoU with the touch (`Scene.contact_iou`), or
+    the mean over several touches.
 
-    `T_sensors_object` (N, 4, 4), metres, is where each of several sensors sees the object, if the refiner solves for
-    errors of sensor poses; else None. `covariance` (6, 6), if the refiner knows it, is that of the error of x, y, z of
-    the object frame's origin (m) and of a rotation vector (rad), both along the sensor's axes, as in ROS's
-    PoseWithCovariance.
+    `T_sensors_object` (N, 4, 4), metres, is the object's pose in the frame of each of several sensors, if the refiner
+    solves for errors of sensor poses; else None. `covariance` (6, 6), if the refiner estimates it, is that of the
+    pose's error: x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are along the sensor's
+    axes, as in ROS's PoseWithCovariance.
     """
 
     T_sensor_object: NDArray[np.float64]
@@ -56,15 +56,16 @@ class Refiner(Component):
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
         """Refine several candidates of one touch, in their order, with the same results as `refine`.
 
-        Override it if that is faster for several candidates together.
+        Override it if refining several candidates together is faster.
         """
         return [self.refine(touch, candidate, scene) for candidate in candidates]
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
         """Refine candidates, poses in the first touch's sensor frame, against several touches.
 
-        By default, each touch refines all candidates. Of these poses and the candidate itself, the one with the best
-        mean imprint IoU over all touches is taken. Override it to use all touches at once.
+        By default, the candidates are refined against each touch separately. For each candidate, the result is the pose
+        with the best mean imprint IoU over all touches: one of these, or the candidate itself. Override it to use all
+        touches at once.
         """
         if len(views) == 1:
             return self.refine_many(views[0].touch, candidates, views[0].scene)

@@ -39,8 +39,8 @@ class ComponentSpec:
     """One component offered for one slot.
 
     `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
-    it needs beyond tactile-loc's own. `interface` is the interface version that it was written for. Write a number:
-    INTERFACE_VERSION changes with the installed tactile-loc. Plugins for version 1 leave it out.
+    it needs and tactile-loc does not. `interface` is the interface version that it was written for. Write a number:
+    INTERFACE_VERSION changes with the installed tactile-loc. Plugins for version 1 omit it.
     """
 
     slot: str
@@ -134,7 +134,7 @@ class Registry:
         return f"there is no {slot} {name!r}{also}; choose {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
-        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does.
+        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or an error of `find`.
 
         A component for an earlier interface is adapted as far as possible; see `interface.adapt`.
         """

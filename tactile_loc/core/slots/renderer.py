@@ -19,7 +19,8 @@ class Renderer(Component):
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Exact between standoff and standoff + max_depth; depths beyond may be inf. Poses are in contact already.
+        Depths are exact between standoff and standoff + max_depth; depths beyond may be inf. Poses are already in
+        contact.
         """
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:

@@ -18,7 +18,7 @@ from tactile_loc.core.slots.renderer import Renderer
 
 IOU_PX = 100
 
-# The error of a measured indentation: a share of it, and at least. A pose may move along z by it.
+# The error of a measured indentation: a share of it, and the least value. A pose may move along z by this error.
 PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 
 
@@ -107,7 +107,7 @@ class Scene:
         return self.contact_ious(T_sensor_object[None], touch)[0]
 
     def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
-        """Return how well each of the poses (N, 4, 4), metres, explains a touch: 0 to 1, unitless.
+        """Return the contact IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
         This is the intersection over union of the touch's and the pose's contact, over the observed pixels, on about
         IOU_PX pixels per side. Poses may move along z by the error of the measured press only, so a pose that hovers
@@ -116,10 +116,11 @@ class Scene:
         return self.compare_imprints(T_sensor_object, touch).contact_ious.tolist()
 
     def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
-        """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
+        """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
-        This is a generalised intersection over union of imprints: the sum of the smaller over the sum of the larger,
-        each raised by OUTLINE_SHARE of the press depth where there is contact. Otherwise as for `contact_ious`.
+        This is a generalised intersection over union of imprints: the sum of the smaller depths over the sum of the
+        larger ones. Where there is contact, each depth is increased by OUTLINE_SHARE of the press depth. Otherwise as
+        for `contact_ious`.
         """
         return self.compare_imprints(T_sensor_object, touch).imprint_ious
 

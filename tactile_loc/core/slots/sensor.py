@@ -15,7 +15,7 @@ from tactile_loc.core.slots.component import Component
 
 
 class SensorModel(Component):
-    """A tactile sensor: its geometry, and how it turns observations into contact shapes."""
+    """A tactile sensor: its geometry, and the conversion of observations to contact shapes."""
 
     slot = "sensor"
 
@@ -26,7 +26,7 @@ class SensorModel(Component):
 
     @abstractmethod
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
-        """Turn an observation, an image (H, W, 3) uint8 or depths (H, W) in metres, into a contact shape.
+        """Convert an observation, an image (H, W, 3) uint8 or depths (H, W) in metres, to a contact shape.
 
         Raises TouchError when the observation does not fit.
         """
@@ -34,7 +34,7 @@ class SensorModel(Component):
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
 
-        Raises ConfigError unless the sensor reads images, CalibrationError when it cannot make any.
+        Raises ConfigError unless the sensor reads images, and CalibrationError when it cannot make any.
         """
         raise ConfigError(
             f"the sensor {type(self).__name__} reads no images; make one that does with tactile-loc calibrate "
