@@ -35,8 +35,8 @@ ELL = ["--object", "ell.stl", "--units", "mm", "--symmetry", "none"]
 NOT_ITS_IMAGES = {
     "small": (BALLS.background[:40], "80 x 40 px"),
     "black": (0 * BALLS.background, "black"),
-    "grey": (BALLS.background[..., 0], "image"),
-    "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "image"),
+    "grey": (BALLS.background[..., 0], "8-bit colour photo"),
+    "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "8-bit colour photo"),
     "other": (render_background(BALLS.geometry, OPTICS["digit"]), "sensor"),
 }
 
@@ -231,7 +231,7 @@ def test_a_folder_that_is_not_there(cli):
     ("option", "words"),
     [
         ("stepz=3", ("'photometric'", "'stepz'", "'steps'")),
-        ("steps=many", ("steps", "'many'", "integer")),
+        ("steps=many", ("steps", "'many'", "whole number")),
         ("steps=0", ("'photometric'", "steps", "0")),
         ("steps", ("steps", "OPTION=VALUE")),
     ],

@@ -111,7 +111,7 @@ def test_a_compressed_photo_needs_a_calibrated_sensor(locator):
     file = BytesIO()
     Image.fromarray(np.zeros((200, 200, 3), np.uint8)).save(file, "png")
     located = locator.locate(Fields(format="png", data=file.getvalue(), header=None))
-    assert "no calibration for images" in located.says
+    assert "not calibrated for images" in located.says
 
 
 def test_without_ros_one_sentence_says_what_to_do(monkeypatch, capsys):
