@@ -138,14 +138,13 @@ def main(words: list[str] | None = None) -> int:
     numbers = {"inputs": (2000, "inputs of each reader"), "commands": (5, "inputs of each command")}
     given = make_parser(__doc__, "reader", READERS, "fuzz", **numbers).parse_args(words)
     state = Record.open(given.out / "state.json", given.seed)
-    names = given.names or list(READERS)
-    for name in names:
+    for name in given.names:
         fuzz([name], state, given.inputs, given.commands, given.out)
         counts = state.of(name)
         line = f"{counts['inputs']:6d} inputs, {counts['commands']:3d} commands: {counts[READ]} read"
         found = select_findings(counts)
         print(f"{name:16s} {line}, {counts[REFUSED]} refused, {sum(found.values())} findings {found or ''}", flush=True)
-    return int(any(select_findings(state.of(name)) for name in names))
+    return int(any(select_findings(state.of(name)) for name in given.names))
 
 
 if __name__ == "__main__":

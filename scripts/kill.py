@@ -44,7 +44,7 @@ def main(words: list[str] | None = None) -> int:
     chosen = [name for name in COMMANDS if name in (given.command or COMMANDS)]
     plan = Plan(given.out, make_inputs(given.out / "inputs"), record, chosen, wanted)
     progress = make_progress()
-    for kind in given.names or NUMBERS:
+    for kind in given.names:
         with progress.task(kind, wanted[kind]) as advance:
             for done in run_trials(plan, kind):
                 advance(done)

@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     known = {target.name: target for target in TARGETS}
     numbers = {"mutants": (100, "mutants of each target")}
     given = make_parser(__doc__, "target", known, "mutants", **numbers).parse_args(arguments)
-    mutate([known[name] for name in given.names or known], given.mutants, given.seed, given.out)
+    mutate([known[name] for name in given.names], given.mutants, given.seed, given.out)
 
 
 if __name__ == "__main__":

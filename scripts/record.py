@@ -24,8 +24,16 @@ OURS = {"PYTHONPATH": PATHS, "TACTILE_LOC_PLUGINS": "", **ONE_THREAD}  # environ
 def make_parser(about: str | None, what: str, known: Iterable[str], out: str, **numbers: tuple[int, str]) -> Any:
     """Return a parser of `names` among those `known`, of `numbers` (default, help), of a seed, and of a folder."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    known = list(known)
+
+    def check_name(name: str) -> str:
+        if name not in known:
+            raise argparse.ArgumentTypeError(f"there is no {what} {name}, only {', '.join(known)}")
+        return name
+
     names = f"{', '.join(known)}; all by default"
-    parser.add_argument("names", nargs="*", choices=list(known), metavar=what.upper(), help=names)
+    # Python 3.11 compares the empty list of no names with `choices`, so a type checks the names.
+    parser.add_argument("names", nargs="*", type=check_name, default=known, metavar=what.upper(), help=names)
     for name, (number, text) in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=number, metavar="N", help=f"{text} ({number})")
     parser.add_argument("--seed", type=int, default=0, help="seed of the random draws (0)")

@@ -111,6 +111,15 @@ def test_a_folder_that_is_named_from_here_serves_commands_that_run_elsewhere(tmp
     assert Record.open(tmp_path / "kept/state.json", 0).of("sensor")["commands"] == 1
 
 
+def test_no_names_mean_all_readers(tmp_path, capsys):
+    assert fuzz.main(["--inputs", "0", "--commands", "0", "--out", str(tmp_path)]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(READERS)
+    with pytest.raises(SystemExit) as refused:
+        fuzz.main(["no-such-reader"])
+    assert refused.value.code == 2
+    assert "no-such-reader" in capsys.readouterr().err
+
+
 def test_a_number_and_a_seed_make_the_same_input_again(tmp_path):
     chosen = dataclasses.replace(READERS["touch-npz"], fuzzed=("*",))
     whole = tmp_path / "whole"
