@@ -153,7 +153,7 @@ SETTINGS = {
 QUOTES: dict[str, dict[str, Values]] = {
     "README.md": {
         "a second contact reduces the median error from {} to {} mm before refinement": second_contact,
-        "the 95 % sets contain the true pose in {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
+        "the 95 % credible sets contain the true pose for {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
         "| within 0.5 mm, clean touches, determined cases | {} % | {} % | {} % |": lambda r: five_located(r)[:3],
         "| within 0.5 mm, clean touches, all cases | {} % | {} % | {} % |":
             lambda r: [r.at("contacts-clean", 1, touches, "all 14")[0] for touches in "235"],
