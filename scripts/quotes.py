@@ -145,9 +145,9 @@ def worse_found(r: Results) -> list[float]:
 SETTINGS = {
     "README.md": ("Python 3.11 or newer", "The median error is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
-        "without a GPU, Python 3.11.",
-        "are from 2026-11-21. At that time, objects were drawn where they just touch. To the GelSlim's pinhole camera, "
-        "the outline of a pressed object is up to 8 % larger",
+        "with Python 3.11, on x86-64 servers",
+        "are from 2026-11-21. At that time, objects were drawn where they just touch the gel. In the pinhole camera of "
+        "the GelSlim, the outline of a pressed object is up to 8 % larger",
     ),
 }
 QUOTES: dict[str, dict[str, Values]] = {
