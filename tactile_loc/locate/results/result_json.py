@@ -33,116 +33,114 @@ class ObjectRecord(Record):
     name: str = Field(description="the object's name")
     source: str = Field(description="the mesh file that was read")
     size_m: list[float] = Field(description="size of the surface's bounding box along x, y, z of the object frame, m")
-    triangles: int = Field(description="triangles of the surface")
-    symmetry: str = Field(description="the object's rotations onto itself, declared or found")
-    notes: list[str] = Field(description="guesses and doubts on reading the mesh")
+    triangles: int = Field(description="number of triangles of the surface")
+    symmetry: str = Field(description="the rotations that map the object onto itself, declared or detected")
+    notes: list[str] = Field(description="guesses and warnings from reading the mesh")
 
 
 class TouchRecord(Record):
     """A touch that was located."""
 
     name: str = Field(description="the touch's name")
-    path: str | None = Field(description="its file; null when it was simulated")
-    noise: str | None = Field(description="the noise it was simulated with; null when it was read from a file")
+    path: str | None = Field(description="the touch's file; null if the touch was simulated")
+    noise: str | None = Field(description="the noise of a simulated touch; null if the touch was read from a file")
     image_px: list[int] = Field(description="size of the contact shape (rows, columns), pixels")
     press_depth_m: float = Field(description="press depth of the contact shape, m")
     indentation_m: float = Field(description="how deep the object was pressed into the gel, m")
     T_base_sensor: Matrix | None = Field(description="the sensor's pose, (4, 4), m; null if unknown")
     T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null if unknown")
     best_imprint_iou: float | None = Field(
-        default=None, description="with several touches: the best imprint IoU with this one of any pose tried, 0 to 1"
+        default=None, description="with several touches: the best imprint IoU of any pose tried with this touch, 0 to 1"
     )
-    outlier: bool = Field(default=False, description="whether it contradicts the other touches, which agree")
+    outlier: bool = Field(default=False, description="whether the touch contradicts the other touches, which agree")
 
 
 class HypothesisRecord(Record):
     """One distinct explanation of the touches."""
 
-    rank: int = Field(description="1 is the most probable one")
-    probability: float = Field(description="of this hypothesis with all its grid poses, 0 to 1")
-    grid_poses: int = Field(description="how many poses of the grid it holds")
-    T_sensor_object_grid: Matrix = Field(description="its most probable pose on the grid, (4, 4), m")
-    T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
+    rank: int = Field(description="1 for the most probable hypothesis")
+    probability: float = Field(description="probability of the hypothesis, with all its grid poses, 0 to 1")
+    grid_poses: int = Field(description="number of grid poses that belong to the hypothesis")
+    T_sensor_object_grid: Matrix = Field(description="the most probable grid pose of the hypothesis, (4, 4), m")
+    T_sensor_object: Matrix = Field(description="the answer: the grid pose after refinement, (4, 4), m")
     imprint_iou: float = Field(
-        description="how well the refined pose explains the touch in depth and outline, 0 to 1: intersection over "
-        "union of imprints; it decides the probability, with the prior if there is one; for several touches the mean "
-        "without outliers"
+        description="imprint IoU, 0 to 1: how well the refined pose explains the touch in depth and outline; for "
+        "several touches, the mean without outliers"
     )
     imprint_ious: list[float] = Field(
-        default_factory=list, description="the same for each touch: `touch`, then `other_touches`"
+        default_factory=list, description="imprint IoU with each touch: `touch`, then `other_touches`"
     )
     contact_iou: float = Field(
-        description="from the refiner: intersection over union of the observed contact and the pose's contact, 0 to 1"
+        description="contact IoU from the refiner: intersection over union of the observed contact and the pose's contact"
     )
     converged: bool = Field(description="whether the refinement converged")
-    iterations: int = Field(description="iterations of the refinement")
+    iterations: int = Field(description="number of iterations of the refinement")
     covariance: Covariance | None = Field(
         default=None,
         description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
         "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null if unknown",
     )
-    error_m: float | None = Field(description="surface distance to the true pose, m; null if that is unknown")
+    error_m: float | None = Field(description="surface distance to the true pose, m; null if the true pose is unknown")
 
 
 class PoseSetRecord(Record):
     """Grid poses that include the one nearest to the truth with a known probability (split conformal prediction)."""
 
-    coverage: float = Field(description="the probability asked for, 0 to 1")
+    coverage: float = Field(description="the requested probability, 0 to 1")
     level: float = Field(description="the credible level that this coverage takes, 0 to 1")
-    examples: int = Field(description="simulated, held-out examples behind the coverage")
-    grid_poses: int = Field(description="poses in the set: the most probable ones, so the first of `result.npz`")
-    elsewhere: bool = Field(default=False, description="whether the pose may also be one that the search did not find")
+    examples: int = Field(description="number of simulated, held-out examples from which the level was computed")
+    grid_poses: int = Field(description="number of poses in the set; they are the first poses in `result.npz`")
+    elsewhere: bool = Field(default=False, description="whether the true pose may be one that the search did not find")
 
 
 class ErrorRecord(Record):
-    """Errors of the answer: surface distances to the true pose, the least over the object's symmetry."""
+    """Errors: surface distances to the true pose. For a symmetric object, the smallest over its symmetry counts."""
 
-    best_m: float = Field(description="of the first hypothesis, m")
-    best_listed_m: float = Field(description="of the best of the listed hypotheses, m")
-    closest_in_grid_m: float = Field(description="of the grid pose nearest to the true pose, m")
+    best_m: float = Field(description="error of the first hypothesis, m")
+    best_listed_m: float = Field(description="smallest error of the listed hypotheses, m")
+    closest_in_grid_m: float = Field(description="error of the grid pose nearest to the true pose, m")
 
 
 class ResultRecord(Record):
     """The whole file."""
 
     schema_version: int = Field(
-        default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
+        default=SCHEMA_VERSION,
+        description="version of this format; it increases if a key is removed or gets another meaning",
     )
     created: str = Field(description="date and time, UTC, ISO 8601")
-    versions: dict[str, str] = Field(description="of tactile-loc, python and the libraries installed")
+    versions: dict[str, str] = Field(description="versions of tactile-loc, Python and the installed libraries")
     configuration: dict[str, Any] = Field(
-        description="all settings, defaults included; `tactile-loc run --config` takes the same entries as TOML"
+        description="all settings, including defaults; `tactile-loc run --config` reads the same entries as TOML"
     )
-    distributions: dict[str, str] = Field(description="the installed package that each slot's component came from")
+    distributions: dict[str, str] = Field(description="for each slot, the installed package of the chosen component")
     object: ObjectRecord = Field(description="the object")
-    touch: TouchRecord = Field(description="the touch; of several the first, in whose sensor's frame poses are")
-    other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
+    touch: TouchRecord = Field(description="the touch, or the first of several; poses are in the frame of its sensor")
+    other_touches: list[TouchRecord] = Field(description="the other touches that were fused with `touch`")
     contradictory: bool = Field(
         default=False,
-        description="true if no pose found explains all touches; each touch that contradicts the others is an "
-        "`outlier`, but no touch is one if the wrong touch is unknown",
+        description="true if no pose found explains all touches; touches that contradict the others are marked "
+        "`outlier`, unless it is unknown which touches are wrong",
     )
     left_out: list[TouchRecord] = Field(
-        default_factory=list, description="touches that contradict these and were left out of the result"
+        default_factory=list, description="touches that were left out, because they contradict the others"
     )
     verdict: Verdict | None = Field(
         default=None,
-        description="how far the first hypothesis can be trusted: `certain`, `ambiguous`, `poor fit` or `not found`; "
-        "null in files from before there were verdicts",
+        description="whether the first hypothesis can be trusted: `certain`, `ambiguous`, `poor fit` or `not found`; "
+        "null in files of versions without verdicts",
     )
-    grid_poses: int = Field(description="poses that were scored; in a search of the whole object, the likely ones")
-    elsewhere: float = Field(
-        default=0.0, description="probability that the pose is near none of these; theirs sum to the rest"
-    )
+    grid_poses: int = Field(description="number of scored poses; with the grid `whole`, of poses that the search found")
+    elsewhere: float = Field(default=0.0, description="probability that the true pose is near none of the scored poses")
     normalised_entropy: float = Field(
-        description="entropy / log(grid_poses): 0 one pose is certain, 1 nothing is known"
+        description="entropy / log(grid_poses): 0 if one pose is certain, 1 if all poses are equally probable"
     )
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
     hypotheses: list[HypothesisRecord] = Field(min_length=1, description="distinct explanations, the best first")
     pose_set: PoseSetRecord | None = Field(
-        description="the set whose modes the hypotheses are; null unless a coverage was asked for"
+        description="the set of poses whose modes are the hypotheses; null unless a coverage was requested"
     )
-    errors: ErrorRecord | None = Field(description="null if the true pose is unknown")
+    errors: ErrorRecord | None = Field(description="errors of the answer; null if the true pose is unknown")
     seconds: dict[str, float] = Field(description="duration of each stage, s")
 
     @property
