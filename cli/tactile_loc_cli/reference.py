@@ -22,7 +22,7 @@ Files and `--json` use SI units. Each error is one line on stderr.
 | exit code | meaning |
 |---|---|
 | 0 | The command succeeded, or `live` was ended with Ctrl-C. |
-| 1 | `sweep`: a combination failed. `plugins`: a component breaks a contract. `doctor`: a library is missing or broken. |
+| 1 | `sweep`: a combination failed. `plugins`: a component breaks a contract. `doctor`: a part is missing or broken. |
 | 1 | `identify`: "none of these" is most probable. Any command: an unexpected error, which is a bug. |
 | 2 | An input, an option, a component or an output folder cannot be used. The message states which, and what to do. |
 | 130 | The command was interrupted with Ctrl-C. Finished parts are kept, and the same command resumes. |

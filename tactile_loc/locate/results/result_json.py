@@ -71,7 +71,7 @@ class HypothesisRecord(Record):
         default_factory=list, description="imprint IoU with each touch: `touch`, then `other_touches`"
     )
     contact_iou: float = Field(
-        description="contact IoU from the refiner: intersection over union of the observed contact and the pose's contact"
+        description="contact IoU from the refiner: how well the pose's contact area matches the observed one, 0 to 1"
     )
     converged: bool = Field(description="whether the refinement converged")
     iterations: int = Field(description="number of iterations of the refinement")
