@@ -250,7 +250,7 @@ QUOTES: dict[str, dict[str, Values]] = {
         "Locating each frame alone takes {} to {} times as long as tracking it":
             lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
         "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
-        "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
+        "the journal and writing cost {} to {} ms for each image": range_of("replay", 1, "beside locating, ms"),
     },
     "docs/benchmarks/next-touch.md": {
         "After the first touch, {} more touches are needed if they are chosen, and {} if they are random. "
