@@ -209,13 +209,13 @@ def format_page(folder: Path = RESULTS) -> str:
     """Return the documentation's page of results: every run, and the tables of runs that `keep` made."""
     parts = [
         "# Results over time\n",
-        "This page lists every run of the benchmarks, with its command and date, and the tables of the runs that\n"
-        "`scripts/bench.py keep NAME` made. The other tables are on the page in the last column.\n"
+        "The first table lists every run of the benchmarks, with its command and date. If `scripts/bench.py keep`\n"
+        "made the run, its tables follow below. Otherwise, the last column names the page with its tables.\n"
         "[Benchmarks](benchmarks.md) explains all tables.\n",
-        "A file in `benchmarks/results` keeps each run and version. The yardstick is the time of a fixed piece of\n"
-        "work before and after the run. Times of different machines are compared as multiples of it.\n"
-        "`make bench-compare` reports the changes since the previous version. It fails if a time grew, or a speed\n"
-        "fell, by more than a tenth.\n",
+        "`benchmarks/results` contains a file for each run and version. The yardstick is the time that a fixed piece\n"
+        "of work takes, measured before and after the run. To compare machines, times are divided by the yardstick.\n"
+        "`make bench-compare` reports the changes since the previous version. It fails if a time has grown, or a\n"
+        "speed has fallen, by more than a tenth.\n",
     ]
     runs = read_latest(folder)
     rows = []

@@ -18,7 +18,7 @@ Values = Callable[[Results], Sequence[float]]
 DRAWN = ("same mesh", "scanned, 0.05 mm", "scanned, 0.1 mm", "decimated, 0.1 mm", "unseen noise")
 PARTS_APART = ("pin", "damping pin", "cotter")
 EXAMPLES = 15  # in each row of the table of outliers
-ONE_FACE = ("ten refined hypotheses of one", "the most probable pose of these")  # rows of times
+ONE_FACE = ("ten refined hypotheses of one", "only the most probable of these poses")  # rows of times
 PAPER = (
     ("pin", "best-1", "0.11"), ("damping pin", "best-1", "0.16"), ("head", "best-1", "0.18"),
     ("elbow pipe", "best-1", "0.87"), ("elbow pipe", "best-10", "0.26"), ("elbow pipe", "best-50", "0.08"),
@@ -192,17 +192,20 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: ends([sum(r.at("single_touch", 1, "ms: encode, match, refine", row[0]))
                             for row in r["single_touch"].table(1).rows]),
         "(*chosen*) is {} to {} mm off on seven of the nine": one_touch,
-        "Their ten most probable poses come within {} and {} times *closest*":
+        "The best of their ten most probable poses has {} and {} times the error of *closest*":
             lambda r: [r.at("single_touch", 1, "best-10", name)[0] / r.at("single_touch", 1, "closest", name)[0]
                        for name in ("AutoMate 00308_plug", "pulley (MBRFA30)")],
     },
     "docs/benchmarks/several-touches.md": {
         "**If two, three or five touches determine the pose, {}, {} and {} % of the examples are located within "
-        "0.5 mm.** Of all examples, these are {} % with three touches and {} % with five": five_located,
+        "0.5 mm.** Of all examples, {} % are located within 0.5 mm with three touches, and {} % with "
+        "five": five_located,
     },
     "docs/benchmarks/outliers-mount.md": {
-        "A correct touch is reported in {} of {} examples without a wrong one, and in none of {} with one": wrongly,
-        "the wrong one is reported in {} of {} examples; with slightly misplaced sensors, in {} of {}": named,
+        "A correct touch is reported as wrong in {} of {} examples without a wrong touch, and in none of {} "
+        "examples": wrongly,
+        "the wrong touch is reported in {} of {} examples. With slightly misplaced sensors, it is reported "
+        "in {} of {}": named,
         "ten touches determine the mount's position to {} mm and its rotation to {} degrees":
             lambda r: [r.at("mount", 1, place, "mild", "10")[0] for place in (3, 4)],
     },
@@ -213,55 +216,59 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: medians_outside(r, DRAWN[0])[1:],
         "{} to {} mm with scans, {} to {} mm decimated":
             lambda r: [*medians_outside(r, *DRAWN[1:3]), *medians_outside(r, DRAWN[3])],
-        "One touch is within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
+        "With one touch, poses are within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % "
+        "decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 3, *DRAWN),
     },
     "docs/benchmarks/evaluation-results.md": {
         "on the hook the median error falls from {} to {} mm": second_contact,
-        "With seven contacts, contact alone still has {} to {} of a random pose's error; best-1 is {} to {} times "
-        "nearer": seven_contacts,
+        "With seven contacts, contact alone still has {} to {} times a random pose's error. The error of "
+        "best-1 is {} to {} times smaller": seven_contacts,
     },
     "docs/benchmarks/probabilities.md": {
         "The worst are the 50 % sets of one touch, which hold {} %":
             lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
-        "The 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
-        "On the ten objects, they hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
-        "{} to {} % of the truths, not 5, are outside the 95 % ellipsoid":
+        "The 95 % sets contain the true pose of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
+        "On the ten objects, they contain the true pose of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
+        "{} to {} % of the true poses, instead of 5 %, are outside the 95 % ellipsoid":
             lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
     },
     "docs/benchmarks/encoders.md": {
-        "The error best-1 of the learned encoder is below that of pixels on {} of {} objects, with a ratio of {}":
+        "On {} of {} objects, the learned encoder has a smaller best-1 error than pixels. The ratio of the "
+        "errors is {}":
             learned,
-        "The best of its ten most probable poses has at most {} times the nearest grid pose's error, except on the "
+        "The best of the learned encoder's ten most probable poses has at most {} times the nearest grid "
+        "pose's error, except on the "
         "ambiguous 00308 ({})":
             lambda r: sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:],
-        "pose of the learned encoder is {} mm off (median over the objects), that of pixels {}":
+        "The refined first pose is {} mm off with the learned encoder, and {} mm off with pixels":
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),
         **{f"| {name}, {line} | {paper} | {{}} | {{}} |": beside_the_paper(name, line) for name, line, paper in PAPER},
     },
     "docs/benchmarks/tracking.md": {
-        "Located alone, a frame takes {} to {} times as long as tracking it":
+        "Locating each frame alone takes {} to {} times as long as tracking it":
             lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
         "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
-        "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
+        "the journal and writing cost {} to {} ms for each image": range_of("replay", 1, "beside locating, ms"),
     },
     "docs/benchmarks/next-touch.md": {
-        "After the first touch, {} chosen ones are needed, or {} random ones. Within three touches, {} % of the poses "
-        "are known instead of {} %": more_touches,
-        "{} % of these parts are identified as another":
+        "After the first touch, {} more touches are needed if they are chosen, and {} if they are random. "
+        "Within three touches, {} % of the poses are known with chosen touches, and {} % with random "
+        "touches": more_touches,
+        "identified as another part in {} % of the examples":
             lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
     },
     "docs/benchmarks/presses-labels.md": {
-        "With five spread presses, the error is {}, {}, {} and {} times that with all presses": presses("5", 1),
-        "with ten, {}, {}, {} and {}; with five at random": presses("10", 1),
-        "with five at random, {}, {}, {} and {}": presses("5", 0),
-        "On the others, its error is larger by {} and {} %": worse_found,
+        "the error with five spread presses is {}, {}, {} and {} times that with all presses": presses("5", 1),
+        "With ten spread presses, it is {}, {}, {} and {} times": presses("10", 1),
+        "With five random presses, it is {}, {}, {} and {} times": presses("5", 0),
+        "On the other two sets, the error is larger by {} and {} %": worse_found,
     },
     "docs/benchmarks/simulated-images.md": {
         "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
     },
     "docs/benchmarks/speed.md": {
-        "ends at a median of {} mm at most": lambda r: [max(r.column("joint", 1, "error, mm"))],
+        "has a median error of at most {} mm": lambda r: [max(r.column("joint", 1, "error, mm"))],
     },
 }  # fmt: skip

@@ -28,9 +28,13 @@ class Table:
     rows: list[list[str]]
 
     def markdown(self, columns: Sequence[str] = ()) -> str:
-        """Return all columns, or the named ones, as Markdown. Raises LookupError for an unknown column."""
+        """Return all columns, or the named ones, as Markdown, with "50% 75%" as "50 %, 75 %".
+
+        Raises LookupError for an unknown column.
+        """
         chosen = [self.find_column(name) for name in columns] or range(len(self.columns))
-        first, *others = [f"| {' | '.join(row[k] for k in chosen)} |" for row in (self.columns, *self.rows)]
+        lines = [f"| {' | '.join(row[k] for k in chosen)} |" for row in (self.columns, *self.rows)]
+        first, *others = [re.sub(r"(?<=\d)%", " %", re.sub(r"% (?=\d)", "%, ", line)) for line in lines]
         return "\n".join([first, "|---" * len(chosen) + "|", *others]) + "\n"
 
     @cached_property

@@ -22,8 +22,9 @@ from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "plugin"
-PAGE, INTERFACES, CHECKS = (
-    (ROOT / "docs" / name).read_text() for name in ("plugins.md", "plugin-interfaces.md", "plugin-checks.md")
+PAGE, LOADING, INTERFACES, CHECKS = (
+    (ROOT / "docs" / f"{name}.md").read_text()
+    for name in ("plugins", "plugin-loading", "plugin-interfaces", "plugin-checks")
 )
 KINDS = {
     kind.slot: kind
@@ -117,11 +118,11 @@ def test_errors_read_as_documented(error, plugins):
     found = Registry(plugins)
     with pytest.raises(error) as caught:
         found.load("refiner", "spline")
-    assert str(caught.value) in re.sub(r"\s+", " ", PAGE)
+    assert str(caught.value) in re.sub(r"\s+", " ", LOADING)
 
 
 def test_versions_of_the_interface_are_listed_up_to_this_one():
-    section = PAGE.partition("## Versions of the interface")[2].partition("\n## ")[0]
+    section = LOADING.partition("## Versions of the interface")[2].partition("\n## ")[0]
     versions = [int(version) for version in re.findall(r"^\| (\d+) \| ", section, re.MULTILINE)]
     assert max(versions) == INTERFACE_VERSION
     assert f"`ComponentSpec(interface={INTERFACE_VERSION})`" in section
@@ -144,4 +145,4 @@ def test_every_capability_is_in_the_table():
 
 def test_failure_row_reads_as_documented():
     failure = Registry([FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax"))]).failures[0]
-    assert not missing(PAGE, failure.plugin, failure.distribution, failure.error)
+    assert not missing(LOADING, failure.plugin, failure.distribution, failure.error)

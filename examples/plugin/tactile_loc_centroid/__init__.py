@@ -1,4 +1,4 @@
-"""A refiner for tactile-loc that puts the centre of the contact where the touch has it."""
+"""A refiner for tactile-loc that moves the centre of the contact to that of the touch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The centroid refiner: slide the candidate in x and y until contact is centred where the touch has it."""
+"""The centroid refiner: slides the candidate in x and y until the centre of its contact is that of the touch."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from tactile_loc.plugin import Candidate, ComponentOptions, RefinedPose, Refiner
 
 
 class CentroidRefiner(Refiner):
-    """Slides a few times and keeps the pose whose contact overlaps best with the touch's: never worse than before."""
+    """Slides the candidate a few times and keeps the pose whose contact overlaps best with the touch's contact."""
 
     class Options(ComponentOptions):
         """Every option has a default and a description, which is its help text."""
 
-        steps: int = Field(default=4, ge=1, description="how often the candidate is slid")
+        steps: int = Field(default=4, ge=1, description="number of slides")
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Return the pose (4, 4) in metres with the largest intersection over union of contacts."""

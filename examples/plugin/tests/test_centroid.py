@@ -1,4 +1,4 @@
-"""The refiner keeps every contract of its slot, and finds a slide exactly."""
+"""The refiner keeps every contract of its slot, and corrects a slide."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_property(component, check):
 
 
 def test_a_slide_is_undone():
-    """A candidate 1 mm beside the truth ends within a twentieth of a millimetre."""
+    """A candidate 1 mm from the true pose ends within 0.05 mm of it."""
     problem = press_block()
     refined = CentroidRefiner().refine(problem.touch, problem.make_candidate((0.0008, -0.0006, 0.0)), problem.scene)
     assert problem.measure_error_m(refined) < 5e-5
