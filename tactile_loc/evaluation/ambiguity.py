@@ -1,4 +1,4 @@
-"""Ambiguity of a touch: noise hides the difference between its contact and that of a distant pose.
+"""Ambiguity of a touch: whether noise hides the difference between its contact and that of a distant pose.
 
 Let C be the true pose's contact depths and C' those of another pose, both drawn without noise at the touch's press. Let
 N1, N2 be two noisy measurements of the true pose. All depths are taken at the observed pixels and blurred by 0.3 mm.
@@ -42,7 +42,7 @@ Float64 = NDArray[np.float64]
 AMBIGUOUS = 1.0  # touches with a lower ratio are ambiguous
 DISTANT_M = 5e-3  # root mean square surface distance; nearer poses count as the true pose
 RIVALS = 6  # distant poses to refine
-MEASUREMENTS = 12  # of the true pose, with noise
+MEASUREMENTS = 12  # noisy measurements of the true pose
 EVERY = 3  # step through the observed pixels, in the search for rivals
 BLUR_M = 3e-4  # blur of all compared contacts, because single pixels of an outline are not evidence
 REFINER = "filterreg"  # always the same, so that ambiguity does not depend on the evaluated method
@@ -76,8 +76,8 @@ def measure_ambiguity(
 def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:
     """Return at most RIVALS distant grid poses (R, 4, 4), metres, at least `radius_m` from each other.
 
-    Distant poses are farther than DISTANT_M from the true pose (4, 4) and its symmetric poses. The poses with the least
-    values of `apart` (N,), the distance of a grid pose's contact shape from the true one, are chosen.
+    Distant poses are farther than DISTANT_M from the true pose (4, 4) and its symmetric poses. `apart` (N,) are the
+    distances of the grid poses' contact shapes from the true one; the poses with the least distances are chosen.
     """
     left = np.where(grid.distances(T_true) > DISTANT_M, apart, np.inf)
     chosen: list[int] = []
@@ -95,7 +95,7 @@ def compute_noise_ratio(true: Float64, others: Float64, measured: Float64) -> Fl
     difference = others - true
     length = np.linalg.norm(difference, axis=1)
     along = measured @ (difference / np.maximum(length, 1e-30)[:, None]).T
-    noise = np.sqrt(2 * along.var(axis=0, ddof=1))  # of the difference of two measurements
+    noise = np.sqrt(2 * along.var(axis=0, ddof=1))  # standard deviation of the difference of two measurements
     return np.where(length > 0, length / np.maximum(noise, 1e-30), 0.0)
 
 
@@ -139,7 +139,7 @@ class _Judge:
         return np.array([pose.T_sensor_object for pose in refined]).reshape(-1, 4, 4)
 
     def _measure(self, touch: Touch, T_true: Poses, rng: np.random.Generator) -> Float32:
-        """Return noisy measurements (K, H, W) of the touch's true pose and press, cut at its press depth; metres."""
+        """Return noisy measurements (K, H, W), metres, of the contact at a touch's true pose, press and press depth."""
         press = PressNoise(self.noise, self.scene, touch.indentation_m, rng)
         T, _ = self.scene.bring_to_contact(np.repeat(T_true[None], MEASUREMENTS, axis=0))
         cut_m = np.float32(touch.press_depth_m)

@@ -161,7 +161,7 @@ def _take_logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[n
 
 
 def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
-    """Return up to EACH different touches of each kind, in order of increasing error."""
+    """Return up to EACH best, median and worst touches, each with its kind, in order of increasing error."""
     order = np.argsort(errors_m, kind="stable")
     each = min(EACH, max(1, len(order) // 3))
     middle = (len(order) - each) // 2

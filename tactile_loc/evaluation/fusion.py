@@ -127,7 +127,7 @@ class _Examples:
     def _locate_example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return one example's errors (C, L), metres, and (C, 2), which fusers found no common pose."""
+        """Return one example's errors (C, L), metres, and a mask (C, 2) of the fusers that found no common pose."""
         grid = posteriors[0].grid
         rng = np.random.default_rng(self.source.seed_touch(MOST_FUSED * number, 1))
         guesses = rng.integers(len(grid), size=MOST_FUSED)

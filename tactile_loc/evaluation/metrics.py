@@ -39,8 +39,9 @@ def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
 def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
     """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true pose (4, 4).
 
-    If there are many symmetries, some with a small root mean square distance are selected. They are tried with a few of
-    the points (P, 3), and the best are measured with all points. For a continuous axis, the best roll is searched.
+    If there are many symmetries, some with a small root mean square distance are selected. These symmetries are tried
+    with a few of the points (P, 3), and the best are measured with all points. For a continuous axis, the best roll is
+    searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
@@ -127,9 +128,9 @@ def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
     """Return the POSTERIOR_METRICS (5,) of a posterior with a known true pose (4, 4), metres.
 
     `nll`, nats, is the negative log-likelihood of the grid pose nearest to the true pose. `credible_level`, 0 to 1, is
-    the probability of the smallest credible set that contains this grid pose; the share of the pose itself is drawn at
-    random. `entropy` is in nats. `expected_error` and `spread`, metres, are the mean distances of the posterior's poses
-    from the true pose and from the most probable pose. Symmetric poses count as equal.
+    the total probability of all poses likelier than this grid pose, plus a random share of its own probability.
+    `entropy` is in nats. `expected_error` and `spread`, metres, are the mean distances of the posterior's poses from
+    the true pose and from the most probable pose. Symmetric poses count as equal.
     """
     p = posterior.probabilities
     truth = int(posterior.grid.nearest(T_true[None])[1][0])
@@ -142,9 +143,9 @@ def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
 def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.float64], T_true: Poses) -> float:
     """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
 
-    e (6,) is the error of x, y, z and of the rotation vector, along the sensor's axes. It is measured from the pose
-    nearest to the estimate among the poses symmetric to the true pose (4, 4). The mean of e^T C^-1 e is 6 (chi-squared)
-    if the covariances are true and the errors Gaussian.
+    e (6,) is the error of x, y, z and of the rotation vector, along the sensor's axes. The error is measured from the
+    pose nearest to the estimate among the poses symmetric to the true pose (4, 4). The mean of e^T C^-1 e is 6
+    (chi-squared) if the covariances are true and the errors Gaussian.
     """
     T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
     rotation = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()

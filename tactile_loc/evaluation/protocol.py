@@ -82,7 +82,7 @@ class TouchEvaluator:
         return MeasuredTouch(errors_m, poses, seconds, metrics)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
-        """Return the refined grid poses `top` (K,), (K, 4, 4), and the seconds to refine the first pose."""
+        """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the seconds for the first pose."""
         start = time.perf_counter()
         (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
         seconds = time.perf_counter() - start

@@ -133,9 +133,9 @@ class SlidingTouches:
     ) -> tuple[Poses, Touch | None, float]:
         """Return the pose after a step (5,), its touch, and the direction, which reverses if the step is impossible.
 
-        If both directions are impossible, parts of the step are tried. A contact may be too far from the middle if it
-        already was before the step, because the press became lighter. A pose without a valid touch, such as on a flat
-        face, is possible.
+        If both directions are impossible, parts of the step are tried. A contact must stay near the middle of the
+        sensor (INSIDE), unless it was already farther out before the step, because the press became lighter. A pose
+        without a valid touch, such as on a flat face, is possible.
         """
         here = partial(self._draw_touch, T, press_m, gel)
         outside = INSIDE

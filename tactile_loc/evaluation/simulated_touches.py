@@ -71,7 +71,7 @@ class SimulatedTouches:
                 localizer.sensor.simulated_image(shape, np.random.default_rng(0))
 
     def describe_kind(self) -> str:
-        """Return the kind of the touches, for titles."""
+        """Return a short description of the touches, for titles."""
         return "as images" if self.images else f"noise: {self.noise}"
 
     def seed_touch(self, number: int, purpose: int) -> np.random.SeedSequence:
@@ -93,7 +93,7 @@ class SimulatedTouches:
 
 
 def require_true_pose(touch: Touch) -> NDArray[np.float64]:
-    """Return a touch's true pose (4, 4), metres. Raises TouchError if it is unknown."""
+    """Return a touch's true pose (4, 4), metres. Raises TouchError if the pose is unknown."""
     if touch.T_sensor_object is None:
         raise TouchError(f"{touch.name} has no true pose to compare with; give a touch from tactile-loc simulate")
     return touch.T_sensor_object

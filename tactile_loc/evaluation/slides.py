@@ -1,4 +1,4 @@
-"""A slide: a sensor is pressed on an object, slides over it and lifts off; recorded with known true poses."""
+"""A slide, recorded with known true poses: a sensor is pressed on an object, slides over it and lifts off."""
 
 from __future__ import annotations
 

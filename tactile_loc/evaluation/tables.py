@@ -16,7 +16,7 @@ from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS, PosteriorS
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
 
 SCHEMA_VERSION = 2
-SHOWN = tuple(line for line in LINES if line != "random-10")  # in the summary
+SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
 JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
 AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of contact areas, as shares of the observed pixels
 AREA_LINE, WITHIN_M = "chosen", 1e-3  # the line and the limit of error that are tabulated by contact area

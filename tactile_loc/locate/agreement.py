@@ -30,8 +30,9 @@ def find_agreement(
 ) -> tuple[Hypotheses, Agreement]:
     """Return the hypotheses of all touches except outliers, and how the touches agree.
 
-    `find` takes the numbers of touches to leave out, and returns hypotheses refined against all others. `best_alone`
-    returns, for each touch, the best imprint IoU of any pose with this touch alone (N,). It is called only if needed.
+    `find` takes the numbers of touches to leave out, and returns hypotheses refined against all other touches.
+    `best_alone` returns each touch's best imprint IoU (N,) with any pose refined against this touch alone. It is called
+    only if needed.
 
     A touch is an outlier if more than half of the touches agree on a pose, and another pose explains this touch far
     better. If several touches could be the wrong one, there are no outliers.

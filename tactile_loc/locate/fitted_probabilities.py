@@ -39,8 +39,8 @@ class Example:
     """One or more simulated touches, fused but not tempered.
 
     `fused` is their posterior; None if no pose makes contact with all sensors. `truth` is the index of the pose nearest
-    to the true one; -1 if the search found none near it. `best`, 0 to 1, is the best mean imprint IoU of any pose that
-    a search with several touches found. Otherwise, `best` is 1.
+    to the true pose; -1 if the search found none near it. If several touches were searched together, `best`, 0 to 1, is
+    the best mean imprint IoU of any pose found; otherwise 1.
     """
 
     fused: PosePosterior | None

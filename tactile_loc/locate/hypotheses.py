@@ -1,4 +1,4 @@
-"""Distinct hypotheses from posteriors: modes are proposed, refined against all touches, merged and weighed."""
+"""Distinct hypotheses from posteriors: modes are proposed, refined against all touches, weighed and merged."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ def weigh(
     """Return hypotheses with probabilities from the evidence of their refined poses, the most probable first.
 
     Refined poses distinguish explanations better than the grid, whose poses are all slightly wrong and whose shapes are
-    coarse. `evidence` (K,), nats, is the sum over all touches; `log_prior` (K,) is added. The sum of the probabilities
-    is that of the given hypotheses.
+    coarse. `evidence` (K,), nats, is the sum over all touches; `log_prior` (K,) is added. The total probability of the
+    given hypotheses is kept.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
     worth = evidence + known

@@ -273,8 +273,8 @@ def localize_together(
     `Localizer.localize`. Raises TactileLocError if no pose fits all touches.
 
     `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
-    `drop_outliers`, the other touches are located again without them. `Localization.left_out` then lists the outliers,
-    and poses are in the sensor frame of the first remaining touch.
+    `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
+    `Localization.left_out`, and poses are in the sensor frame of the first remaining touch.
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
@@ -368,7 +368,10 @@ class _Query:
         return found.posteriors(self.views, scalings, self.first.probabilities.fused_scaling.elsewhere(found.best))
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
-        """Fuse the touches' posteriors and the prior over the first touch's grid, tempered by the number of touches."""
+        """Fuse the touches' posteriors and the prior over the first touch's grid.
+
+        All posteriors are tempered for the number of touches.
+        """
         count = len(alone) + count_touches(self.prior)
         powers = [localizer.probabilities.fused_scaling.power(count) if count > 1 else 1.0
                   for localizer, _ in self.observations]  # fmt: skip
@@ -427,7 +430,7 @@ class _Query:
         )
 
     def _explain(self, alone: Sequence[PosePosterior]) -> NDArray[np.float64]:
-        """Return, for each touch, the best imprint IoU of any pose with this touch alone (N,)."""
+        """Return each touch's best imprint IoU (N,) with any pose refined against this touch alone."""
         first = self.first
         if first.source.searched:
             alone = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
@@ -439,7 +442,7 @@ class _Query:
     def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
         """Return the number of the touch that excludes all poses of the other touches, as a tuple.
 
-        The tuple is empty if there are fewer than three touches, or if not exactly one touch excludes the others'
+        The tuple is empty if there are fewer than three touches, or if none or several of them exclude the others'
         poses.
         """
         if len(self.observations) < 3:

@@ -138,7 +138,7 @@ def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np
     """Yield the contact depths (S, H, W), S > 0, metres, of the grid's poses at the scene's press.
 
     If rays are parallel, or shapes are drawn as in the paper, the shapes at full press are cut at the lighter press. A
-    pinhole camera sees a lighter press from farther away, so its shapes are rendered again.
+    pinhole camera sees a lighter press from farther away, so the shapes are rendered again.
     """
     press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
     if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":

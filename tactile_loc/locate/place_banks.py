@@ -1,4 +1,4 @@
-"""The embeddings of an object's places, and the encoder trained on them: stored, or made at first use."""
+"""The embeddings of an object's places, and the encoder trained on the places: stored, or made at first use."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class PlaceBanks:
         )  # fmt: skip
 
     def bank(self, press_depth_m: float) -> Scores:
-        """Return the bank (N, D) of the places, cut at `press_depth_m` metres.
+        """Return the bank (N, D) of the places' patches, cut at `press_depth_m` metres.
 
         Only banks of trained encoders are stored, because a network encodes places more slowly than a disk reads a
         bank.

@@ -28,7 +28,7 @@ TOUCH_NOISE = "strong"  # real touches differ from renders at least as much
 SEED = 0x5EED  # differs from the seeds of evaluations, which must not use the same touches
 
 TAIL_HEAT = 4.0
-TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # no smaller tails: so few touches show no rarer errors
+TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # smaller tails cannot be fitted to so few touches
 STEPS_PER_E = 6  # temperatures tried per factor of e
 REACH = 12  # factors of e tried below the highest temperature
 LEAST = 1e-12  # least probability of a true pose in the fit, so that no single touch decides
@@ -36,7 +36,7 @@ LEAST = 1e-12  # least probability of a true pose in the fit, so that no single 
 FUSED_STAGE, FUSED_VERSION = "fused-temperature", 2
 FUSED_TOUCHES = (2, 3, 5, 7)  # touches per example
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # for each number of touches
-SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # the same for a search, which takes longer
+SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # fewer touches to fit searches, which take longer
 SEARCHED_NOISE = ("none", "mild", "strong")  # used in turn, so that the fit covers touches explained well and badly
 MOST_ELSEWHERE = 0.999
 AS_KNOWN = 3  # invented touches with score 0, and as many with score 1
@@ -66,7 +66,7 @@ def plan_fit(searched: bool) -> FitPlan:
 
 @dataclass(frozen=True)
 class TemperatureScaling:
-    """How scores s become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
+    """Scaling of scores s to probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
 
     T is the `temperature`. A search scores only the likeliest poses, so it may miss the true pose, above all if no pose
     explains the touch well. The log odds that the search found the true pose are offset + slope * best score, with
@@ -110,7 +110,7 @@ class TemperatureScaling:
 def fit_temperature_scaling(
     scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64], searched: bool = False
 ) -> TemperatureScaling:
-    """Return the scaling with the least negative log-likelihood of the true poses, averaged over T touches.
+    """Return the scaling with the least negative log-likelihood of the true poses of T touches.
 
     `scores` has an array (N,) for each touch. `truth` (T,) are the indices of the poses nearest to the true poses, -1
     if none is near. With `searched`, the probability that the search misses the true pose is fitted, too.
@@ -218,8 +218,8 @@ def _elsewhere(found: tuple[float, float] | None, best: float) -> float:
 def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
     """Fit the log odds of `found` (T,) by a line (offset, slope) over the best scores (T,), 0 to 1.
 
-    AS_KNOWN invented touches with score 0 count as not found, and as many with score 1 as found. They limit the slope
-    if few real touches were found, or few were not.
+    AS_KNOWN invented touches with score 0 count as not found, and as many with score 1 as found. Without these touches,
+    the slope would be unreliable if almost all or almost no real touches were found.
     """
     from scipy.optimize import minimize
 

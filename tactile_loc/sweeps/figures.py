@@ -250,8 +250,8 @@ def _find_leading_digit(value: float) -> int:
 class NumberLabel:
     """One label for nearly coincident points, which have the indices `members`.
 
-    The label is written at `offset_pt`, in 1/72 inch, from the first point. If the first number of the offset is
-    positive, the text begins there. If it is negative, the text ends there; if it is zero, the text is centred.
+    The label is placed at `offset_pt`, in 1/72 inch, from the first point. The text begins there if the first number of
+    the offset is positive, ends there if it is negative, and is centred there if it is zero.
     """
 
     text: str

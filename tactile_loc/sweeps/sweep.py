@@ -132,7 +132,7 @@ class Sweep:
 def run_sweep(
     plan: Plan, out: Path, store: Path, workers: Workers, progress: Progress | None = None
 ) -> Sweep:  # fmt: skip
-    """Evaluate every combination of `plan` without a row in `out`, and write each row there when it is finished.
+    """Evaluate every combination of `plan` that has no row in `out`; write each row there when it is finished.
 
     The row of a failed combination states the error, and the next call tries the combination again. All workers share
     the stage store in the folder `store`. Raises TactileLocError for a bad plan or `out`, before anything runs.

@@ -40,7 +40,7 @@ JOURNALS = "sweep-builds"  # a folder of the store
 RETRIES = 2  # repetitions after failures outside the evaluation, such as a broken connection
 CONNECT_S = 10
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-LOCAL_FAILURES = 1  # in each of two rounds, a combination is tried again after so many deaths of workers
+LOCAL_FAILURES = 1  # deaths of workers after which a combination is tried again, in each of two rounds
 REPLACEMENT_S = 5  # time after which a lost local worker is replaced
 LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # loggers that Dask uses
 

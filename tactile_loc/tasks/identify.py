@@ -209,7 +209,8 @@ def _locate(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
 def _find_seen_poses(views: Sequence[View], found: Localization) -> Float64:
     """Return K hypotheses in the frames of N sensors, (K, N, 4, 4), metres.
 
-    These are the refiner's poses for each sensor or, if it gives none, poses computed from the reported sensor poses.
+    These are the refiner's poses for each sensor. If the refiner gives none, they follow from the reported sensor
+    poses.
     """
     return np.stack([
         np.stack([view.T_sensor_first @ h.T_sensor_object for view in views])

@@ -87,7 +87,7 @@ class LiveLocator:
     def locate(self, frame: SourceFrame, dropped: int = 0) -> LiveResult:
         """Locate a frame. `dropped` is the number of frames dropped so far.
 
-        A frame that cannot be read raises no error: the result states why.
+        A frame that cannot be read raises no error; the result gives the reason (`LocatedFrame.says`).
         """
         start = time.perf_counter()
         touch = None

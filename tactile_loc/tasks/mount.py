@@ -1,8 +1,8 @@
 """The sensor's mount on a robot's flange, found from touches of one part at rest at an unknown pose.
 
-Each touch is located separately. A guess of the mount agrees with the most hypotheses (`mount_guess`), and predicts the
-part's pose in each sensor's frame. Each touch is registered again from the predicted pose, and one mount is fitted to
-all touches. These two steps are repeated until the poses converge.
+Each touch is located separately. The mount on which most touches agree (`mount_guess`) predicts the part's pose in each
+sensor's frame. Each touch is registered again from the predicted pose, and one mount is fitted to all touches. These
+two steps are repeated until the poses converge.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.locate.touch_files import read_listed_touch
 from tactile_loc.tasks.mount_guess import MountGuess, guess_mounts
 
-HYPOTHESES = 100  # per touch
+HYPOTHESES = 100  # most hypotheses per touch
 GUESSES = 3  # mounts that are refined
 LEAST = 4  # touches that must agree; any three have hypotheses that agree
 ROTATED_RAD = np.radians(3.0)  # least rotation about two axes, root mean square over pairs of flange poses
 LIMIT_M, LIMIT_RAD = 2e-3, np.radians(2.0)  # standard deviations above which a mount is unknown
 NOMINAL_M, NOMINAL_RAD = 0.03, np.radians(30.0)  # largest error of a nominal mount
-SHORT = 0.25  # imprint IoU that a touch may lose against its best hypothesis
+SHORT = 0.25  # a touch agrees if its imprint IoU is less than this below that of its best hypothesis
 ROUNDS, STILL_M = 30, 5e-6  # most steps of refinement, and motion below which they end
 REJECTIONS = 3  # rounds of looking for touches that contradict the others
 NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad, if a touch determines nothing

@@ -181,7 +181,7 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
 def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
     """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
-    `nats` (A, K, K) is the evidence for mode i against mode j of the touch that mode i makes. `tells` (A, K) marks the
+    `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `tells` (A, K) marks the
     modes whose touch can be located; other touches change nothing.
     """
     with np.errstate(divide="ignore"):

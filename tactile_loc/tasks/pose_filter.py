@@ -48,8 +48,9 @@ class SeenPose:
 class PoseFilter:
     """The estimated pose of an object, T_base_object (4, 4), metres, and three errors of six components each.
 
-    The errors are the pose's, the touches' common error along the sensor's axes, and the sensor's. `errors` (12,) is
-    the mean of the last two, and `covariance` (18, 18) that of all three, both in UNIT.
+    The errors are those of the pose, of the touches (the common part, along the sensor's axes), and of the sensor's
+    pose. `errors` (12,) is the mean of the last two, and `covariance` (18, 18) the covariance of all three. Both are in
+    units of `hand_eye.UNIT`.
     """
 
     T_base_object: Floats
@@ -117,7 +118,10 @@ class PoseFilter:
 
 
 def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:
-    """Return the matrix (6, 18), in UNIT, from errors of pose, touch and sensor to the error of T_sensor_object."""
+    """Return the matrix (6, 18) from errors of pose, touch and sensor to the error of T_sensor_object.
+
+    All errors are in units of `hand_eye.UNIT`.
+    """
     H = np.zeros((6, 18))
     H[:3, :3] = H[3:, 3:6] = T_base_sensor[:3, :3].T
     H[:, TOUCH] = H[:, SENSOR] = np.eye(6)

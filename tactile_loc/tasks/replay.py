@@ -87,7 +87,10 @@ class Replay:
             yield FrameView(decode_image(image), T)
 
     def touch(self, image: NDArray[Any]) -> Touch:
-        """Return the touch in an image of the sensor. Raises NoContactError or TouchError."""
+        """Return the touch in an image of the sensor.
+
+        Raises NoContactError for an image without contact, and TouchError for an image that cannot be read.
+        """
         return touch_from_image(image, self.localizer.sensor, self.press_depth_m)
 
     def _locate(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:

@@ -117,9 +117,9 @@ class _Mode:
 class Tracker:
     """Tracks one object from frame to frame, by touches of one sensor.
 
-    The object is assumed to rest, except for a slow creep. In one second, it creeps by standard deviations of `creep_m`
-    metres along each axis and `creep_rad` radians about it. It may also jump. The errors of sensor poses are taken from
-    the touches (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not finite.
+    The object is assumed to rest, except for a slow creep. The creep in one second has standard deviations of `creep_m`
+    metres along and `creep_rad` radians about each axis. The object may also jump. The errors of sensor poses are taken
+    from the touches (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not finite.
     """
 
     def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:

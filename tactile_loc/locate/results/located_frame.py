@@ -78,12 +78,12 @@ class LocatedFrame:
 
     @property
     def std(self) -> Floats | None:
-        """Standard deviations (6,), metres and radians, of x, y, z and about them; None if unknown."""
+        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
     @property
     def word(self) -> str:
-        """The verdict, or "refused" if there is none."""
+        """The verdict, or "refused" if there is no verdict."""
         return name_verdict(self.verdict)
 
     def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
@@ -112,12 +112,12 @@ class LocatedRecord(BaseModel):
 
     @property
     def std(self) -> Floats | None:
-        """Standard deviations (6,), metres and radians, of x, y, z and about them; None if unknown."""
+        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(np.array(self.covariance)))
 
     @property
     def word(self) -> str:
-        """The verdict, or "refused" if there is none."""
+        """The verdict, or "refused" if there is no verdict."""
         return name_verdict(self.verdict)
 
 

@@ -121,7 +121,7 @@ def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path
 
 
 def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
-    """Read the arrays of a record. Raises ResultError when they cannot be used."""
+    """Read the arrays of a record. Raises ResultError if the file cannot be used."""
     if not path.is_file():
         raise ResultError(f"{path} is missing, and a report of this result needs it; {AGAIN}")
     try:
@@ -207,7 +207,7 @@ def _unpack_touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
 
 
 def _read_numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
-    """Return the array of that name as floats. Raises KeyError, or ValueError if its values are not finite numbers."""
+    """Return the array `name` as floats. Raises KeyError, or ValueError if its values are not finite numbers."""
     values = arrays[name]
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise ValueError(f"{name} holds values that are not finite numbers")
