@@ -6,8 +6,8 @@ score: the total probability of all poses likelier than the true pose. This is t
 
     the ceil((n + 1) coverage)-th smallest of the n scores.
 
-If the touch is exchangeable with the examples, the probability that this set contains the grid pose nearest to the true
-pose is at least the coverage. This holds even if the posteriors are bad.
+Let the touch be exchangeable with the examples. Then the set contains the grid pose nearest to the true pose with at
+least the probability `coverage`. This holds even if the posteriors are bad.
 
 Errors of uncertain posteriors are distributed differently from errors of certain posteriors. So the examples are split
 into the quarter with the greatest entropy and the rest (Mondrian sets). A posterior is compared with the part that

@@ -218,8 +218,8 @@ def _elsewhere(found: tuple[float, float] | None, best: float) -> float:
 def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
     """Fit the log odds of `found` (T,) by a line (offset, slope) over the best scores (T,), 0 to 1.
 
-    AS_KNOWN invented touches with score 0 count as not found, and as many with score 1 as found. Without these touches,
-    the slope would be unreliable if almost all or almost no real touches were found.
+    AS_KNOWN invented touches with score 0 count as not found. As many invented touches with score 1 count as found.
+    Without these touches, the slope would be unreliable if almost all or almost no real touches were found.
     """
     from scipy.optimize import minimize
 

@@ -103,8 +103,8 @@ class PlaceSource(PoseSource):
     ) -> list[Mode]:  # fmt: skip
         """Return the most probable poses that are far enough apart, and the modes of the pose set, if there is one.
 
-        Without the set's modes, at most as many poses are returned as the greatest of `top`, the option `refined` and a
-        tenth of all poses.
+        The number of poses, without the set's modes, is at most the greatest of `top`, the option `refined` and a tenth
+        of all poses.
         """
         count = max(top, self.options.refined, len(fused.grid) // 10)
         modes = choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)

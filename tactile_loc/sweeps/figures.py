@@ -251,7 +251,7 @@ class NumberLabel:
     """One label for nearly coincident points, which have the indices `members`.
 
     The label is placed at `offset_pt`, in 1/72 inch, from the first point. The text begins there if the first number of
-    the offset is positive, ends there if it is negative, and is centred there if it is zero.
+    the offset is positive, and ends there if it is negative. If the number is zero, the text is centred there.
     """
 
     text: str

@@ -107,10 +107,10 @@ class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
     `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison.
-    `rough_iou`, 0 to 1, is the mean imprint IoU of the touches in the rough search; 0 if the object was not searched.
-    `found` is the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence
-    that the best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is the
-    probability that this object was touched.
+    `rough_iou`, 0 to 1, is the best mean imprint IoU in the rough search; 0 if the object was not searched. `found` is
+    the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence that the
+    best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is the probability
+    that this object was touched.
     """
 
     name: str

@@ -50,8 +50,8 @@ Cost = Callable[[Approach], float]
 class Foreseen:
     """The encounters of A approaches with the object, for each of K modes as the true one.
 
-    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose in the frame of the pressed sensor. `travel_m` (A, K)
-    is the sensor's travel up to contact. `meets` (A, K) is true where the sensor touches the object on its way.
+    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose in the frame of the pressed sensor. `travel_m` (A, K),
+    metres, is the sensor's travel up to contact. `meets` (A, K) is true where the sensor touches the object on its way.
     `blocked` (A, K) is true where the sensor's gel starts inside or beyond the object.
     """
 

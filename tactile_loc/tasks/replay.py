@@ -141,7 +141,7 @@ class ReplaySummary:
 
     @classmethod
     def of(cls, records: Iterable[FrameRecord]) -> ReplaySummary:
-        """Count the frames' results, and how often a frame's stamp is earlier than that of the frame before."""
+        """Count the frames' results, and the frames whose stamp is earlier than the stamp of the frame before."""
         records = list(records)
         without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
         reasons = Counter(record.says for record in without)
