@@ -1,1 +1,1 @@
-"""Metrics, protocols and figures."""
+"""Evaluations: simulated touches, metrics, protocols, tables and figures."""

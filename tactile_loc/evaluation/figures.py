@@ -1,4 +1,4 @@
-"""Figures of evaluations: violins of errors, best and worst touches, credible sets, errors by number of touches."""
+"""Figures of evaluations: violins of errors, best and worst touches, credible sets, and errors by number of touches."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 DRAWN = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10")
 COLOURS = ("#2b6cb0", "#dd6b20", "#2f855a", "#6b46c1", "#b83280", "#4a5568")
 RANDOM, CLOSEST = "#c53030", "#1a202c"
-FLOOR = 1e-4  # smaller errors, as shares of a random pose's, are drawn here
-ROOM = 0.82  # share of the distance between lines for their violins
+FLOOR = 1e-4  # smaller errors, as shares of a random pose's error, are drawn at this value
+ROOM = 0.82  # share of the distance between lines that the lines' violins fill
 GALLERY_LINE = "reg-1"
 EACH = 2  # touches of each kind in a gallery
 MARKERS = "os^Dv<>pP*X"
-LEAST_MM = 1e-2  # smaller errors are drawn here, since the axis is logarithmic
-FUSION_FLOOR = 1e-3  # smaller errors, as shares of a random pose's, are drawn here
+LEAST_MM = 1e-2  # smaller errors are drawn at this value, since the axis is logarithmic
+FUSION_FLOOR = 1e-3  # the same as FLOOR, for several touches
 KINEMATIC = "#718096"
 TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 
@@ -41,8 +41,8 @@ TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 def draw_violins(runs: Sequence[Run], title: str) -> Figure:
     """Draw a panel for each object: the distribution of each line's normalised ADD, with a colour for each encoder.
 
-    The error axis is logarithmic. White dots are medians, thick bars quartiles. Dashed lines are the medians of a
-    random pose and of the grid pose nearest to the truth.
+    The error axis is logarithmic. White dots are medians, thick bars extend between quartiles. Dashed lines are the
+    medians of a random pose and of the grid pose nearest to the true pose.
     """
     figure, panels, colours = _make_object_panels(runs, title, 4.9, 3.6, 0.5)
     for name, axes in panels.items():
@@ -73,8 +73,8 @@ def _make_object_panels(
 def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: SimulatedTouches, title: str) -> Figure:
     """Draw the best, median and worst touches of an evaluation, by the error of the refined most probable pose.
 
-    The upper row shows the observed contact shapes, the lower row those of the estimated poses without noise, with the
-    observed outline.
+    The upper row shows the observed contact shapes. The lower row shows the contact shapes of the estimated poses
+    without noise, with the observed outline.
     """
     errors_m = evaluation.select_errors(GALLERY_LINE)
     chosen = _choose_touches(errors_m)
@@ -116,14 +116,14 @@ def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> No
 
 
 def _draw_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
-    """Draw a grid behind everything, without a frame at the top and on the right."""
+    """Draw grid lines behind everything, and remove the panel's upper and right borders."""
     axes.set_axisbelow(True)
     axes.grid(axis=axis, color="#e2e8f0", lw=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def _scale_errors(axes: Axes, lowest: float) -> None:
-    """Draw ticks on the shared error axis, whose values are decimal logarithms, down to `lowest`."""
+    """Draw ticks on the shared error axis, whose values are decimal logarithms, from `lowest` upwards."""
     bottom, top = float(np.floor(lowest)), 0.5
     axes.set_ylim(bottom, top)
     decades = np.arange(bottom, 1)
@@ -161,7 +161,7 @@ def _take_logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[n
 
 
 def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
-    """Return up to EACH different touches of each kind, in order of increasing error."""
+    """Return up to EACH best, median and worst touches, each with its kind, in order of increasing error."""
     order = np.argsort(errors_m, kind="stable")
     each = min(EACH, max(1, len(order) // 3))
     middle = (len(order) - each) // 2
@@ -174,8 +174,10 @@ def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
 
 
 def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
-    """Draw the coverage of credible sets against their probability, a curve for each run; and the error of the refined
-    most probable pose against the posterior's entropy, a dot for each touch.
+    """Draw how reliable the posteriors are, in two panels.
+
+    The left panel shows the coverage of credible sets against their probability, with a curve for each run. The right
+    panel shows the error of the refined most probable pose against the posterior's entropy, with a dot for each touch.
     """
     figure = make_figure(11.5, 5.4, constrained=True)
     figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
@@ -210,7 +212,8 @@ def _draw_coverage(axes: Axes, run: Run, colour: str, marker: str) -> None:
 def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
     """Draw a panel for each object: median and quartiles of the normalised error against the number of contacts.
 
-    The lines are best-1 of each encoder, and kinematic of the first. The axis is logarithmic, with mm on the right.
+    The lines are best-1 of each encoder, and kinematic of the first encoder. The error axis is logarithmic; a second
+    axis on the right is in mm.
     """
     figure, panels, colours = _make_object_panels(runs, title, 4.4, 3.4)
     for name, axes in panels.items():
@@ -244,7 +247,7 @@ def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str,
 
 
 def _draw_line(axes: Axes, run: FusionRun, line: str, colour: str, marker: str, label: str) -> None:
-    """Draw medians as a line, quartiles as a band."""
+    """Draw the medians as a line and the quartiles as a band."""
     contacts = run.evaluation.contacts
     found = [run.summarise(line, n, normalised=True) for n in contacts]
     low, median, high = np.maximum([(s.q25, s.median, s.q75) for s in found], FUSION_FLOOR).T

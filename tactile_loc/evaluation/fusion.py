@@ -22,7 +22,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-FUSION_VERSION = 2  # increased when the same localizer would get different numbers
+FUSION_VERSION = 2  # increase if the same localizer gets other results
 FUSION_LINES = ("best-1", "kinematic", "random")
 FUSED_LINES = FUSION_LINES[:2]
 MOST_FUSED = 20
@@ -34,9 +34,9 @@ ARRAYS = ("errors_m", "alone", "refused")
 class FusionEvaluation:
     """Errors of E examples located from each of C numbers of contacts.
 
-    `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, with symmetric poses equal. `alone`
-    (E, C, 2) marks examples in which a line of FUSED_LINES found no pose common to all contacts and used only the first
-    contact. `refused` (E,) is the number of presses that showed no touch; they do not count.
+    `errors_m` (E, C, L), metres, is the ADD of every line of FUSION_LINES, with symmetric poses equal. `alone` (E, C,
+    2) marks examples in which a line of FUSED_LINES found no pose common to all contacts, and used only the first
+    contact. `refused` (E,) is the number of presses that made no touch; they do not count.
     """
 
     contacts: tuple[int, ...]
@@ -49,11 +49,11 @@ class FusionEvaluation:
         return self.errors_m[:, self.contacts.index(contacts), FUSION_LINES.index(line)]
 
     def compute_scale_m(self) -> float:
-        """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
+        """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
         return float(self.errors_m[:, :, FUSION_LINES.index("random")].mean())
 
     def normalise_errors(self, line: str, contacts: int) -> NDArray[np.float64]:
-        """Return the errors (E,) of a line as shares of the mean error of a random pose (unitless)."""
+        """Return the errors (E,) of a line divided by the mean error of a random pose, unitless."""
         return self.select_errors(line, contacts) / self.compute_scale_m()
 
     def count_without_common(self, line: str, contacts: int) -> int:
@@ -64,12 +64,14 @@ class FusionEvaluation:
 def evaluate_fusion(
     localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
 ) -> FusionEvaluation:
-    """Locate `count` examples from each number of `contacts`, by the localizer's fuser and by the kinematic fuser.
+    """Locate `count` examples from each number of `contacts`, with the localizer's fuser and the kinematic fuser.
 
-    Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of the source, so that more contacts only add
-    touches. The object is at rest, and the touches' true poses give the sensor poses. The result is kept in the
-    localizer's store, in shards of SHARD examples, and an interrupted evaluation resumes. Raises ConfigError unless
-    all numbers of contacts are from 1 to MOST_FUSED, and TactileLocError when a touch cannot be located.
+    Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of `touches`. So an example with more contacts has the
+    same touches and further ones. The object is at rest, and the touches' true poses give the sensor poses.
+
+    The result is kept in the localizer's store, in shards of SHARD examples. An interrupted evaluation resumes. Raises
+    ConfigError unless all numbers of contacts are from 1 to MOST_FUSED, and TactileLocError if a touch cannot be
+    located.
     """
     numbers = tuple(sorted(set(contacts)))
     if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
@@ -84,14 +86,14 @@ def evaluate_fusion(
 
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
-    """Return the store's key of an evaluation: everything that its errors depend on."""
+    """Return the store key of an evaluation, made from all inputs of its errors."""
     own: dict[str, Any] = {"kinematic": _make_kinematic().describe(), "contacts": list(contacts)}
     return StageKey("contact-evaluation", FUSION_VERSION, {**describe_located(localizer, touches, count), **own})
 
 
 @dataclass(frozen=True, eq=False)
 class _Examples:
-    """Locates examples from their touches, whose true poses are known."""
+    """Locates examples from touches whose true poses are known."""
 
     localizer: Localizer
     contacts: tuple[int, ...]
@@ -110,7 +112,7 @@ class _Examples:
         return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
     def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
-        """Return each example's posteriors and true poses (M, 4, 4), metres, by touch, and refused presses (E,)."""
+        """Return each example's posteriors and true poses (M, 4, 4), metres, and the refused presses (E,)."""
         most = self.contacts[-1]
         drawn = [self.source.draw_counted(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
         touches = [touch for touch, _ in drawn]
@@ -125,7 +127,7 @@ class _Examples:
     def _locate_example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return one example's errors (C, L) in metres, and where a fuser found no common pose (C, 2)."""
+        """Return one example's errors (C, L), metres, and a mask (C, 2) of the fusers that found no common pose."""
         grid = posteriors[0].grid
         rng = np.random.default_rng(self.source.seed_touch(MOST_FUSED * number, 1))
         guesses = rng.integers(len(grid), size=MOST_FUSED)
@@ -154,7 +156,10 @@ def _make_kinematic() -> Fuser:
 
 
 def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Poses) -> tuple[PosePosterior, bool]:
-    """Fuse touches of sensors at (M, 4, 4), metres; without a common pose, return the first only, and True."""
+    """Fuse touches of sensors at (M, 4, 4), metres; return the posterior and False.
+
+    If no pose is common to all touches, return the posterior of the first touch and True.
+    """
     try:
         return fuser.fuse(posteriors, list(T_base_sensor)), False
     except GridError:
@@ -162,6 +167,6 @@ def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Pose
 
 
 def _draw(posterior: PosePosterior, lot: float) -> int:
-    """Return the index of the most probable pose; the lot (0 to below 1) decides between equally probable ones."""
+    """Return the index of the most probable pose; `lot`, 0 to below 1, decides between equally probable poses."""
     most = np.flatnonzero(posterior.log_p == posterior.log_p.max())
     return int(most[int(lot * len(most))])

@@ -30,7 +30,8 @@ class FusionRun(tabular.EvaluatedObject):
 def tabulate_medians(runs: Sequence[FusionRun], normalised: bool = False) -> tabular.Table:
     """Return a row for each run and line of FUSED_LINES: the median error by number of contacts.
 
-    It is in mm, or a share of a random pose's mean error if `normalised`. All runs have the same numbers of contacts.
+    Errors are in mm or, if `normalised`, divided by the mean error of a random pose. All runs have the same numbers of
+    contacts.
     """
     contacts, write = runs[0].evaluation.contacts, "{:.3f}".format if normalised else format_mm
     rows = []
@@ -68,7 +69,7 @@ def format_csv(runs: Sequence[FusionRun]) -> str:
 
 
 def record_runs(runs: Sequence[FusionRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything as JSON values in SI units; `protocol` states the number of examples, noise and seed."""
+    """Return all results as JSON values in SI units; `protocol` states the number of examples, noise and seed."""
     asked = {"version": FUSION_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol}
     return tabular.build_document(SCHEMA_VERSION, asked, [_record_run(run) for run in runs])
 

@@ -1,9 +1,9 @@
 """Errors of estimated poses, in metres of object surface, and metrics of posteriors.
 
-All take symmetry into account: an estimate is compared with every pose that is symmetric to the true one. ADD is the
-mean distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020). ADD-S is
-the mean distance to the nearest surface point, which ignores all differences between similar views. The metrics of a
-posterior are likelihood, credible level, entropy, spread and coverage.
+All errors take symmetry into account: an estimate is compared with every pose that is symmetric to the true one. ADD is
+the mean distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest distance (Hodan et al., ECCV
+2020). ADD-S is the mean distance to the nearest surface point, which ignores all differences between similar views. The
+metrics of a posterior are likelihood, credible level, entropy, spread and coverage.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation.rolls import find_least_largest, find_least_mean
 
-FEW_SYMMETRIES = 8  # up to this number, all are measured with all points
-ALIKE = 1.25  # times the least root mean square distance: symmetries up to here may have the least mean distance
-TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: number tried, points to try, number measured fully
+FEW_SYMMETRIES = 8  # up to this number of symmetries, all are measured with all points
+ALIKE = 1.25  # symmetries are tried up to this multiple of the least root mean square distance
+TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, points per try, fully measured ones
 AT_ONCE = 32  # transforms applied to all points at once
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)
-STEP_M = 2e-5  # of a continuous symmetry, to find the nearest symmetric pose
+STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
 Points = NDArray[np.float64]
 
@@ -37,10 +37,11 @@ def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
 
 
 def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true one (4, 4).
+    """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true pose (4, 4).
 
-    If there are many symmetries, the cheap root mean square distance selects some. They are tried with a few of the
-    points (P, 3), and the best are measured with all. For a continuous axis, the best roll is searched.
+    If there are many symmetries, some with a small root mean square distance are selected. These symmetries are tried
+    with a few of the points (P, 3), and the best are measured with all points. For a continuous axis, the best roll is
+    searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
@@ -57,9 +58,9 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
 def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
     """Return MSSD (K,), metres: the largest surface distance between estimates (K, 4, 4) and the true pose (4, 4).
 
-    It is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
-    function of the point. Symmetries are tried in order of root mean square distance, a lower bound of the largest
-    distance. So no better symmetry is left out. For a continuous axis, the best roll is searched.
+    MSSD is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
+    function of the point. Symmetries are tried in order of root mean square distance, which is a lower bound of the
+    largest distance. So no better symmetry is left out. For a continuous axis, the best roll is searched.
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
@@ -69,11 +70,14 @@ def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true
 
 
 def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
-    """Return ADD-S (ADI) (K,), metres: the mean distance from object points (P, 3) at the true pose (4, 4) to the
-    nearest point at the estimates (K, 4, 4). The mean is over every `every`-th point; all points can be nearest."""
+    """Return ADD-S (ADI) (K,), metres, of estimates (K, 4, 4) and the true pose (4, 4).
+
+    This is the mean distance from object points (P, 3) at the true pose to the nearest point at the estimate. The mean
+    is over every `every`-th point, but any point can be the nearest.
+    """
     from scipy.spatial import cKDTree
 
-    tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame: rigid motions keep distances
+    tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
 
 
@@ -87,7 +91,7 @@ def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[n
 
 
 def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Choose TRIED of the symmetries (K, E) of each estimate, evenly among those near the least distance."""
+    """Choose TRIED of the E symmetries for each estimate, spread evenly over those near the least distance."""
     order = np.argsort(rms_m, axis=1)
     least = np.take_along_axis(rms_m, order[:, :1], axis=1)
     count = (rms_m <= ALIKE * least).sum(axis=1)
@@ -109,7 +113,7 @@ def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float6
 
 
 def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
-    """Return the least, over differences of poses (E, 4, 4), of the largest distance of a corner (V, 3), metres."""
+    """Return the least, over E differences of poses (E, 4, 4), of the largest distance of any corner (V, 3), metres."""
     order = np.argsort(rms_m)
     least = np.inf
     for start in range(0, len(order), AT_ONCE):
@@ -123,9 +127,10 @@ def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.
 def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return the POSTERIOR_METRICS (5,) of a posterior with a known true pose (4, 4), metres.
 
-    `nll`, nats: of the grid pose nearest to the truth. `credible_level`: the probability of the smallest credible set
-    that holds that pose, drawn at random within its own share. `entropy`, nats. `expected_error` and `spread`, metres:
-    the posterior's mean distance from the truth, and from the most probable pose, with symmetric poses equal.
+    `nll`, nats, is the negative log-likelihood of the grid pose nearest to the true pose. `credible_level`, 0 to 1, is
+    the total probability of all poses likelier than this grid pose, plus a random share of its own probability.
+    `entropy` is in nats. `expected_error` and `spread`, metres, are the mean distances of the posterior's poses from
+    the true pose and from the most probable pose. Symmetric poses count as equal.
     """
     p = posterior.probabilities
     truth = int(posterior.grid.nearest(T_true[None])[1][0])
@@ -138,8 +143,9 @@ def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
 def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.float64], T_true: Poses) -> float:
     """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
 
-    e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the nearest pose that is
-    symmetric to the true one (4, 4). Its mean is 6 (chi-squared) if the covariances are true and the errors Gaussian.
+    e (6,) is the error of x, y, z and of the rotation vector, along the sensor's axes. The error is measured from the
+    pose nearest to the estimate among the poses symmetric to the true pose (4, 4). The mean of e^T C^-1 e is 6
+    (chi-squared) if the covariances are true and the errors Gaussian.
     """
     T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
     rotation = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
@@ -149,9 +155,10 @@ def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.f
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """Summary of many touches' posteriors: means over touches, lengths in metres, nll in nats.
+    """Means over the posteriors of many touches, lengths in metres, entropy and likelihoods in nats.
 
-    `coverage` holds the shares of touches whose truth is in the credible set of each of LEVELS.
+    `uniform_nll` is the negative log-likelihood of a uniform posterior. `coverage` has, for each of LEVELS, the share
+    of touches whose true pose is in the credible set of this level.
     """
 
     nll: float

@@ -1,4 +1,4 @@
-"""The paper's protocol for one simulated touch: errors of the estimates, and the least errors that the grid allows."""
+"""The paper's protocol for one simulated touch: errors of estimates, and the least errors that the grid allows."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 
-PROTOCOL_VERSION = 3  # increased when the same localizer would get different numbers
+PROTOCOL_VERSION = 3  # increase if the same localizer gets other results
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
 SURFACE_POINTS = 10_000
 ASKED_EVERY = 10  # step through the surface points, for ADD-S
 MOST, FEW = 50, 10  # candidates of best-50, and of best-10, chosen, reg-10 and random-10
-NEAR = 32  # nearest grid poses by root mean square distance: candidates for the nearest by ADD
+NEAR = 32  # grid poses nearest by root mean square distance, among which the nearest by ADD is sought
 SHARD = 25  # touches located and saved at once
 MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
 ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
 def sample_surface(obj: ObjectModel) -> NDArray[np.float64]:
-    """Return the object's points (SURFACE_POINTS, 3), metres, for ADD: always the same."""
+    """Return the object's points (SURFACE_POINTS, 3), metres, for ADD; they are always the same."""
     return obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTouch:
-    """One touch's row of an `Evaluation`: errors (L, M) and poses (L, 4, 4), metres, seconds (S,), metrics (B,)."""
+    """One touch's row of an `Evaluation`: errors (L, M) and poses (L, 4, 4), metres, seconds (S,), and metrics (B,)."""
 
     errors_m: NDArray[np.float64]
     T_sensor_object: Poses
@@ -65,7 +65,8 @@ class TouchEvaluator:
     def measure(self, touch: Touch, rng: np.random.Generator) -> MeasuredTouch:
         """Locate a touch with a known pose and measure the errors.
 
-        `rng` draws the random poses. The refinement's time is for one pose. Raises TouchError without a true pose.
+        `rng` draws the random poses. The time of refinement is the time for one pose. Raises TouchError without a true
+        pose.
         """
         truth = require_true_pose(touch)
         times = StageTimes()
@@ -81,7 +82,7 @@ class TouchEvaluator:
         return MeasuredTouch(errors_m, poses, seconds, metrics)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
-        """Return the refined grid poses `top` (K,), and the first one's time, seconds."""
+        """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the seconds for the first pose."""
         start = time.perf_counter()
         (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
         seconds = time.perf_counter() - start
@@ -92,7 +93,7 @@ class TouchEvaluator:
         self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], refined: Poses,
         chosen: int,
     ) -> Poses:  # fmt: skip
-        """Return the pose (L, 4, 4) of each line: the line's candidate that is nearest to the truth by ADD."""
+        """Return each line's pose (L, 4, 4), metres: the line's candidate nearest to the true pose by ADD."""
         near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
         on_grid = np.concatenate([top, guesses, near])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
@@ -106,7 +107,7 @@ class TouchEvaluator:
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
     def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
-        """Return the errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""
+        """Return the errors (L, M), metres, of poses (L, 4, 4); equal poses are measured only once."""
         obj = self.localizer.object
         distinct, where = np.unique(poses.reshape(len(poses), 16), axis=0, return_inverse=True)
         distinct = distinct.reshape(-1, 4, 4)
@@ -126,11 +127,11 @@ class TouchEvaluator:
 class Evaluation:
     """Errors of T located simulated touches.
 
-    `errors_m` (T, L, M): metres, of every line of LINES by every metric of METRICS. `T_sensor_object` (T, L, 4, 4): the
-    line's final pose, metres. `seconds` (T, S): the duration of every stage of STAGES; one pose is refined.
-    `posterior_metrics` (T, B): POSTERIOR_METRICS, metres and nats. `ambiguity` (T,): ratios of `measure_ambiguity`,
-    unitless. `contact_share` (T,): share of the observed pixels in contact, 0 to 1. `refused` (T,): presses before each
-    touch that showed no touch and do not count.
+    `errors_m` (T, L, M), metres, has every line of LINES and every metric of METRICS. `T_sensor_object` (T, L, 4, 4),
+    metres, is each line's final pose. `seconds` (T, S) are the durations of STAGES, with one pose refined.
+    `posterior_metrics` (T, B) are POSTERIOR_METRICS, metres and nats. `ambiguity` (T,) are the ratios of
+    `measure_ambiguity`, unitless. `contact_share` (T,), 0 to 1, is the share of the observed pixels in contact.
+    `refused` (T,) is the number of presses before each touch that made no touch and do not count.
     """
 
     errors_m: NDArray[np.float64]
@@ -143,7 +144,7 @@ class Evaluation:
 
     @property
     def ambiguous(self) -> NDArray[np.bool_]:
-        """Whether a distant pose explains a touch (T,) as well as the true one, within noise."""
+        """Whether a distant pose explains each touch (T,) as well as the true pose does, within noise."""
         return self.ambiguity < AMBIGUOUS
 
     def select_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
@@ -151,11 +152,11 @@ class Evaluation:
         return self.errors_m[:, LINES.index(line), METRICS.index(metric)]
 
     def compute_scale_m(self, metric: str = "add") -> float:
-        """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
+        """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
         return float(self.select_errors("random", metric).mean())
 
     def normalise_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
-        """Return the errors (T,) of a line as shares of the mean error of a random pose (unitless)."""
+        """Return the errors (T,) of a line divided by the mean error of a random pose, unitless."""
         return self.select_errors(line, metric) / self.compute_scale_m(metric)
 
     def select_poses(self, line: str) -> Poses:
@@ -168,10 +169,11 @@ class Evaluation:
 
 
 def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Evaluation:
-    """Locate the first `count` of simulated touches and measure all LINES.
+    """Locate the first `count` of the simulated touches and measure all LINES.
 
     The result is kept in the localizer's store, in shards of SHARD touches. An interrupted evaluation resumes with the
-    same errors. All encoders get the same touches and the same random poses. Raises TactileLocError.
+    same errors. All encoders get the same touches and the same random poses. Raises TactileLocError if a touch cannot
+    be located.
     """
 
     def run(work: Workspace) -> None:
@@ -183,7 +185,7 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
 
 
 def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
-    """Return the store's key of an evaluation: everything that its errors depend on."""
+    """Return the store key of an evaluation, made from all inputs of its errors."""
     refiner = {"refiner": localizer.refinement.refiner.describe()}
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
@@ -193,7 +195,7 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
     localizer = evaluator.localizer
     touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
     for touch in touches:
-        localizer.listed.matcher(touch.press_depth_m)  # built now, because a touch's time excludes it
+        localizer.listed.matcher(touch.press_depth_m)  # built now, because the time of a touch must not include it
     localizer.find_most_probable_pose(touches[0])  # libraries are loaded now, too
     noise = make_noise(choose_judging_noise(source.noise))
     rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
@@ -217,9 +219,9 @@ def measure_contact_share(touch: Touch) -> float:
 def save_in_shards(
     work: Workspace, names: Sequence[str], count: int, size: int, make: Callable[[range], Arrays]
 ) -> None:
-    """Save the arrays `names`, with a row for each of `count` numbers; `make` makes them in shards of `size`.
+    """Save the arrays `names`, each with a row for each of `count` numbers, which are made in shards of `size`.
 
-    `make` takes a range of numbers and returns an array of their rows for each name. Shards that an interrupted run
+    `make` takes a range of numbers, and returns an array of their rows for each name. Shards that an interrupted run
     saved are loaded.
     """
     every = range(count)
@@ -229,7 +231,7 @@ def save_in_shards(
 
 
 def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Callable[[range], Arrays]) -> Arrays:
-    """Return the arrays of some numbers, loaded if an interrupted run saved them."""
+    """Return the arrays of some numbers, made now, or loaded if an interrupted run saved them."""
     own = [f"{name}-{numbers.start:06d}" for name in names]
     found: Arrays = [array for array in (work.load(name, keep=False) for name in own) if array is not None]
     if len(found) < len(own):
@@ -240,7 +242,7 @@ def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Cal
 
 
 def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int) -> dict[str, Any]:
-    """Return everything that the posteriors of `count` simulated touches, also fused, depend on, as JSON values."""
+    """Return all inputs of the posteriors of `count` simulated touches, also fused, as JSON values."""
     matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return {
         **localizer.describe_scores(), "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),

@@ -1,7 +1,7 @@
 """Simulated touches of a robot: from any direction, including edges and corners, drawn by another renderer.
 
-They are independent of the software that locates them: they use no face and no grid, and a few pixels of contact are
-enough. A press that a sensor cannot distinguish from no touch is refused and counted.
+The touches are independent of the software that locates them: they use no face and no grid, and a few pixels of contact
+are enough. A press that a sensor cannot distinguish from no touch is refused and counted.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
 
-INSIDE = 0.8  # share of the sensing rectangle's sides, about its centre, for the object's lowest point
+INSIDE = 0.8  # the object's lowest point lies in this share of the sensing rectangle, about its centre
 MOST_DRAWS = 1000
-CLEAR_M = 0.02  # between the object's bounding sphere and a sensor at its start
+CLEAR_M = 0.02  # distance between the object's bounding sphere and a sensor at its start
 NO_NOISE = TouchNoise()
 
 
 @dataclass(frozen=True, eq=False)
 class RobotTouches:
-    """Draws touches of an object from random directions, with its own `renderer`.
+    """Draws touches of an object from random directions, with a `renderer` of its own.
 
-    Each press is uniform between the shares `press` of the maximal depth. Before `noise`, at least `least_percent` of
-    the observed pixels are in contact. `sensor_std_m` and `sensor_std_rad` are the standard errors of the touches'
-    sensor poses, along and about each axis.
+    Each press is drawn uniformly between the shares `press` of the maximal depth. Without `noise`, at least
+    `least_percent` of the observed pixels are in contact. `sensor_std_m` and `sensor_std_rad` are the standard errors
+    of the touches' sensor poses, along and about each axis.
     """
 
     object: ObjectModel
@@ -47,9 +47,9 @@ class RobotTouches:
     sensor_std_rad: float = 0.0
 
     def draw_example(self, count: int, rng: np.random.Generator) -> tuple[list[Touch], int]:
-        """Return `count` touches of the object, which is at rest, and the number of refused presses.
+        """Return `count` touches of the object at rest, and the number of refused presses.
 
-        The base frame is the object's. Raises TouchError when hardly any press shows a touch.
+        The base frame is the object's. Raises TouchError if hardly any press makes a touch.
         """
         touches: list[Touch] = []
         refused = 0
@@ -69,8 +69,8 @@ class RobotTouches:
     ) -> Touch | None:
         """Return the touch of a sensor that moves along its z from `T_base_sensor` (4, 4) until contact, and presses.
 
-        The base frame is the object's; lengths are in metres. Return None without contact within `travel_m`, for a
-        start inside the object, or without a usable touch.
+        The base frame is the object's; lengths are in metres. Returns None if there is no contact within `travel_m`, if
+        the sensor starts inside the object, or if the press makes no usable touch.
         """
         start = invert(T_base_sensor)
         contact, touching = bring_to_contact(self.object.mesh, start[None], self.geometry)
@@ -85,7 +85,7 @@ class RobotTouches:
     def draw_grip(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
         """Return the two touches of a gripper that closes on the object: the second sensor faces the first.
 
-        Raises TouchError when hardly any grip shows two touches.
+        Raises TouchError if hardly any grip makes two touches.
         """
         facing = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
         scene = Scene(self.object, self.geometry, self.renderer)
@@ -104,9 +104,9 @@ class RobotTouches:
         raise TouchError(f"hardly any grip of {self.object.name} shows a touch at both fingers; press deeper")
 
     def draw_pose(self, rng: np.random.Generator) -> Poses | None:
-        """Draw a pose (4, 4), metres, that just touches; None if it misses.
+        """Draw a pose (4, 4), metres, in which the object just touches the sensor; None if it misses the sensor.
 
-        The rotation is random, and the lowest point is over a random point of the sensor.
+        The rotation is random, and the object's lowest point is over a random point of the sensor.
         """
         R = draw_rotations(1, rng)[0]
         rotated = self.object.mesh.vertices_m @ R.T
@@ -124,7 +124,10 @@ class RobotTouches:
         return self.draw_touch(T, press_m, name, rng)
 
     def draw_touch(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
-        """Return the touch of a pressed pose (4, 4), metres, or its error; None if its contact is too small."""
+        """Return the touch of a pressed pose (4, 4), metres; None if its contact is too small.
+
+        Returns the TouchError if a sensor cannot distinguish the press from no touch.
+        """
         geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
         clean = Scene(self.object, geometry, self.renderer).render_contact_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
@@ -143,7 +146,7 @@ class RobotTouches:
             return error
 
     def misplace(self, T_base_sensor: Poses, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Poses:
-        """Return a sensor's pose (4, 4), metres, with an error of `turn` and `shift` (3,) standard deviations.
+        """Return a sensor's pose (4, 4), metres, with an error of `turn` and `shift` (3,), in standard deviations.
 
         The rotation is about axes through the middle of the gel, where the touch is. The shift is along the sensor's
         axes.
@@ -164,7 +167,7 @@ def move_about_gel(geometry: SensorGeometry, turn_rad: NDArray[np.float64], shif
 def measure_noisily(
     noise: TouchNoise, clean_m: Float32, press_m: float, geometry: SensorGeometry, rng: np.random.Generator
 ) -> tuple[Float32, float]:
-    """Return the measured contact shape (H, W) and press depth of a clean contact shape (1, H, W), metres."""
+    """Return the measured contact shape (H, W) and press depth of a clean contact shape (1, H, W), all in metres."""
     press, deepest_m = np.array([press_m]), geometry.max_depth_m
     measured = noise.measure_press(press, deepest_m, rng)
     return noise.cut(noise.corrupt(clean_m, press, geometry, rng), press, measured)[0], float(measured[0])
@@ -173,7 +176,7 @@ def measure_noisily(
 def draw_approaches(
     obj: ObjectModel, geometry: SensorGeometry, count: int, press: float, rng: np.random.Generator
 ) -> list[Approach]:
-    """Return approaches from random directions, in the object's frame, aimed at random points of its surface.
+    """Return approaches from random directions, in the object's frame, aimed at random points of the object's surface.
 
     Sensors start clear of the object, and press by the share `press` of the maximal depth.
     """

@@ -1,10 +1,11 @@
-"""Finds the roll about a continuous axis of symmetry that minimizes the mean or the largest distance of two poses.
+"""Rolls about a continuous axis of symmetry that minimize the mean or the largest distance of two poses.
 
 As a function of the roll theta, a surface point's squared distance is a sinusoid, a + b cos(theta) + c sin(theta). The
-mean of the squares has its minimum in closed form. The mean distance, ADD, is minimized by Weiszfeld's iteration: means
-of squares, each weighted by one over the previous distance. The largest distance, MSSD, has kinks and several minima.
-In an interval of rolls, its lower bound is the largest of the sinusoids' minima. Intervals that could hold a better
-roll are halved, until none could be better by PRECISION_M.
+minimum of the mean of these squares has a closed form. Weiszfeld's iteration minimizes the mean distance, ADD: in each
+round, it minimizes the mean of squares, each weighted by one over the previous distance.
+
+The largest distance, MSSD, has kinks and several minima. In an interval of rolls, its lower bound is the largest of the
+sinusoids' minima. Intervals that could contain a better roll are halved, until none could be better by PRECISION_M.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 
-TRIED, TRIED_POINTS = 64, 300  # rolls, and points, to find a start near the least mean distance
-ROUNDS_FEW, ROUNDS_ALL = 12, 3  # of Weiszfeld's iteration, with few of the points and with all
-COINCIDENT_M = 1e-9  # smaller distances count as this one
-PRECISION_M, INTERVALS = 1e-7, 24  # of the largest distance; first number of intervals
+TRIED, TRIED_POINTS = 64, 300  # rolls and points that are tried to find a start near the least mean distance
+ROUNDS_FEW, ROUNDS_ALL = 12, 3  # rounds of Weiszfeld's iteration, with few points and with all points
+COINCIDENT_M = 1e-9  # smaller distances count as this distance
+PRECISION_M, INTERVALS = 1e-7, 24  # precision of the largest distance; first number of intervals
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least mean distance, metres, of points (P, 3) between a pose (4, 4) and the rolled true pose (4, 4).
 
-    The object has a continuous axis of symmetry.
+    The least is over all rolls about the object's continuous axis of symmetry.
     """
     few_m = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
     few = [_fit_sinusoids(obj, few_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
@@ -42,7 +43,7 @@ def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true
 def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least largest distance, metres, of points (P, 3) between a pose and the rolled true pose (4, 4).
 
-    The object has a continuous axis of symmetry. The result is exact to PRECISION_M.
+    The least is over all rolls about the object's continuous axis of symmetry. The result is exact to PRECISION_M.
     """
     flips = [_fit_sinusoids(obj, corners_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
     best_m = min(float(_measure_distances(s, _find_lowest(s.mean(axis=0))).max()) for s in flips)
@@ -58,12 +59,12 @@ def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_
 
 
 def _list_flips(obj: ObjectModel) -> Poses:
-    """Return the symmetry's elements (F, 4, 4) apart from its axis: the identity, perhaps half a turn across it."""
+    """Return the symmetry's elements (F, 4, 4) without rolls: the identity, and perhaps half a turn across the axis."""
     return obj.symmetry.list_elements(np.pi)[::2]
 
 
 def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:
-    """Return the squared distances (P, 3) of points (P, 3) between poses (4, 4): a, b and c, m^2."""
+    """Return the sinusoids (P, 3), a, b and c, m^2, of the squared distances of points (P, 3) between poses (4, 4)."""
     axis = np.asarray(obj.symmetry.continuous_axis)
     offset = points_m - obj.symmetry.centre_m
     along = (offset @ axis)[:, None] * axis
@@ -86,7 +87,7 @@ def _measure_distances(sinusoids: Array, rolls: Array | float) -> Array:
 
 
 def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
-    """Return the least distances (I, P), metres, over rolls from middles (I,) - half to middles + half."""
+    """Return the least distances (I, P), metres, at rolls within `half` of `middles` (I,), radians."""
     ends = np.minimum(_measure_distances(sinusoids, middles - half), _measure_distances(sinusoids, middles + half))
     lowest = sinusoids[:, 0] - np.hypot(sinusoids[:, 1], sinusoids[:, 2])
     off = (_find_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi
@@ -94,7 +95,10 @@ def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
 
 
 def _iterate_weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:
-    """Return the roll, radians, after some rounds towards the least mean of the distances whose squares are (P, 3)."""
+    """Return the roll, radians, after `rounds` of Weiszfeld's iteration for the mean distance.
+
+    `sinusoids` (P, 3) are the squared distances.
+    """
     for _ in range(rounds):
         roll = _find_lowest((1.0 / np.maximum(_measure_distances(sinusoids, roll), COINCIDENT_M)) @ sinusoids)
     return roll

@@ -1,7 +1,7 @@
 """Sequences of touches: a sensor that slides and rotates over an object at rest, at its camera's rate.
 
-The first pose is random, as in `robot_touches`. From there the sensor moves with smoothly changing speeds and a
-smoothly changing press, and reverses before it loses contact or hits a wall.
+The first pose is random, as in `robot_touches`. From there, the sensor moves with smoothly changing speeds and a
+smoothly changing press. It reverses before it loses contact or hits a wall.
 """
 
 from __future__ import annotations
@@ -22,21 +22,23 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.touch_simulation import lower
 from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
 
-WAVES = 3  # added up to a smoothly changing number
-SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # of the waves
-MOST_RISE_M = 2e-4  # of the object between two frames; a higher step is a wall
-INSIDE = 0.8  # share of the sensing rectangle's sides, about its centre, for the middle of the contact
+WAVES = 3  # sine waves whose sum is a smoothly changing number
+SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # frequencies of the waves
+MOST_RISE_M = 2e-4  # the object rises at most by this between two frames; a higher step is a wall
+INSIDE = 0.8  # the contact's middle stays in this share of the sensing rectangle, about its centre
 MOST_STARTS = 100
-PARTS = np.array([[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 0, 0, 0], [0, 0, 0, 0, 1]])  # all, rotation, sliding, yaw
+# parts of a step: the whole step, its rotation, its sliding, its rotation about the sensor's z axis
+PARTS = np.array([[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 0, 0, 0], [0, 0, 0, 0, 1]])
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame, `time_s` after the first: its `touch`, None without a touch, and its poses (4, 4), metres.
+    """One frame, `time_s` after the first frame: its `touch`, None without a touch, and its poses (4, 4), metres.
 
-    `T_base_sensor` is the reported pose, as in the touch; `T_sensor_object` is the true pose.
+    `T_base_sensor` is the reported pose of the sensor, as in the touch. `T_sensor_object` is the true pose of the
+    object.
     """
 
     time_s: float
@@ -56,10 +58,10 @@ class Slip(NamedTuple):
 class SlidingTouches:
     """Draws sequences of touches of an object over which a sensor slides and rotates.
 
-    `source` sets object, sensor, press, renderer, noise and the error of reported sensor poses. `speed_m_s` and
-    `turn_rad_s` are root mean squares of the speeds along the gel's two axes, and of the rotation about the sensor's
-    three. The gel's noise stays the same for `noise_s` seconds; the error of the sensor's pose changes smoothly in the
-    same time.
+    `source` sets the object, sensor, press, renderer, noise and error of the reported sensor poses. `speed_m_s` is the
+    root mean square speed along each of the gel's two axes. `turn_rad_s` is the root mean square rate of rotation about
+    each of the sensor's three axes. The gel's noise stays the same for `noise_s` seconds. The error of the sensor's
+    pose changes smoothly in the same time.
     """
 
     source: RobotTouches
@@ -73,14 +75,14 @@ class SlidingTouches:
     ) -> list[Frame]:
         """Return `count` frames; at frame `jump_at`, the object jumps, unreported, to a random pose or by a `slip`.
 
-        The base frame is the object's before it jumps. Raises TouchError when hardly any start, or slip, shows a touch.
+        The base frame is the object's before it jumps. Raises TouchError if hardly any start, or slip, makes a touch.
         """
         errors = draw_correlated(count, 1 / (self.rate_hz * self.noise_s), 6, rng)
         frames: list[Frame] = []
         T_base_object = T_base_sensor = np.eye(4)
         for k, (T_sensor_object, touch) in enumerate(self._draw_path(count, rng, jump_at, slip)):
             if k == jump_at:
-                T_base_object = T_base_sensor @ T_sensor_object  # the sensor is where it was
+                T_base_object = T_base_sensor @ T_sensor_object  # the sensor has not moved
             T_base_sensor = T_base_object @ invert(T_sensor_object)
             reported = self.source.misplace(T_base_sensor, *errors[k].reshape(2, 3))
             named = None if touch is None else replace(touch, name=f"frame-{k:04d}", T_base_sensor=reported)
@@ -90,7 +92,7 @@ class SlidingTouches:
     def _draw_path(
         self, count: int, rng: np.random.Generator, jump_at: int | None, slip: Slip | None
     ) -> Iterator[tuple[Poses, Touch | None]]:
-        """Yield the poses T_sensor_object (4, 4), metres, of a slide, and its touches."""
+        """Yield the poses T_sensor_object (4, 4), metres, of a slide, each with its touch, None without a touch."""
         dt_s = 1 / self.rate_hz
         speeds = draw_smooth(count, dt_s, 5, rng) * ([self.speed_m_s] * 2 + [self.turn_rad_s] * 3)
         presses_m = self._draw_presses(draw_smooth(count, dt_s, 1, rng)[:, 0])
@@ -106,13 +108,13 @@ class SlidingTouches:
             yield _press(T, press_m), touch
 
     def _draw_presses(self, wandering: Floats) -> Floats:
-        """Return presses (N,), metres, in the source's range, from smooth random numbers (N,)."""
+        """Return presses (N,), metres, in the source's range, from smoothly changing numbers (N,)."""
         low, high = self.source.press
         share = low + (high - low) * (0.5 + 0.5 * np.tanh(wandering))
         return np.asarray(self.source.geometry.max_depth_m * share)
 
     def _start(self, random_pose: Callable[[], Poses | None], press_m: float, gel: int) -> tuple[Poses, Touch | None]:
-        """Return a random pose that just touches, and its touch."""
+        """Return a random pose in which the object just touches the sensor, and the touch."""
         for _ in range(MOST_STARTS):
             T = random_pose()
             touch = None if T is None else self._draw_touch(T, press_m, gel)
@@ -121,7 +123,7 @@ class SlidingTouches:
         raise TouchError(f"hardly any press of {self.source.object.name} shows a touch; press deeper")
 
     def _slip(self, T: Poses, slip: Slip, rng: np.random.Generator) -> Poses | None:
-        """Return a pose that just touches, a slip in a random direction from T (4, 4); None without contact."""
+        """Return the pose (4, 4) after a slip from T (4, 4) in a random direction; None without contact."""
         step = np.concatenate([slip.shift_m * _draw_direction(2, rng), slip.turn_rad * _draw_direction(3, rng)])
         moved, touching = self._follow(T, step)
         return moved if touching else None
@@ -131,9 +133,9 @@ class SlidingTouches:
     ) -> tuple[Poses, Touch | None, float]:
         """Return the pose after a step (5,), its touch, and the direction, which reverses if the step is impossible.
 
-        If both directions are impossible, parts of the step are tried. A contact may be too far from the middle if it
-        already was, because the press became lighter. A pose without a valid touch, such as on a flat face, is
-        possible.
+        If both directions are impossible, parts of the step are tried. A contact must stay near the middle of the
+        sensor (INSIDE), unless it was already farther out before the step, because the press became lighter. A pose
+        without a valid touch, such as on a flat face, is possible.
         """
         here = partial(self._draw_touch, T, press_m, gel)
         outside = INSIDE
@@ -151,7 +153,7 @@ class SlidingTouches:
         return T, stayed if isinstance(stayed, Touch) else None, -direction
 
     def _follow(self, T: Poses, step: Floats) -> tuple[Poses, bool]:
-        """Return the pose that just touches after a step from T (4, 4), and whether it touches.
+        """Return the pose after a step from T (4, 4), brought to contact, and whether there is contact.
 
         The object slides by step[:2], metres, and rotates by step[2:], radians, about the gel's middle.
         """
@@ -164,7 +166,10 @@ class SlidingTouches:
         return self.source.draw_touch(_press(T, press_m), press_m, "frame", np.random.default_rng(gel))
 
     def _measure_outside(self, touch: Touch | TouchError | None) -> float:
-        """Return the position of the contact's middle: 0 in the middle of the sensing rectangle, 1 at its border."""
+        """Return the distance of the contact's middle from the centre of the sensing rectangle.
+
+        The distance is relative: 0 at the centre, 1 at the border, inf without contact.
+        """
         if not isinstance(touch, Touch):
             return np.inf if touch is None else 0.0
         geometry = touch.geometry
@@ -185,9 +190,9 @@ def _press(T: Poses, press_m: float) -> Poses:
 
 
 def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:
-    """Return smoothly changing numbers (count, columns), every `dt_s` seconds, of root mean square 1.
+    """Return smoothly changing numbers (count, columns), one row every `dt_s` seconds, with a root mean square of 1.
 
-    Each column is a sum of WAVES with random frequency and phase.
+    Each column is a sum of WAVES sine waves with random frequencies and phases.
     """
     t_s = dt_s * np.arange(count)[:, None, None]
     frequency = rng.uniform(SLOWEST_HZ, FASTEST_HZ, (columns, WAVES))
@@ -196,7 +201,7 @@ def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator)
 
 
 def draw_correlated(count: int, share: float, columns: int, rng: np.random.Generator) -> Floats:
-    """Return standard normal numbers (count, columns) of a first-order autoregressive process.
+    """Return standard normal numbers (count, columns), each column from a first-order autoregressive process.
 
     The correlation of rows k apart is (1 - share)^k.
     """

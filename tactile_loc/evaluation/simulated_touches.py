@@ -18,16 +18,16 @@ from tactile_loc.locate.localizer import Localizer
 
 log = logging.getLogger(__name__)
 
-MOST_DRAWS = 20  # of a touch whose image shows no contact
+MOST_DRAWS = 20  # most draws of one touch, in case its image shows no contact
 
 
 @dataclass(frozen=True)
 class SimulatedTouches:
     """Touches of a localizer's object with a noise of `tactile_loc.core.simulation.noise`.
 
-    Touch i of a seed is always the same, with any number of touches and any encoder. With `images`, the sensor, which
-    must be calibrated on simulated images, reads each touch from an image made with the same lamps. The only noise is
-    then the camera's. With images, raises ConfigError for any noise but "none".
+    Touch i of a seed is always the same, with any number of touches and any encoder. With `images`, the sensor reads
+    each touch from a simulated image made with the lamps of its calibration. The sensor must be calibrated on simulated
+    images, and the only noise is the camera's. Raises ConfigError for `images` with any noise except "none".
     """
 
     noise: str = "none"
@@ -46,7 +46,7 @@ class SimulatedTouches:
         """Return touch `number` with its true pose, and the number of presses refused before it.
 
         A touch whose image shows no contact is drawn again, with a warning. Raises CalibrationError, ConfigError or
-        TouchError when no image can be made or read.
+        TouchError if no image can be made or read.
         """
         refused = 0
         for draw in range(MOST_DRAWS):
@@ -71,7 +71,7 @@ class SimulatedTouches:
                 localizer.sensor.simulated_image(shape, np.random.default_rng(0))
 
     def describe_kind(self) -> str:
-        """Return the kind of the touches, for titles."""
+        """Return a short description of the touches, for titles."""
         return "as images" if self.images else f"noise: {self.noise}"
 
     def seed_touch(self, number: int, purpose: int) -> np.random.SeedSequence:
@@ -79,7 +79,7 @@ class SimulatedTouches:
         return np.random.SeedSequence([self.seed, number, purpose])
 
     def describe(self, localizer: Localizer) -> dict[str, Any]:
-        """Return everything that the touches of a localizer depend on, as JSON values."""
+        """Return all inputs of a localizer's touches, as JSON values."""
         described: dict[str, Any] = {"noise": make_noise(self.noise).describe(), "seed": self.seed}
         return described | ({"images": localizer.sensor.describe()} if self.images else {})
 
@@ -93,14 +93,17 @@ class SimulatedTouches:
 
 
 def require_true_pose(touch: Touch) -> NDArray[np.float64]:
-    """Return a touch's true pose (4, 4), metres. Raises TouchError when it is unknown."""
+    """Return a touch's true pose (4, 4), metres. Raises TouchError if the pose is unknown."""
     if touch.T_sensor_object is None:
         raise TouchError(f"{touch.name} has no true pose to compare with; give a touch from tactile-loc simulate")
     return touch.T_sensor_object
 
 
 def _read_image(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
-    """Return the touch that the sensor reads from its image. Raises TouchError when that shows no contact."""
+    """Return the touch that the sensor reads from a simulated image of `touch`.
+
+    Raises TouchError if the image shows no contact.
+    """
     image = localizer.sensor.simulated_image(touch.contact_shape, rng)
     shape = localizer.sensor.contact_shape(image)
     return Touch(shape, touch.geometry, touch.name, T_sensor_object=touch.T_sensor_object, image=image)

@@ -1,4 +1,4 @@
-"""A slide: a sensor is pressed on an object, slides over it and lifts off; a recording with known true poses."""
+"""A slide, recorded with known true poses: a sensor is pressed on an object, slides over it and lifts off."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ START_NS = 1_700_000_000 * NS
 RATE_HZ = 30.0
 REACH_M, TURN_RAD = 3e-3, 0.35  # amplitudes of the slide along x and y, and of the rotation
 PRESS = (0.5, 0.9)  # shares of the maximal depth
-LIFTED = 0.04  # share of the images without contact, at the beginning and at the end
+LIFTED = 0.04  # share of images without contact at the beginning, and as many at the end
 LIFT_M = 2e-3
 STARTS = 12
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
@@ -51,10 +51,10 @@ Show = Callable[[NDArray[np.float32], float], tuple[NDArray[Any], str]]
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """The true poses of an object at evenly spaced times; every second time, from the first, has an image.
+    """The true poses of an object at 2 N - 1 evenly spaced times; every second time, from the first, has an image.
 
-    `stamps_ns` (2 N - 1,), `T_sensor_object` (2 N - 1, 4, 4), metres, and the presses `press_m` (2 N - 1,), metres,
-    which are negative without contact. The images have `noise`, drawn with `seed`.
+    `stamps_ns` (2 N - 1,) are the times. `T_sensor_object` (2 N - 1, 4, 4), metres, are the poses. `press_m` (2 N -
+    1,), metres, are the presses; they are negative without contact. The images have `noise`, drawn with `seed`.
     """
 
     scene: Scene
@@ -75,7 +75,7 @@ class Slide:
         return T_BASE_OBJECT @ invert(self.T_sensor_object) @ invert(T_FLANGE_GEL)
 
     def draw_depths_m(self, number: int) -> NDArray[np.float32]:
-        """Return the contact shape (H, W) at a time, metres; without any contact it is the maximal depth everywhere."""
+        """Return the contact shape (H, W) at a time, metres; without contact, it is the maximal depth everywhere."""
         geometry, press_m = self.scene.geometry, float(self.press_m[number])
         untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
         if press_m <= 0:
@@ -92,7 +92,7 @@ def draw_slide(
 ) -> Slide:
     """Return a slide of an object from a pose (4, 4), metres, along a figure of eight, with a varying press.
 
-    `scene` draws the touches; its renderer should differ from the localizer's. Raises TouchError when the object slides
+    `scene` draws the touches; its renderer should differ from the localizer's. Raises TouchError if the object slides
     off the sensor.
     """
     scene = dataclasses.replace(scene, drawing="pressed")
@@ -112,7 +112,7 @@ def draw_slide(
 
 
 def _rotate_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
-    """Return a pose (4, 4), metres, rotated by angles (N,) about the middle of the gel: (N, 4, 4)."""
+    """Return a pose (4, 4), metres, rotated by each of N angles about the middle of the gel: (N, 4, 4)."""
     x0, x1, y0, y1 = scene.geometry.rectangle
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     R = rotation_about([0, 0, 1], angles_rad)
@@ -122,9 +122,9 @@ def _rotate_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[
 def draw_random_slide(
     localizer: Localizer, frames: int, seed: int, noise: TouchNoise = NO_NOISE, renderer: Renderer | None = None
 ) -> Slide:
-    """Return a slide from a simulated touch, drawn by a `renderer`, by default the localizer's.
+    """Return a slide from a simulated touch, drawn with a `renderer`, by default the localizer's.
 
-    Raises TouchError when the object slides off the sensor from all of STARTS touches.
+    Raises TouchError if the object slides off the sensor from all of STARTS touches.
     """
     scene = dataclasses.replace(localizer.scene, renderer=renderer or localizer.scene.renderer)
     for touch in localizer.simulate(STARTS, seed):
@@ -136,7 +136,7 @@ def draw_random_slide(
 
 
 class Photos:
-    """Draws the camera images of a sensor by `tactile_loc.imaging`; their noise is drawn with a `seed`."""
+    """Draws the camera images of a sensor with `tactile_loc.imaging`; the images' noise is drawn with a `seed`."""
 
     def __init__(self, geometry: SensorGeometry, optics: Optics, seed: int) -> None:
         self._geometry, self._optics, self._rng = geometry, optics, np.random.default_rng(seed)
@@ -153,11 +153,11 @@ def show_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[A
 
 
 def write_slide(path: Path, slide: Slide, show: Show = show_depths) -> Path:
-    """Write a slide as a recording, and return its path. `show` makes an image of a contact shape and a press.
+    """Write a slide as a recording, and return its path. `show` makes an image from a contact shape and a press.
 
-    `/gel/image` has the images, in the frame `gel`; `/tf` the flange's pose at twice their rate; `/tf_static` the gel
-    on the flange; `/object/truth` the object's true pose. Raises OutputError, and MissingLibraryError without mcap and
-    rosbags.
+    `/gel/image` has the images, in the frame `gel`. `/tf` has the flange's poses, at twice the rate of the images.
+    `/tf_static` has the gel's pose on the flange. `/object/truth` has the object's true poses. Raises OutputError, and
+    MissingLibraryError without mcap and rosbags.
     """
 
     def write(writer: RecordingWriter) -> None:

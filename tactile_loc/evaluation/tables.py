@@ -16,10 +16,10 @@ from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS, PosteriorS
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
 
 SCHEMA_VERSION = 2
-SHOWN = tuple(line for line in LINES if line != "random-10")  # in the summary
+SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
 JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
-AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of shares of the observed pixels in contact
-AREA_LINE, WITHIN_M = "chosen", 1e-3  # tabulated by contact area
+AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of contact areas, as shares of the observed pixels
+AREA_LINE, WITHIN_M = "chosen", 1e-3  # the line and the limit of error that are tabulated by contact area
 AREA_NOTE = (
     "By contact area, the share of the sensor in contact: the median ADD of `chosen` in mm, the share of touches "
     "within 1 mm, and in brackets the number of touches. Refused presses show no touch: less contact than the grid "
@@ -45,12 +45,12 @@ class Run(tabular.EvaluatedObject):
     evaluation: Evaluation
 
     def summarise_unambiguous(self, line: str) -> tabular.Statistics | None:
-        """Return a line's statistics over the touches that are not ambiguous, metres; None if all are."""
+        """Return a line's statistics over the unambiguous touches, metres; None if all touches are ambiguous."""
         errors = self.evaluation.select_errors(line)[~self.evaluation.ambiguous]
         return tabular.Statistics.of(errors) if len(errors) else None
 
     def summarise_posteriors(self) -> PosteriorSummary:
-        """Return the metrics of the posteriors, summed up."""
+        """Return a summary of the posteriors' metrics."""
         return PosteriorSummary.of(self.evaluation.posterior_metrics, self.grid_poses)
 
     def compute_median_seconds(self) -> dict[str, float]:
@@ -59,7 +59,10 @@ class Run(tabular.EvaluatedObject):
 
 
 def tabulate_medians(runs: Sequence[Run], normalised: bool = False) -> tabular.Table:
-    """Return a row for each run: the median ADD of each line, mm, or a share of a random pose's if `normalised`."""
+    """Return a row for each run: the median ADD of each line, in mm or, if `normalised`, as a share.
+
+    A share is the ADD divided by the mean ADD of a random pose.
+    """
     write = "{:.3f}".format if normalised else format_mm
     return tabular.tabulate(
         runs, SHOWN, lambda run: (write(run.summarise(line, normalised=normalised).median) for line in SHOWN)
@@ -67,7 +70,10 @@ def tabulate_medians(runs: Sequence[Run], normalised: bool = False) -> tabular.T
 
 
 def tabulate_ambiguity(runs: Sequence[Run]) -> tabular.Table:
-    """Return a row for each run: the share of ambiguous touches, and medians over all and the unambiguous ones, mm."""
+    """Return a row for each run: the share of ambiguous touches, and median errors in mm.
+
+    The medians are over all touches, and over the unambiguous touches.
+    """
 
     def list_cells(run: Run) -> Iterator[str]:
         yield f"{100 * run.evaluation.ambiguous.mean():.0f} %"
@@ -80,7 +86,10 @@ def tabulate_ambiguity(runs: Sequence[Run]) -> tabular.Table:
 
 
 def tabulate_areas(runs: Sequence[Run]) -> tabular.Table:
-    """Return a row for each run: presses refused, and for each contact area "median mm, share (touches)"."""
+    """Return a row for each run: the number of refused presses, and a cell for each contact area.
+
+    A cell has the median error in mm, the share of touches within WITHIN_M, and in brackets the number of touches.
+    """
 
     def list_cells(run: Run) -> Iterator[str]:
         yield str(run.evaluation.refused.sum())
@@ -94,7 +103,7 @@ def tabulate_areas(runs: Sequence[Run]) -> tabular.Table:
 
 
 def tabulate_posteriors(runs: Sequence[Run]) -> tabular.Table:
-    """Return a row for each run: the coverage of each of LEVELS, and mean metrics, lengths in mm."""
+    """Return a row for each run: the coverage of the credible sets of LEVELS, and mean metrics, lengths in mm."""
 
     def list_cells(run: Run) -> Iterator[str]:
         summary = run.summarise_posteriors()
@@ -141,7 +150,7 @@ def format_csv(runs: Sequence[Run]) -> str:
 
 
 def record_runs(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything as JSON values in SI units; `protocol` states the number of touches, the noise and the seed."""
+    """Return all results as JSON values in SI units; `protocol` states the number of touches, noise and seed."""
     asked = {"version": PROTOCOL_VERSION, **protocol}
     return tabular.build_document(SCHEMA_VERSION, asked, [_record_run(run) for run in runs])
 
@@ -174,7 +183,7 @@ def _record_run(run: Run) -> dict[str, Any]:
 
 
 def _group_areas(run: Run) -> list[dict[str, Any]]:
-    """Return the number of touches in each of AREAS, and the errors of AREA_LINE, metres, None without touches."""
+    """Return, for each of AREAS, the number of touches and the errors of AREA_LINE, metres, None without touches."""
     errors, share = run.evaluation.select_errors(AREA_LINE), run.evaluation.contact_share
     found = []
     for low, high in itertools.pairwise(AREAS):

@@ -1,4 +1,4 @@
-"""Shared parts of the tables of evaluations: statistics, Markdown, CSV, and the head of a JSON document."""
+"""Shared parts of the tables of evaluations: statistics, Markdown, CSV, and the common keys of a JSON document."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Table = list[list[str]]
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedObject:
-    """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
+    """One object evaluated with one encoder. `configuration` has every setting as JSON values."""
 
     object: str
     symmetry: str
@@ -35,9 +35,9 @@ class EvaluatedObject:
     configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def summarise(self, *of: Any, normalised: bool = False) -> Statistics:
-        """Return the statistics of the evaluation's errors `of` a line and a metric, or a number of contacts.
+        """Return the statistics of errors; `of` selects a line and a metric, or a line and a number of contacts.
 
-        They are in metres, or shares of the mean random error if `normalised`.
+        The errors are in metres or, if `normalised`, divided by the mean error of a random pose.
         """
         found = self.evaluation
         return Statistics.of(found.normalise_errors(*of) if normalised else found.select_errors(*of))
@@ -58,7 +58,10 @@ class EvaluatedObject:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of a line's errors, all in one unit: `std` of the population, quantiles `q25`, `q75`, `p90`."""
+    """Statistics of a line's errors, all in one unit.
+
+    `std` is the standard deviation of the population. `q25`, `q75` and `p90` are quantiles.
+    """
 
     mean: float
     median: float
@@ -86,12 +89,12 @@ def list_columns(metres: Statistics, normalised: Statistics) -> dict[str, str]:
 
 
 def tabulate(runs: Iterable[EvaluatedObject], heads: Iterable[str], cells: Callable[[Any], Iterable[str]]) -> Table:
-    """Return a row for each run: its object, its encoder, and its `cells` under `heads`."""
+    """Return a table with a row for each run: its object, its encoder, and its `cells`; `heads` name the cells."""
     return [["object", "encoder", *heads], *([run.object, run.encoder, *cells(run)] for run in runs)]
 
 
 def bracket_shares(lengths: Table, shares: Table, names: int) -> Table:
-    """Join two tables with the same heads and the same first `names` columns; other cells become "mm (share)"."""
+    """Join two tables with the same heads and the same first `names` columns; other cells become "length (share)"."""
     rows = zip(lengths[1:], shares[1:], strict=True)
     joined = ([*a[:names], *map("{} ({})".format, a[names:], b[names:])] for a, b in rows)
     return [lengths[0], *joined]
@@ -104,7 +107,7 @@ def format_markdown(table: Sequence[Sequence[str]]) -> str:
 
 
 def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows as CSV; all have the keys of the first."""
+    """Return rows as CSV; all rows have the keys of the first row."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -115,7 +118,7 @@ def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 def build_document(
     schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return a JSON document of runs, with the time and the library versions."""
+    """Return a JSON document of runs, with the current time and the library versions."""
     return {
         "schema_version": schema_version,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -126,7 +129,7 @@ def build_document(
 
 
 def write_texts(folder: Path, name: str, **texts: str) -> list[Path]:
-    """Write each text to a file, NAME with the keyword as suffix, and return the paths. Raises OutputError."""
+    """Write each text to the file `name`.KEYWORD in `folder`, and return the paths. Raises OutputError."""
     return [
         write_atomically(folder / f"{name}.{suffix}", partial(Path.write_text, data=text, encoding="utf-8"))
         for suffix, text in texts.items()

@@ -18,7 +18,7 @@ from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.hypotheses import Refine, keep_apart
 from tactile_loc.locate.results.localization import Agreement, Hypothesis
 
-FAR = 0.45  # imprint IoU: a touch contradicts a pose if another pose explains it better by this much
+FAR = 0.45  # a touch contradicts a pose if another pose's imprint IoU with the touch is greater by more than this
 WELL = 0.7  # mean imprint IoU above which touches agree on a pose
 ALONE = 8  # poses that are refined against one touch alone
 
@@ -30,10 +30,12 @@ def find_agreement(
 ) -> tuple[Hypotheses, Agreement]:
     """Return the hypotheses of all touches except outliers, and how the touches agree.
 
-    `find` takes the numbers of touches to leave out, and returns hypotheses refined against all others. `best_alone`
-    returns, for each touch, the imprint IoU of the pose that explains it best on its own (N,); it is called only if
-    needed. A touch is an outlier if more than half of the touches agree on a pose that explains it far worse than
-    another pose does, and if no other touch can be blamed instead.
+    `find` takes the numbers of touches to leave out, and returns hypotheses refined against all other touches.
+    `best_alone` returns each touch's best imprint IoU (N,) with any pose refined against this touch alone. It is called
+    only if needed.
+
+    A touch is an outlier if more than half of the touches agree on a pose, and another pose explains this touch far
+    better. If several touches could be the wrong one, there are no outliers.
     """
     found = find(())
     ious = np.array([h.imprint_ious for h in found])
@@ -59,7 +61,7 @@ def find_agreement(
 
 
 def _find_far(hypotheses: Hypotheses, best: NDArray[np.float64]) -> set[int]:
-    """Find the touches that the best hypothesis explains far worse than another pose does."""
+    """Return the numbers of the touches that the best hypothesis explains far worse than another pose does."""
     return set(np.flatnonzero(best - hypotheses[0].imprint_ious > FAR).tolist())
 
 
@@ -68,7 +70,7 @@ def explain_alone(
 ) -> float:
     """Return the imprint IoU of a touch with the best pose of its own grid, refined against this touch alone.
 
-    Refines the ALONE most probable poses that are not within `radius_m` metres of a more probable one.
+    The ALONE most probable poses are refined, except those within `radius_m` metres of a more probable one.
     """
     listed = posterior.top(options.listed)
     poses = posterior.grid.T_sensor_object[listed]
@@ -79,9 +81,10 @@ def explain_alone(
 
 
 def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
-    """Raise GridError when no two touches are near enough to be on one object; then a unit or frame is probably wrong.
+    """Raise GridError if no two touches are near enough to be on one object.
 
-    If some are near enough, `find_agreement` names a touch that is farther off. Skips touches without sensor poses.
+    In that case, a unit or a frame is probably wrong. If only some touches are too far away, no error is raised, and
+    `find_agreement` finds the outliers. Nothing is checked if a touch has no sensor pose.
     """
     if len(touches) < 2 or any(touch.T_base_sensor is None for touch in touches):
         return

@@ -7,7 +7,7 @@ from tactile_loc.locate.results.verdict import LEAST_IOU
 
 
 def list_doubts(record: ResultRecord) -> list[str]:
-    """Return why an answer may be wrong, one sentence each; empty if there is no doubt."""
+    """Return the reasons why a result may be wrong, one sentence each; empty if there are none."""
     return [*_list_contradictions(record), *_list_unexplained(record)]
 
 

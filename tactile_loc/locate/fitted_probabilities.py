@@ -29,17 +29,18 @@ from tactile_loc.store.workspace import Workspace
 
 EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
 EACH_LEVEL = 10_000  # step between the seeds of two noise levels
-UNKNOWN = 1e3  # nats: the entropy if no pose explains the touches
+UNKNOWN = 1e3  # nats: the entropy of an example without a posterior
 
-Simulate = Callable[[int, int, str], list[Touch]]  # count, seed, noise level
+Simulate = Callable[[int, int, str], list[Touch]]  # takes a count, a seed and a noise level
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """Several simulated touches, fused but not tempered; `fused` is None if no pose touches all sensors.
+    """One or more simulated touches, fused but not tempered.
 
-    `truth` is the index of the true pose, -1 if it was not found; `best` is the mean imprint IoU of the best pose that
-    a search found.
+    `fused` is their posterior; None if no pose makes contact with all sensors. `truth` is the index of the pose nearest
+    to the true pose; -1 if the search found none near it. If several touches were searched together, `best`, 0 to 1, is
+    the best mean imprint IoU of any pose found; otherwise 1.
     """
 
     fused: PosePosterior | None
@@ -50,9 +51,9 @@ class Example:
 class FittedProbabilities:
     """The temperature, the tempering of fused touches and the calibrated sets of one localizer, fitted at first use.
 
-    `source` scores all poses exactly. `described` returns everything that determines its scores, and `drawn` determines
-    the simulated touches; both are JSON values. A `temperature` from the user replaces all fits except those of the
-    sets.
+    `source` scores poses with an exact matcher. `described` returns all inputs of the scores except the touch, and
+    `drawn` describes the sampler of the simulated touches, both as JSON values. If the user gives a `temperature`, only
+    the calibrated sets are fitted.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class FittedProbabilities:
         return TemperatureScaling(**artifact.load_json(probabilities.STAGE))
 
     def temperature_key(self) -> StageKey:
-        """Return the store key of the temperature scaling, made from everything that determines it."""
+        """Return the store key of the temperature scaling, made from all inputs of the fit."""
         touches = probabilities.describe_touches(self.plan.touches, self.plan.noise)
         return StageKey(
             probabilities.STAGE, probabilities.STAGE_VERSION, {**self.described(), **self.drawn, **touches}
@@ -125,7 +126,7 @@ class FittedProbabilities:
         return ConformalSets(**artifact.load_json(conformal.STAGE))
 
     def _score_sets(self, work: Workspace, touches: int) -> None:
-        """Save the total probability of all poses likelier than the true one, for each held-out example."""
+        """Save the total probability of all poses likelier than the true pose, for each held-out example."""
         power = 1.0 if touches == 1 else self.fused_scaling.power(touches)
         scores, entropies = [], []
         for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):
@@ -146,7 +147,7 @@ class FittedProbabilities:
     def _examples(
         self, touches: int, count: int, seed: int, noise: str = probabilities.TOUCH_NOISE
     ) -> Iterator[Example]:
-        """Yield `count` examples of simulated touches of the object at rest; no touch is in two examples."""
+        """Yield `count` examples, each of different simulated touches of the object at rest."""
         at_once = max(1, EXAMPLE_TOUCHES // touches)
         with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
             for start in range(0, count, at_once):
@@ -157,7 +158,7 @@ class FittedProbabilities:
                     advance(1)
 
     def _fuse(self, touches: Sequence[Touch]) -> Example:
-        """Fuse touches of known pose, each with its own sensor pose, as if one object at rest had been touched."""
+        """Fuse touches of known pose as if all had been made on one object at rest, by differently placed sensors."""
         poses = np.stack([np.asarray(touch.T_sensor_object) for touch in touches])
         best, scaling = 1.0, self.temperature_scaling
         if isinstance(self.source, PlaceSource) and len(touches) > 1:

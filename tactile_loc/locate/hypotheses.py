@@ -1,4 +1,4 @@
-"""Distinct hypotheses from posteriors: modes are proposed, refined against all touches, merged and weighed."""
+"""Distinct hypotheses from posteriors: modes are proposed, refined against all touches, weighed and merged."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.results.localization import Hypothesis
 
-SHARPNESS = 30.0  # nats for an imprint IoU of 1, when weighed against errors of sensor poses
-STILL_MOVING = 10
+SHARPNESS = 30.0  # an error of a sensor pose that costs 1 nat lowers the imprint IoU by 1 / SHARPNESS
+STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 AT_ONCE = 500  # poses compared with the chosen ones at once
-DOUBT = 8.0  # nats: most that one touch's grid can lower a pose's log-probability below that of its best pose
+DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
 Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
 
@@ -31,9 +31,10 @@ def find_hypotheses(
     views: Sequence[View], modes: Sequence[Mode], refine: Refine, metric: PoseMetric, radius_m: float,
     prior: Prior | None, times: StageTimes, outliers: Collection[int] = (),
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
-    """Refine modes in the first touch's sensor frame, merge those within `radius_m` metres, and weigh them.
+    """Refine modes in the first touch's sensor frame, weigh them, and merge those within `radius_m` metres.
 
-    `weigh` determines the probabilities of the refined poses. Views whose numbers are in `outliers` do not count.
+    `weigh` computes the probabilities of the refined poses. Views whose numbers are in `outliers` affect neither the
+    refinement nor the probabilities.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
@@ -57,9 +58,9 @@ def find_hypotheses(
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
     """Merge hypotheses whose refined poses are within `radius_m` metres of a likelier one.
 
-    The hypotheses are sorted, the most probable first. A merged hypothesis has the probability of its likeliest member:
-    a pose is not likelier because several modes lead to it. Poses that did not converge are merged within a
-    STILL_MOVING-th of the radius.
+    `hypotheses` are sorted, the most probable first. A merged hypothesis has the probability of its likeliest member,
+    because a pose is not likelier if several modes lead to it. All probabilities are then scaled to keep their sum.
+    Poses that did not converge are merged within `radius_m` / STILL_MOVING.
     """
     poses = np.array([h.T_sensor_object for h in hypotheses]).reshape(-1, 4, 4)
     still_m = [radius_m if h.refined.converged else radius_m / STILL_MOVING for h in hypotheses]
@@ -76,9 +77,9 @@ def weigh(
 ) -> tuple[Hypothesis, ...]:
     """Return hypotheses with probabilities from the evidence of their refined poses, the most probable first.
 
-    The grid's posterior compares coarse shapes at poses that are all slightly off; refined poses show which of several
-    explanations is right. `evidence` (K,), nats, is the sum over all touches; `log_prior` (K,) is added. The hypotheses
-    share the probability that their modes had together.
+    Refined poses distinguish explanations better than the grid, whose poses are all slightly wrong and whose shapes are
+    coarse. `evidence` (K,), nats, is the sum over all touches; `log_prior` (K,) is added. The total probability of the
+    given hypotheses is kept.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
     worth = evidence + known
@@ -91,18 +92,22 @@ def weigh(
 def compute_imprint_ious(
     views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return the imprint IoUs (K, N) of poses (K, 4, 4), in the first sensor's frame, with each of N touches."""
+    """Return imprint IoUs (K, N) of poses with each of N touches.
+
+    `T_first_object` (K, 4, 4), metres, is in the first sensor's frame. `pixels` and `freedom_m` are as for
+    `Scene.compare_imprints`.
+    """
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
 def compare_where_seen(
     views: Sequence[View], T_first_object: Poses, seen: Poses | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return imprint IoUs and evidence, nats, of poses (K, 4, 4) for each of N touches: (K, N) each.
+    """Return imprint IoUs (K, N) and evidence (K, N), nats, of poses (K, 4, 4), metres, for each of N touches.
 
-    `seen` (K, N, 4, 4), metres, is where each sensor would see the object if its reported pose is slightly wrong. An
-    error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / SHARPNESS of imprint IoU. The better of
-    the values with and without the error counts.
+    `seen` (K, N, 4, 4), metres, are poses of the object in each sensor's frame that allow for an error of the sensor's
+    reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / SHARPNESS of imprint
+    IoU. For each touch, the greater of the values with and without the error is returned.
     """
     here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
@@ -121,7 +126,10 @@ def compare_where_seen(
 def keep_likeliest(
     modes: Sequence[Mode], views: Sequence[View], freedom_m: float, options: HypothesisOptions
 ) -> list[Mode]:
-    """Return the modes that explain touches best in coarse renders, with `freedom_m` metres of freedom along z."""
+    """Return the modes with the greatest mean imprint IoU in coarse renders, the greatest first.
+
+    Poses may move `freedom_m` metres farther along z than the error of the measured press.
+    """
     poses = np.stack([mode.T_sensor_object for mode in modes])
     ious = compute_imprint_ious(views, poses, options.image_px, freedom_m).mean(axis=1)
     return [modes[k] for k in np.argsort(-ious, kind="stable")[: options.refined_again]]
@@ -130,7 +138,11 @@ def keep_likeliest(
 def _find_seen_poses(
     views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
 ) -> NDArray[np.float64]:
-    """Find refined poses in each sensor's frame, (K, N, 4, 4): the refiner's for trusted touches, else fitted alone."""
+    """Return the refined poses in each sensor's frame, (K, N, 4, 4), metres.
+
+    For a trusted touch, this is the refiner's pose. For any other touch, the pose is refined again against this touch
+    alone.
+    """
     seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
     for k, pose in enumerate(refined):
         if pose.T_sensors_object is not None:
@@ -143,7 +155,7 @@ def _find_seen_poses(
 
 
 def _compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
-    """Return the cost (K,), nats, of errors (K, 4, 4), metres, between a sensor's pose and the first one's."""
+    """Return the cost (K,), nats, of errors (K, 4, 4), metres, of a sensor's pose relative to the first one's."""
     std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
     std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)
     gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
@@ -157,9 +169,9 @@ def propose_together(
 ) -> list[Mode]:  # fmt: skip
     """Return modes to refine against several touches, in the first touch's sensor frame.
 
-    The most probable poses of each touch are collected. Those that are likely in the grids of all touches are rendered
-    coarsely. The poses that explain all touches best are kept, none within `radius_m` metres of a better one. Each mode
-    has the index of the nearest pose in the first touch's grid.
+    The most probable poses of each touch are collected. The poses that are likely in the grids of all touches are
+    rendered coarsely. The poses that explain all touches best are kept, none within `radius_m` metres of a better one.
+    Each mode has the index of the nearest pose in the first touch's grid.
     """
     poses = np.concatenate([
         invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(options.listed)]
@@ -183,7 +195,7 @@ def propose_together(
 def choose_best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
     """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one.
 
-    The members of a mode are the poses within that radius that are nearest to it.
+    Each grid pose within that radius of a mode is a member of the nearest mode.
     """
     grid, p = posterior.grid, posterior.probabilities
     chosen = keep_apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
@@ -206,7 +218,7 @@ def keep_apart(
     """
     order = np.argsort(-worth, kind="stable")
     chosen: list[int] = []
-    near = np.empty((0, 0))  # embedded poses of the chosen ones
+    near = np.empty((0, 0))  # the chosen poses, embedded
     for start in range(0, len(order), AT_ONCE):
         left = order[start : start + AT_ONCE]
         points = metric.embed(poses[left])

@@ -75,8 +75,8 @@ class Localizer:
     ) -> Self:  # fmt: skip
         """Load an object (a mesh file, or a demo object's name) and make its localizer; `store` may be a folder.
 
-        `settings` are those of RunConfig: slots by name (`refiner="icp"`) or with options
-        (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
+        `settings` are the entries of RunConfig: slots by name (`refiner="icp"`) or with options (`grid={"name": "face",
+        "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
         """
         chosen = {"path": str(object), "units": units, "symmetry": symmetry}
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
@@ -97,7 +97,7 @@ class Localizer:
     # touches
 
     def read_touch(self, path: str | Path, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
-        """Read a contact shape (npz, npy, 16-bit PNG) as this sensor's touch. Raises TouchError."""
+        """Read a contact shape (npz, npy, 16-bit PNG) as a touch of this sensor. Raises TouchError for a bad file."""
         return read_touch(Path(path), self.sensor, unit, press_depth_m)
 
     def simulate(
@@ -123,11 +123,11 @@ class Localizer:
                 "maximal depth differs; make a Localizer for that sensor"
             )
 
-    # what is built once
+    # parts that are built once
 
     @cached_property
     def source(self) -> PoseSource:
-        """The source of candidate poses: the grid's list, or a search of the whole object."""
+        """The source of candidate poses: a listed grid, or a search of the whole object."""
         return self._make_source(lambda: self._create("matcher"))
 
     def _make_source(self, new_matcher: NewMatcher) -> PoseSource:
@@ -178,7 +178,7 @@ class Localizer:
     def describe_scores(self) -> dict[str, Any]:
         """Return all inputs of the scores except the touch, as JSON values; trains the encoder if necessary.
 
-        The matcher is left out, because all matchers that score all poses find the same scores.
+        The matcher is left out, because all matchers that score all poses compute the same scores.
         """
         return {
             **self.source.describe(), "sensor": self.sensor.geometry.describe(), "encoder": self.encoder.describe(),
@@ -187,7 +187,7 @@ class Localizer:
 
     @property
     def other_refinement(self) -> str:
-        """Which parts the joint registration does instead of the chosen refiner, and why; "" if none."""
+        """The tasks that the joint registration does instead of the chosen refiner, and the reason; "" if none."""
         return self.refinement.explain_others(self.config.refiner.name, self.sampler.capabilities.places)
 
     @property
@@ -209,16 +209,15 @@ class Localizer:
         """Return the posterior over poses given a touch, and its `top` distinct hypotheses, refined.
 
         `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are all
-        modes of a set that holds the true pose with that probability: see `PoseSet`. Raises TactileLocError when no
+        modes of a set that contains the true pose with that probability: see `PoseSet`. Raises TactileLocError if no
         pose fits the touch.
         """
         return localize_together([(self, touch)], prior, top, coverage)
 
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
-        """Localise touches of this sensor separately, as `localize` does; those of equal press depth are matched
-        together.
+        """Localise touches of this sensor separately, as `localize` does.
 
-        Raises TactileLocError when no pose fits one of the touches.
+        Touches of equal press depth are matched together. Raises TactileLocError if no pose fits one of the touches.
         """
         times = StageTimes()
         alone = self.posteriors(touches, times)
@@ -228,13 +227,13 @@ class Localizer:
         ]
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
-        """Return the posterior over the grid's poses given a touch and a prior; adds to `times`."""
+        """Return the posterior over the grid's poses given a touch and a prior. Adds stage durations to `times`."""
         return compute_posterior_together([(self, touch)], prior, times)
 
     def posteriors(
         self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
     ) -> list[PosePosterior]:
-        """Return each touch's own posterior over the grid's poses, before fusion.
+        """Return each touch's own posterior over the grid's poses, before fusion. Adds stage durations to `times`.
 
         A `prior` only guides the search of a whole object. Raises TouchError for a touch of another sensor.
         """
@@ -245,12 +244,15 @@ class Localizer:
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
     def find_most_probable_pose(self, touch: Touch) -> RefinedPose:
-        """Return the most probable pose of the grid, refined: the fastest answer, for a control loop."""
+        """Return the most probable pose of the grid, refined.
+
+        This is the fastest way to locate a touch, for instance in a control loop.
+        """
         posterior = self.posterior(touch)
         return self.refine(touch, posterior, [int(posterior.log_p.argmax())])[0]
 
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
-        """Refine poses of the posterior's grid against the touch, in the order of their indices."""
+        """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
         return self.refinement.refiner.refine_many(touch, candidates, self.scene.match_touch(touch))
@@ -266,13 +268,13 @@ def localize_together(
     """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
     Each touch comes with the localizer of its object and its sensor; sensors may differ. If there are several touches,
-    each needs `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's
-    grid; `prior` maps that grid's poses (N, 4, 4) to log-weights (N,); `coverage` is as for `Localizer.localize`.
-    Raises TactileLocError when no pose fits all touches.
+    each needs `T_base_sensor` (4, 4), metres. Poses are in the first touch's sensor frame, and the posterior is over
+    the first localizer's grid. `prior` maps poses (N, 4, 4) of this grid to log-weights (N,). `coverage` is as for
+    `Localizer.localize`. Raises TactileLocError if no pose fits all touches.
 
-    `Localization.outliers` names the touches that contradict the others. If the first localizer's configuration has
-    `drop_outliers`, these touches are `left_out`: the answer uses only the others, and is in the sensor frame of the
-    first of them.
+    `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
+    `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
+    `Localization.left_out`, and poses are in the sensor frame of the first remaining touch.
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
@@ -298,7 +300,10 @@ def localize_together(
 def compute_posterior_together(
     observations: Sequence[Observation], prior: Prior | None = None, times: StageTimes | None = None
 ) -> PosePosterior:
-    """Return the posterior over the first localizer's grid given touches, as for `localize_together`."""
+    """Return the posterior over the first localizer's grid given touches, as for `localize_together`.
+
+    Adds stage durations to `times`.
+    """
     _require_one_object(observations)
     query = _Query.of(observations, prior, None, None, times or StageTimes())
     return query.fuse(query.score_each())
@@ -306,7 +311,7 @@ def compute_posterior_together(
 
 @dataclass(frozen=True, eq=False)
 class _Query:
-    """Touches to locate together, each with its localizer, and a prior over poses in the first one's frame."""
+    """Touches to locate together, each with its localizer, and a prior over poses in the first touch's sensor frame."""
 
     observations: Sequence[Observation]
     views: Sequence[View]
@@ -320,7 +325,10 @@ class _Query:
         cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
         times: StageTimes,
     ) -> _Query:  # fmt: skip
-        """Make a query; None means the first localizer's setting. Raises ConfigError."""
+        """Make a query; if `top` or `coverage` is None, the first localizer's setting is used.
+
+        Raises TactileLocError if `top` is below 1, or if one of several touches has no sensor pose.
+        """
         first, touch = observations[0]
         top = first.config.top if top is None else top
         if top < 1:
@@ -344,7 +352,10 @@ class _Query:
         return self.first.config.hypotheses.start_radius * self.first.mode_radius_m
 
     def score_each(self) -> list[PosePosterior]:
-        """Score each touch: over its localizer's grid, or over the poses found by a search with all touches."""
+        """Return each touch's posterior, and add stage durations to `times`.
+
+        The posterior is over the localizer's grid, or over the poses found by a search with all touches.
+        """
         searches = [localizer.search for localizer, _ in self.observations]
         if len(searches) == 1 or not any(searches):
             return [localizer.posteriors([touch], self.times, self.prior)[0] for localizer, touch in self.observations]
@@ -357,7 +368,10 @@ class _Query:
         return found.posteriors(self.views, scalings, self.first.probabilities.fused_scaling.elsewhere(found.best))
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
-        """Fuse the touches' posteriors and the prior over the first one's grid, tempered by the number of touches."""
+        """Fuse the touches' posteriors and the prior over the first touch's grid.
+
+        All posteriors are tempered for the number of touches.
+        """
         count = len(alone) + count_touches(self.prior)
         powers = [localizer.probabilities.fused_scaling.power(count) if count > 1 else 1.0
                   for localizer, _ in self.observations]  # fmt: skip
@@ -367,7 +381,10 @@ class _Query:
         return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
     def answer(self, alone: Sequence[PosePosterior]) -> Localization:
-        """Make the answer from each touch's own posterior: fuse them, then propose, refine and weigh modes."""
+        """Make the result from each touch's own posterior: fuse the posteriors, then propose, refine and weigh modes.
+
+        Adds stage durations to `times`.
+        """
         posterior = self.fuse(alone)
         pose_set = self._calibrate(posterior)
         with self.times.stage("modes"):
@@ -382,7 +399,7 @@ class _Query:
 
     @property
     def known(self) -> Prior | None:
-        """The prior, tempered for all touches; an earlier posterior was tempered only for its own."""
+        """The prior, tempered for all touches, because an earlier posterior was tempered only for its own touches."""
         told = count_touches(self.prior)
         if self.prior is None or not told:
             return self.prior
@@ -413,7 +430,7 @@ class _Query:
         )
 
     def _explain(self, alone: Sequence[PosePosterior]) -> NDArray[np.float64]:
-        """Return the imprint IoU (N,) of the pose that explains each touch best on its own."""
+        """Return each touch's best imprint IoU (N,) with any pose refined against this touch alone."""
         first = self.first
         if first.source.searched:
             alone = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
@@ -423,7 +440,11 @@ class _Query:
         return np.array(ious)
 
     def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
-        """Find the one touch of three or more that excludes all poses of the others; empty if none or several do."""
+        """Return the number of the touch that excludes all poses of the other touches, as a tuple.
+
+        The tuple is empty if there are fewer than three touches, or if none or several of them exclude the others'
+        poses.
+        """
         if len(self.observations) < 3:
             return ()
         excluding = []
@@ -437,7 +458,7 @@ class _Query:
         return tuple(excluding) if len(excluding) == 1 else ()
 
     def leave_out(self, outliers: Sequence[int]) -> _Query:
-        """Make the same query with the other touches, in the sensor frame of the first of them."""
+        """Make a query of the touches that are not outliers, in the sensor frame of the first of these touches."""
         left = [one for k, one in enumerate(self.observations) if k not in outliers]
         before, after = self.touches[0], left[0][1]
         prior = self.prior
@@ -447,7 +468,7 @@ class _Query:
 
 
 def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
-    """Return a touch as a view: its scene, and the transform from the first touch's sensor frame."""
+    """Return the view of a touch: its scene, and the transform from the first touch's sensor frame to its own."""
     scene = localizer.scene.match_touch(touch)
     T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
     return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)

@@ -22,13 +22,13 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
-SHARD = 1024  # poses rendered, saved and resumed at once
+SHARD = 1024  # poses that are rendered at once and saved in one file
 NO_CONTACT = 65535
 STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 
 
 def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
-    """Return the store key of the grid of `sampler` in `scene`."""
+    """Return the store key of the pose grid that `sampler` makes for `scene`."""
     return StageKey("grid", STAGE_VERSIONS["grid"], {
         "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
     }, scene.object.name)  # fmt: skip
@@ -43,7 +43,10 @@ def make_shapes_key(grid: StageKey, scene: Scene) -> StageKey:
 
 @dataclass(frozen=True, eq=False)
 class ShapeBank:
-    """The grid's contact shapes at full press, as 16-bit fractions of `max_depth_m`; one shard of poses per file."""
+    """The contact shapes of a grid's poses at full press, as 16-bit fractions of `max_depth_m`.
+
+    Each file has the shapes of one shard of poses.
+    """
 
     artifact: Artifact
     max_depth_m: float
@@ -57,7 +60,7 @@ class ShapeBank:
         """Yield contact depths (S, H, W), S > 0, in metres, cut at `press_depth_m`, in the grid's order."""
         press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
         for number, size in enumerate(self.artifact.load_json("sizes")):
-            if size:  # a shard can be empty: none of its poses makes enough contact
+            if size:  # a shard is empty if none of its poses makes enough contact
                 yield self._decode(self.artifact.load_array(_name_shard(number)), press)
 
     def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
@@ -102,7 +105,7 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
 def make_bank_key(shapes: StageKey, encoder: Encoder, press_depth_m: float, trained: str = "") -> StageKey:
     """Return the store key of the bank of contact shapes cut at `press_depth_m` metres.
 
-    `trained` identifies what the encoder has learned; it is empty for an encoder that needs no training.
+    `trained` is the digest of the encoder's weights; empty for an encoder that needs no training.
     """
     return StageKey("bank", STAGE_VERSIONS["bank"], {
         "shapes": shapes.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
@@ -125,7 +128,7 @@ def build_bank(
             for depths in _press_shapes(model, pressed):
                 rows.append(encoder.encode(depths, press_depth_m, pressed.geometry))
                 advance(len(depths))
-        # without learning, an encoder's rows are mostly zeros: compress them
+        # rows of an encoder that needs no training are mostly zeros, so they are compressed
         work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
     return np.asarray(store.build(make_bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
@@ -134,8 +137,8 @@ def build_bank(
 def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
     """Yield the contact depths (S, H, W), S > 0, metres, of the grid's poses at the scene's press.
 
-    If rays are parallel or shapes are drawn as in the paper, the shape of a lighter press is that of a full press, cut.
-    A pinhole camera sees a lighter press from farther away, so its shapes are rendered.
+    If rays are parallel, or shapes are drawn as in the paper, the shapes at full press are cut at the lighter press. A
+    pinhole camera sees a lighter press from farther away, so the shapes are rendered again.
     """
     press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
     if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":
@@ -196,7 +199,10 @@ WEIGHTS = "encoder.safetensors"
 
 
 def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> StageKey | None:
-    """Return the store key of the weights that `encoder` learns from contact shapes; None if it needs no training."""
+    """Return the store key of the weights that `encoder` learns from contact shapes.
+
+    Returns None if the encoder needs no training.
+    """
     if not encoder.capabilities.needs_training:
         return None
     return StageKey("encoder", STAGE_VERSIONS["encoder"], {
@@ -207,10 +213,10 @@ def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -
 def train_encoder(
     encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
 ) -> str:
-    """Train `encoder` on a problem, or load the weights stored under `key`; return the digest that identifies them.
+    """Train `encoder` on a problem, or load the weights stored under `key`; return the weights' digest.
 
-    Without a key the encoder needs no training, and the result is empty. If torchrun started several processes, they
-    train together, and the first one stores the result. Raises the errors of `fit`.
+    If the encoder needs no training, `key` is None and the digest is empty. If torchrun started several processes, they
+    train together, and the first process stores the weights. Raises the errors of `Encoder.fit`.
     """
     if key is None:
         return ""

@@ -1,4 +1,4 @@
-"""The embeddings of an object's places, and the encoder trained on them: stored, or made at first use."""
+"""The embeddings of an object's places, and the encoder trained on the places: stored, or made at first use."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ENCODED = 512  # places encoded at once, so that they fit in a processor's cache
 
 
 class PlaceBanks:
-    """Encodes an object's places at each press depth, after training the encoder if it learns.
+    """Encodes an object's places at each press depth, after training the encoder if necessary.
 
     `key` is the places' store key.
     """
@@ -36,7 +36,7 @@ class PlaceBanks:
 
     @property
     def encoder_key(self) -> StageKey | None:
-        """The store key of the encoder's weights; None if it needs no training."""
+        """The store key of the encoder's weights; None if the encoder needs no training."""
         if not self.encoder.capabilities.needs_training:
             return None
         return StageKey("encoder", STAGE_VERSIONS["encoder"], {
@@ -46,16 +46,17 @@ class PlaceBanks:
 
     @cached_property
     def trained(self) -> str:
-        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
+        """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
         return train_encoder(
             self.encoder, self.encoder_key,
             lambda kept: PlaceProblem(self.places, self.scene, self.sampler, self.progress, kept), self.store,
         )  # fmt: skip
 
     def bank(self, press_depth_m: float) -> Scores:
-        """Return the bank (N, D) of the places cut at a press depth, metres.
+        """Return the bank (N, D) of the places' patches, cut at `press_depth_m` metres.
 
-        Only banks of trained encoders are stored, because a network encodes places more slowly than a disk reads them.
+        Only banks of trained encoders are stored, because a network encodes places more slowly than a disk reads a
+        bank.
         """
         if not self.trained:
             return self._encode(press_depth_m)

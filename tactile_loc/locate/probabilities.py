@@ -1,10 +1,11 @@
 """Probabilities from scores, with parameters fitted to simulated touches of known pose.
 
-A single temperature (Guo et al., ICML 2017) that suits most touches is overconfident for the few that resemble another
-pose. So a share of the probability, the tail, is spread with a temperature TAIL_HEAT times as high.
+A single temperature (Guo et al., ICML 2017) that suits most touches is overconfident for the few touches that resemble
+another pose. So a share of the probability, the tail, is spread with a temperature TAIL_HEAT times as high.
 
-Such a posterior accounts for the distance from the true pose to the nearest grid pose. A product of several posteriors
-counts this common error several times. So it is overconfident, increasingly with the number of touches.
+The fitted temperature allows for the distance from the true pose to the nearest grid pose. Posteriors of several
+touches have this error in common, but their product counts the error once per touch. So the product is overconfident,
+increasingly with the number of touches; `FusedScaling` corrects this.
 """
 
 from __future__ import annotations
@@ -22,30 +23,33 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.simulation.noise import make_noise
 
 STAGE, STAGE_VERSION = "temperature", 2
-TOUCHES, BATCH = 150, 25  # simulated
+TOUCHES, BATCH = 150, 25  # simulated touches in total, and at once
 TOUCH_NOISE = "strong"  # real touches differ from renders at least as much
-SEED = 0x5EED  # differs from those of evaluations, which must not use the same touches
+SEED = 0x5EED  # differs from the seeds of evaluations, which must not use the same touches
 
 TAIL_HEAT = 4.0
-TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # not less: too few touches for rarer errors
+TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # smaller tails cannot be fitted to so few touches
 STEPS_PER_E = 6  # temperatures tried per factor of e
 REACH = 12  # factors of e tried below the highest temperature
-LEAST = 1e-12  # probability of the truth, so that one touch does not decide alone
+LEAST = 1e-12  # least probability of a true pose in the fit, so that no single touch decides
 
 FUSED_STAGE, FUSED_VERSION = "fused-temperature", 2
 FUSED_TOUCHES = (2, 3, 5, 7)  # touches per example
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # for each number of touches
-SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # fewer, because a search takes longer
+SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # fewer touches to fit searches, which take longer
 SEARCHED_NOISE = ("none", "mild", "strong")  # used in turn, so that the fit covers touches explained well and badly
 MOST_ELSEWHERE = 0.999
-AS_KNOWN = 3  # pretended touches with score 0, and as many with score 1
+AS_KNOWN = 3  # invented touches with score 0, and as many with score 1
 EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
 @dataclass(frozen=True)
 class FitPlan:
-    """The simulated touches to fit to: `touches` with the `noise` levels in turn, and `fused_examples` of touches
-    together for each number in `fused_touches`."""
+    """The simulated touches of a fit.
+
+    There are `touches` single touches, shared equally among the `noise` levels. For each number in `fused_touches`,
+    there are `fused_examples` examples of that many touches.
+    """
 
     touches: int
     noise: tuple[str, ...]
@@ -54,7 +58,7 @@ class FitPlan:
 
 
 def plan_fit(searched: bool) -> FitPlan:
-    """Return the plan for a listed grid, or a smaller one if the whole object is `searched`."""
+    """Return the plan for a listed grid or, with `searched`, the smaller one for a search of the whole object."""
     if searched:
         return FitPlan(SEARCHED, SEARCHED_NOISE, SEARCHED_TOUCHES, SEARCHED_EXAMPLES)
     return FitPlan(TOUCHES, (TOUCH_NOISE,), FUSED_TOUCHES, FUSED_EXAMPLES)
@@ -62,11 +66,11 @@ def plan_fit(searched: bool) -> FitPlan:
 
 @dataclass(frozen=True)
 class TemperatureScaling:
-    """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
+    """Scaling of scores s to probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
 
-    For a search that scores only the likeliest poses, the log odds that the true pose is among them are linear in the
-    best score: `found` (offset, slope), after Platt (1999). If no pose explains a touch well, its true pose was
-    probably not found.
+    T is the `temperature`. A search scores only the likeliest poses, so it may miss the true pose, above all if no pose
+    explains the touch well. The log odds that the search found the true pose are offset + slope * best score, with
+    `found` = (offset, slope), after Platt (1999).
     """
 
     temperature: float
@@ -81,7 +85,10 @@ class TemperatureScaling:
             )
 
     def log_p(self, scores: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return log-probabilities (..., N) of scores (..., N), higher is more similar; -inf stays -inf."""
+        """Return log-probabilities (..., N) of scores (..., N).
+
+        A higher score means more similar. A score of -inf gives -inf.
+        """
         from scipy.special import log_softmax  # scipy takes a while to import
 
         sharp = np.asarray(log_softmax(np.asarray(scores, np.float64) / self.temperature, axis=-1))
@@ -91,27 +98,27 @@ class TemperatureScaling:
         return np.logaddexp(np.log1p(-self.tail) + sharp, np.log(self.tail) + wide)
 
     def posterior(self, grid: PoseGrid, scores: NDArray[np.floating]) -> PosePosterior:
-        """Return the posterior over a grid of N poses from scores (N,). Raises GridError when all are -inf."""
+        """Return the posterior over a grid of N poses from scores (N,). Raises GridError if all scores are -inf."""
         with np.errstate(invalid="ignore"):
             return PosePosterior(grid, self.log_p(scores), elsewhere=self.elsewhere(float(np.max(scores))))
 
     def elsewhere(self, best: float) -> float:
-        """Return the probability that the true pose is near none of the scored poses; `best` is their best score."""
+        """Return the probability that the true pose is near none of the scored poses; `best` is the highest score."""
         return _elsewhere(self.found, best)
 
 
 def fit_temperature_scaling(
     scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64], searched: bool = False
 ) -> TemperatureScaling:
-    """Return the scaling that makes the true poses most probable, with the least mean negative log-likelihood.
+    """Return the scaling with the least negative log-likelihood of the true poses of T touches.
 
-    `scores` holds (N,) for each of T touches. `truth` (T,) are the indices of the poses nearest to the true ones, -1 if
-    none is near. With `searched`, the probability that none is near is fitted too.
+    `scores` has an array (N,) for each touch. `truth` (T,) are the indices of the poses nearest to the true poses, -1
+    if none is near. With `searched`, the probability that the search misses the true pose is fitted, too.
     """
     known = np.flatnonzero(truth >= 0)
     odds = _fit_found(np.array([max(row) for row in scores]), truth >= 0) if searched else None
     if len(known) == 0:
-        return TemperatureScaling(1.0, TAILS[-1], odds)  # the scores do not discriminate between poses
+        return TemperatureScaling(1.0, TAILS[-1], odds)  # no true pose was found, so there is nothing to fit
     rows, truth = [np.asarray(scores[int(number)], np.float64) for number in known], truth[known]
     spread = float(np.median([np.ptp(row[np.isfinite(row)]) for row in rows]))
     hottest = np.log(max(spread, np.finfo(float).tiny))
@@ -126,17 +133,17 @@ def fit_temperature_scaling(
 
 @dataclass(frozen=True)
 class FusedScaling:
-    """Tempering of a product of N touches' posteriors: it is raised to the power N**-exponent.
+    """Tempering of a product of N touches' posteriors: the product is raised to the power N**-exponent.
 
-    Exponent 0 keeps the product, as if the touches' errors were independent; 1 gives the geometric mean. For touches
-    of a whole object, `found` is as in TemperatureScaling, with the best pose's mean imprint IoU as the score.
+    Exponent 0 keeps the product, as if the touches' errors were independent. Exponent 1 gives the geometric mean. For
+    searches of a whole object, `found` is as in TemperatureScaling, with the best pose's mean imprint IoU as the score.
     """
 
     exponent: float = 0.0
     found: tuple[float, float] | None = None
 
     def power(self, touches: int) -> float:
-        """Return the power to which a product of this many touches' probabilities is raised, above 0, at most 1."""
+        """Return the power, above 0 and at most 1, to which a product of this many touches' posteriors is raised."""
         return float(max(1, touches) ** -self.exponent)
 
     def elsewhere(self, best: float) -> float:
@@ -145,8 +152,11 @@ class FusedScaling:
 
 
 class FusedExample(NamedTuple):
-    """Several `touches` of known pose: the log-probabilities (N,) of their product, the index of the pose nearest to
-    the truth (-1 if none is near), and the best pose's mean imprint IoU, 0 to 1."""
+    """Several `touches` of known pose, fused.
+
+    `log_p` (N,) are the log-probabilities of the product of posteriors. `truth` is the index of the pose nearest to the
+    true pose; -1 if none is near. `best`, 0 to 1, is the best pose's mean imprint IoU.
+    """
 
     touches: int
     log_p: NDArray[np.float64]
@@ -155,9 +165,9 @@ class FusedExample(NamedTuple):
 
 
 def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> FusedScaling:
-    """Return the scaling that makes the true poses of fused examples most probable, by least negative log-likelihood.
+    """Return the scaling with the least negative log-likelihood of the true poses of fused examples.
 
-    With `searched`, the probability that no pose is near the true one is fitted too.
+    With `searched`, the probability that the search misses the true pose is fitted, too.
     """
     known = np.array([example.truth >= 0 for example in fused], bool)
     found = _fit_found(np.array([example.best for example in fused]), known) if searched else None
@@ -173,7 +183,10 @@ def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> 
 
 
 def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str]]:
-    """Yield seed, number and noise level of each batch of touches to fit to; all levels get equal shares."""
+    """Yield the seed, the number of touches and the noise level of each batch to fit to.
+
+    All noise levels have equally many touches.
+    """
     share = -(-touches // len(levels))
     for number, level in enumerate(levels):
         for start in range(0, share, BATCH):
@@ -181,13 +194,13 @@ def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str
 
 
 def describe_touches(touches: int = TOUCHES, levels: Sequence[str] = (TOUCH_NOISE,)) -> dict[str, Any]:
-    """Return everything except the sampler that determines the touches of a fit, as JSON values."""
+    """Return all inputs of a fit's touches except the sampler, as JSON values."""
     noise = [make_noise(level).describe() for level in levels]
     return {"noise": noise, "touches": touches, "batch": BATCH, "seed": SEED}
 
 
 def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[TemperatureScaling]) -> NDArray[np.float64]:
-    """Return the negative log-likelihood (K,), nats, of pose `index` of scores (N,) with each scaling."""
+    """Return the negative log-likelihood (K,), nats, of pose `index`, given scores (N,), with each of K scalings."""
     temperatures = sorted({c.temperature for c in tried} | {TAIL_HEAT * c.temperature for c in tried})
     above = scores - scores.max()
     p = {t: np.exp(above[index] / t) / np.exp(above / t).sum() for t in temperatures}
@@ -203,10 +216,10 @@ def _elsewhere(found: tuple[float, float] | None, best: float) -> float:
 
 
 def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
-    """Fit the line (offset, slope) of the log odds of `found` (T,) over the best scores (T,), 0 to 1.
+    """Fit the log odds of `found` (T,) by a line (offset, slope) over the best scores (T,), 0 to 1.
 
-    AS_KNOWN pretended touches with score 0 were not found, and as many with score 1 were: few real touches of either
-    kind determine the slope poorly.
+    AS_KNOWN invented touches with score 0 count as not found. As many invented touches with score 1 count as found.
+    Without these touches, the slope would be unreliable if almost all or almost no real touches were found.
     """
     from scipy.optimize import minimize
 

@@ -16,7 +16,11 @@ from tactile_loc.locate.results.localization import Hypothesis
 
 @dataclass(frozen=True)
 class Refinement:
-    """The chosen refiner and the joint registration. `together` is the one that refines against several touches."""
+    """The chosen refiner and the joint registration.
+
+    If `together` is "joint", the joint registration refines against several touches, unless the refiner can do so
+    itself.
+    """
 
     refiner: Refiner
     registration: JointRegistration
@@ -30,14 +34,14 @@ class Refinement:
 
     @property
     def is_joint(self) -> bool:
-        """Whether the joint registration refines against several touches, because the refiner takes one at a time."""
+        """Whether the joint registration refines against several touches, because the refiner takes only one touch."""
         one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
         return one_at_a_time and self.refiner.capabilities.refines and self.together == "joint"
 
     def explain_others(self, name: str, searched: bool) -> str:
-        """Return which parts the joint registration does instead of the refiner `name`, and why; "" if none.
+        """Return the tasks that the joint registration does instead of the refiner `name`, and the reason; "" if none.
 
-        `searched`: the whole object is searched.
+        `searched` states whether the whole object is searched.
         """
         if self.refiner.capabilities.covariances:
             return ""
@@ -55,7 +59,7 @@ class Refinement:
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Add the joint registration's covariances, given the touches, to hypotheses whose refiner gives none.
+        """Add the joint registration's covariances, given the touches, to hypotheses whose refiner gives no covariance.
 
         Poses that were not refined get no covariance.
         """

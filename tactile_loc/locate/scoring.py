@@ -1,4 +1,4 @@
-"""The similarity of a touch and each pose of the grid: both are encoded, then matched."""
+"""Scores of a grid's poses: a touch and the poses' contact shapes are encoded, then matched."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tactile_loc.core.slots.matcher import Matcher
 Scores = NDArray[np.float32]
 NewMatcher = Callable[[], Matcher]
 
-MOST_MATCHERS = 8  # kept in memory, the last used
+MOST_MATCHERS = 8  # matchers kept in memory: the most recently used
 
 
 class GridScores:
     """Scores touches against the banks of a grid; each press depth has its own bank.
 
-    `bank` returns the bank (N, D) of a press depth in metres, `new_matcher` an empty matcher. `max_depth_m` is the
-    sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder.
+    `bank` returns the bank (N, D) of a press depth in metres. `new_matcher` returns an empty matcher. `max_depth_m` is
+    the sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder.
     """
 
     def __init__(
@@ -38,7 +38,8 @@ class GridScores:
     def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
         """Return the similarity (N,) of each touch to each pose of the grid, unitless; higher is more similar.
 
-        Touches of one press depth are matched together. `times` does not include building banks.
+        Touches of equal press depth are matched together. Adds the durations of encoding and matching to `times`, but
+        not that of building banks.
         """
         press_m = [self.bank_press_m(touch.press_depth_m) for touch in touches]
         found: dict[int, Scores] = {}
@@ -62,7 +63,10 @@ class GridScores:
         return matcher
 
     def bank_press_m(self, press_depth_m: float) -> float:
-        """Return the press depth, rounded down to a step, at which touch and bank are compared; metres."""
+        """Return the press depth, metres, at which a touch and the bank are compared.
+
+        This is the maximal depth, or with `follow` the touch's press depth, rounded down to a multiple of PRESS_STEP_M.
+        """
         if not self.follow:
             return self.max_depth_m
         return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
@@ -73,9 +77,9 @@ class GridScores:
         return matcher
 
     def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
-        """Encode a touch: (1, D)."""
+        """Return the embedding (1, D) of a touch whose shape is cut at `press_depth_m` metres."""
         shape = touch.contact_shape.press_to(press_depth_m)
-        # The press depth at which the shape is really cut: with less, pixels without contact would count as contact.
+        # The shape of a lighter touch stays cut at its own press depth, which the encoder needs to find the contact.
         press_m = shape.press_depth_m
         embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
         return embedding

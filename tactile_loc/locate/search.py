@@ -1,8 +1,8 @@
 """Search of the whole object for the places and yaws at which a touch can have been made.
 
 The patch around a touch's deepest point, rotated to many yaws, is compared with the patches of all places. The most
-similar places are registered to the touch, rendered, and compared with it. The results are the likeliest poses and
-their imprint IoUs.
+similar places are registered to the touch, rendered, and compared with the touch. The results are the likeliest poses
+and their imprint IoUs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 5
-GAP_POINTS, GAP_PX = 30, 120  # points of a touch, and size of the image they come from
+GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
@@ -68,14 +68,16 @@ class PlaceSearch:
             RegistrationOptions(points=options.points, iterations=options.iterations, image_px=options.registration_px)
         )
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
-        self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; for the true pose to count as found
+        # the least distance between starts, and the largest distance at which the true pose counts as found
+        self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
 
     def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
-        """Return the likeliest poses of a touch, and their imprint IoUs (K,) in coarse renders; adds to `times`.
+        """Return the likeliest poses of a touch, and their imprint IoUs (K,) in coarse renders.
 
-        With a `prior`, half of the registered poses are those with the greatest prior weight in a larger pool.
+        With a `prior`, half of the registered poses are the poses with the greatest prior weight in a larger pool of
+        similar places. Adds stage durations to `times`.
         """
         view, options = View(touch, self.scene.match_touch(touch)), self.options
         with times.stage("match"):
@@ -89,7 +91,7 @@ class PlaceSearch:
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
-        """Return everything except the encoder and the touch that determines the poses found, as JSON values."""
+        """Return all inputs of the search except the encoder and the touch, as JSON values."""
         return {
             "places": self.key.digest, "search": SEARCH_VERSION, "options": self.options.model_dump(mode="json"),
             "registration": self.registration.describe(),
@@ -97,9 +99,10 @@ class PlaceSearch:
         }  # fmt: skip
 
     def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
-        """Return the `count` most similar rotated places; with a prior, also the `count` in the pool that it favours.
+        """Return groups of poses: the `count` most similar rotated places and, with a prior, a second group.
 
-        Each group is poses (K, 4, 4), metres, and the values (K,) that order them.
+        The second group has the `count` poses with the greatest prior weights in a larger pool of similar places. A
+        group has poses (K, 4, 4), metres, and values (K,); poses with greater values are better.
         """
         if prior is None:
             return [self.alike(touch, count)]
@@ -125,7 +128,10 @@ class PlaceSearch:
 def encode_rotated(
     touch: Touch, encoder: Encoder, press_m: float, yaws_rad: NDArray[np.float64]
 ) -> tuple[Poses, tuple[Scores, Scores]]:
-    """Return T_sensor_anchor (4, 4), metres, and the codes and weights (M, ...) of a touch rotated to M yaws."""
+    """Return T_sensor_anchor (4, 4), metres, and the codes and weights (M, ...) of a touch rotated to M yaws.
+
+    The anchor is the frame at the touch's deepest point about which the touch is rotated.
+    """
     from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
     anchor_m, R_sensor_gel = find_anchor(touch)
@@ -142,7 +148,11 @@ def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
 
 @dataclass(frozen=True, eq=False)
 class FoundTogether:
-    """The likeliest poses (K, 4, 4), metres, in the first of N touches' sensor frames; their imprint IoUs (K, N)."""
+    """The likeliest poses given N touches.
+
+    `T_first_object` (K, 4, 4), metres, is in the first touch's sensor frame. `ious` (K, N), 0 to 1, are the poses'
+    imprint IoUs with the touches.
+    """
 
     T_first_object: Poses
     ious: NDArray[np.float64]
@@ -150,15 +160,15 @@ class FoundTogether:
 
     @property
     def best(self) -> float:
-        """The greatest mean imprint IoU of a pose over the touches, 0 to 1."""
+        """The greatest mean imprint IoU of any pose over the touches, 0 to 1."""
         return float(self.ious.mean(axis=1).max())
 
     def posteriors(
         self, views: Sequence[View], scalings: Sequence[TemperatureScaling], elsewhere: float
     ) -> list[PosePosterior]:
-        """Return the posterior of each touch over the poses, in its sensor's frame, scaled as for a single touch.
+        """Return each touch's posterior over the poses, in its own sensor frame, with its own scaling.
 
-        `elsewhere` is the probability that the true pose is near none of them.
+        `elsewhere` is the probability that the true pose is near none of the poses.
         """
         grids = [PoseGrid(view.T_sensor_first @ self.T_first_object, self.metric) for view in views]
         return [
@@ -170,11 +180,12 @@ class FoundTogether:
 def search_together(
     views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes, prior: Prior | None = None
 ) -> FoundTogether:
-    """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses in the first one's frame.
+    """Return the likeliest poses given several touches. Adds stage durations to `times`.
 
     The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
     registered to all touches, rendered, and compared with each touch. No returned pose is near a better one. If none of
-    the first poses explains the touches well, more are registered.
+    the first poses explains the touches well, more are registered. A `prior` is over poses in the first touch's sensor
+    frame.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
@@ -197,27 +208,30 @@ def search_together(
 
 
 def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
-    """Return the mean imprint IoU, 0 to 1, of touches with the best of poses (K, 4, 4), metres.
+    """Return the best mean imprint IoU, 0 to 1, of several touches with any of the poses (K, 4, 4), metres.
 
-    The `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
+    Only the `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
     """
     _, ious = _register(views, search, _keep_nearest(views, search, poses, count))
     return float(ious.mean(axis=1).max())
 
 
 def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
-    """Return the `count` of poses (K, 4, 4) whose surface is nearest to the touches, none near a better one."""
+    """Return the `count` poses whose surface is nearest to the touches, none near a better one.
+
+    `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
+    """
     return poses[keep_apart(poses, -_measure_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
 def _register(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
-    """Register poses (K, 4, 4), metres, roughly to all touches; return them and their coarse imprint IoUs (K, N)."""
+    """Register poses (K, 4, 4), metres, roughly to all N touches; return them and their coarse imprint IoUs (K, N)."""
     registered, options = search.registration.register_coarsely(views, poses), search.options
     return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)
 
 
 def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
-    """Return the summed distances (K,), metres, of the touches' points to the object's surface at poses (K, 4, 4)."""
+    """Return the summed distances (K,), metres, from the touches' points to the object's surface at poses (K, 4, 4)."""
     from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
     field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)

@@ -1,7 +1,7 @@
 """Sources of candidate poses: a listed grid of poses, or a search of all places of the object.
 
-Both sources score poses for touches, choose which of them are refined, and find the true one. The localizer uses its
-source without knowing which kind it is.
+Both kinds of source score poses for touches, choose the poses to refine, and find the pose nearest to the true pose.
+The localizer treats both kinds alike.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tactile_loc.store.store import StageStore
 class PoseSource(ABC):
     """Scores poses for touches of one object by one sensor.
 
-    `searched`: only the likeliest poses are scored, so the true one may be missing.
+    If `searched` is true, only the likeliest poses are scored, so the true pose may be missing.
     """
 
     searched: bool
@@ -44,15 +44,16 @@ class PoseSource(ABC):
     @property
     @abstractmethod
     def trained(self) -> str:
-        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
+        """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
 
     @abstractmethod
     def score(
         self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
     ) -> list[tuple[PoseGrid, Scores]]:
-        """Return, for each touch, the poses compared with it, metres, and their scores (N,), unitless; adds to `times`.
+        """Return, for each touch, the poses compared with it (metres) and their scores (N,), unitless.
 
-        A `prior` only adds poses of a whole object to the most similar ones.
+        A search also scores poses that the `prior` favours; a listed grid ignores the prior. Adds stage durations to
+        `times`.
         """
 
     @abstractmethod
@@ -62,17 +63,17 @@ class PoseSource(ABC):
     ) -> list[Mode]:  # fmt: skip
         """Return the modes of the `fused` posterior to refine, at least `top` if there are that many.
 
-        `alone` are the touches' own posteriors. `pose_set` are indices (K,) of the fused grid; all its modes are
-        returned too.
+        `alone` are the touches' own posteriors. `pose_set` (K,) are indices of poses in the fused grid; all modes of
+        these poses are returned, too.
         """
 
     @abstractmethod
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the pose nearest to a touch's true pose; -1 if the search found none near it."""
+        """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Return what decides the scores, except encoder, sensor and touch, as JSON values."""
+        """Return all inputs of the scores except the encoder, the sensor and the touch, as JSON values."""
 
 
 class PlaceSource(PoseSource):
@@ -87,7 +88,7 @@ class PlaceSource(PoseSource):
 
     @property
     def trained(self) -> str:
-        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
+        """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
         return self.banks.trained
 
     def score(
@@ -100,23 +101,27 @@ class PlaceSource(PoseSource):
         self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
         pose_set: NDArray[np.int64] | None,
     ) -> list[Mode]:  # fmt: skip
-        """Return the most probable poses that are far enough apart: `top`, or a tenth of all if that is more."""
+        """Return the most probable poses that are far enough apart, and the modes of the pose set, if there is one.
+
+        The number of poses, without the set's modes, is at most the greatest of `top`, the option `refined` and a tenth
+        of all poses.
+        """
         count = max(top, self.options.refined, len(fused.grid) // 10)
         modes = choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
         return modes if pose_set is None else modes + fused.modes(self.mode_radius_m, None, core=pose_set)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the pose nearest to a touch's true pose; -1 if the search found none near it."""
+        """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
         (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
         return -1 if distance_m > self.search.found_m else int(index)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the scores, as JSON values; trains the encoder if necessary."""
+        """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
         return {**self.search.describe(), "trained": self.trained}
 
 
 class GridSource(PoseSource):
-    """Poses listed by a grid, whose contact shapes are rendered and encoded once."""
+    """Poses listed by a grid, whose contact shapes are rendered and encoded only once."""
 
     searched = False
 
@@ -135,7 +140,7 @@ class GridSource(PoseSource):
 
     @cached_property
     def trained(self) -> str:
-        """The digest of the encoder's weights, trained now or stored; empty if it needs no training."""
+        """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
         if not self.encoder.capabilities.needs_training:
             return ""
         model, scene, sampler = self.model, self.scene, self.sampler
@@ -147,7 +152,7 @@ class GridSource(PoseSource):
 
     @cached_property
     def banks(self) -> GridScores:
-        """Compares touches with the grid's banks, each stored or built at first use."""
+        """The comparison of touches with the grid's banks; each bank is built at first use, or loaded if stored."""
         return GridScores(self.encoder, self.new_matcher, self._bank, self.scene.geometry.max_depth_m)
 
     def _bank(self, press_depth_m: float) -> Scores:
@@ -184,9 +189,9 @@ class GridSource(PoseSource):
         return modes or fused.modes(self.mode_radius_m, top)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the pose nearest to a touch's true pose."""
+        """Return the index of the grid pose nearest to a touch's true pose."""
         return int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the scores, as JSON values; trains the encoder if necessary."""
+        """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
         return {"model": self.model.key.digest, "trained": self.trained}

@@ -23,7 +23,7 @@ from tactile_loc.store.workspace import Workspace
 logger = logging.getLogger(__name__)
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that contain all their triangles
-SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # raise when the same file would give another surface or symmetry
+SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # increase if the same file gives another surface or symmetry
 
 Kept = TypeVar("Kept")
 
@@ -42,7 +42,7 @@ def _load_surface(path: Path, store: StageStore) -> Surface:
     try:
         digest = hash_file(path)
     except StoreError:
-        return read_surface(path)  # reports why the file cannot be read
+        return read_surface(path)  # raises the error that states why the file cannot be read
     described = {"file": digest, "suffix": path.suffix.lower(), "trimesh": metadata.version("trimesh")}
     key = StageKey("surface", SURFACE_VERSION, described, path.stem)
 
@@ -85,6 +85,6 @@ def _load_or_keep(
     made = make()
     try:
         store.build(key, lambda work: save(made, work))
-    except StoreError as error:  # if the store cannot be written at all, the next stage raises an error
+    except StoreError as error:  # if nothing can be stored, the next stage raises an error
         logger.info("cannot store the %s, so it is made again next time: %s", key.stage, error)
     return made

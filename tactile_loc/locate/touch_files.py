@@ -68,7 +68,7 @@ class LocatedFile:
 
 
 def make_pose_cells(T: NDArray[np.float64]) -> dict[str, str]:
-    """Return a pose (4, 4), metres, as cells of a table: x, y, z in mm, the rotation in degrees, and its axis."""
+    """Return a pose (4, 4), metres, as cells of a table: x, y, z in mm, the rotation angle in degrees, and its axis."""
     angle_deg, axis = axis_angle(T[:3, :3])
     places = {f"{name}_mm": f"{1e3 * v:.3f}" for name, v in zip("xyz", T[:3, 3], strict=True)}
     axes = {f"axis_{name}": f"{v:.4f}" for name, v in zip("xyz", axis, strict=True)}
@@ -76,19 +76,19 @@ def make_pose_cells(T: NDArray[np.float64]) -> dict[str, str]:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path stands for many touches: a folder, or a pattern such as `folder/*.png`."""
+    """Return whether a path stands for many touches: a folder, or a pattern such as `folder/*.png`."""
     return os.path.isdir(path) or ("*" in path.name and not os.path.exists(path))
 
 
 def is_list(path: Path) -> bool:
-    """Whether a path is, by its name, a list of touches."""
+    """Return whether a path has the suffix of a list of touches, .toml."""
     return path.suffix.lower() == ".toml"
 
 
 def find_touches(folder: Path) -> list[Path]:
-    """Return the touches of a folder or pattern, sorted by name. Raises TouchError when there is none."""
+    """Return the touch files in a folder or matching a pattern, sorted by name. Raises TouchError if there is none."""
     if os.path.isdir(folder):
-        # `simulate` writes contact shapes, photos of the same touches and an overview; take the contact shapes
+        # `simulate` writes contact shapes, photos of the same touches and an overview: use only the contact shapes
         simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
         candidates = simulated or folder.iterdir()
         if any(path.with_suffix(".png").is_file() for path in simulated):
@@ -104,9 +104,10 @@ def find_touches(folder: Path) -> list[Path]:
 def localize_files(
     localizer: Localizer, files: Sequence[Path], press_depth_m: float | None = None
 ) -> Iterator[tuple[LocatedFile, Localization | None]]:
-    """Locate the touch of each file separately, in the files' order; a localisation that fails is None.
+    """Yield the result and the localisation of each file's touch, located separately, in the files' order.
 
-    `press_depth_m`, metres, is the press depth of files that do not state it.
+    The localisation is None if it failed. `press_depth_m`, metres, is used for files that do not state their press
+    depth.
     """
     for first in range(0, len(files), TOGETHER):
         yield from _localize_batch(localizer, files[first : first + TOGETHER], press_depth_m)
@@ -138,7 +139,7 @@ def write_table(path: Path, located: Iterable[LocatedFile]) -> Path:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, str]]) -> Path:
-    """Write rows as CSV, atomically, with empty cells for missing columns; return the path. Raises OutputError."""
+    """Write rows as CSV, atomically, with empty cells for missing values; return the path. Raises OutputError."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
     writer.writeheader()

@@ -26,16 +26,17 @@ from tactile_loc.store.keys import StageKey, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
 
-ROW_VERSION = 1  # raise it when a row of the same combination would hold other numbers
+ROW_VERSION = 1  # increase it if the same combination gets other results
 KEY_DIGITS = 16
 STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
 @dataclass(frozen=True)
 class Combination:
-    """One row of a sweep: an object, a component for each slot, a noise and a seed (in `config`), and a touch count.
+    """One row of a sweep: an object, a component for each slot, a noise, a seed, and a number of touches.
 
-    `key` is a hash of everything that decides the row. `place` is its position along each axis of the plan.
+    `config` has all settings, and `count` is the number of touches. `key` is a hash of all inputs of the row. `place`
+    has the index of each value along its axis of the plan.
     """
 
     object: str
@@ -52,8 +53,8 @@ class Combination:
 def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     """Return all combinations, ordered by object, slots, noise and seed, and the objects by name.
 
-    All meshes are read and all components made, so errors appear now. Raises TactileLocError, also for components
-    that exclude each other and for a grid that lists no poses.
+    All meshes are read and all components made, so errors appear now. Raises TactileLocError for bad input, for
+    components that exclude each other, and for a grid that lists no poses.
     """
     objects = _load(plan.objects)
     described: dict[str, tuple[Component, Any]] = {}
@@ -72,15 +73,16 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
 
 
 def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
-    """Return combinations in an order in which neighbours share little: first objects differ, then sensors, and so on.
+    """Return combinations in an order in which neighbours share little.
 
-    Workers then seldom wait for each other's stages, and an interrupted sweep has rows of all kinds.
+    Neighbours have different objects if possible, then different sensors, and so on. Workers then seldom wait for each
+    other's stages, and an interrupted sweep has rows of all kinds.
     """
     return sorted(combinations, key=lambda combination: combination.place[::-1])
 
 
 def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
-    """Return a hash of everything that decides a row; `components` is the result of `describe_components`."""
+    """Return a hash of all inputs of a row; `components` is the result of `describe_components`."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
     text = write_canonical_json({
         "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
@@ -118,10 +120,10 @@ def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any
 def find_missing_stages(
     combinations: Iterable[Combination], objects: Mapping[str, ObjectModel], store: Path
 ) -> dict[str, int]:
-    """Return the number of artifacts of each of STAGES that these combinations need and the store lacks.
+    """Return, for each of STAGES, the number of artifacts that these combinations need and the store lacks.
 
-    Nothing is built. Encoders that follow the press depth need a bank for each depth of the touches; one is counted.
-    Stages that depend on a missing grid, shapes or training count as missing.
+    Nothing is built. Stages that depend on a missing grid, shapes or training count as missing. An encoder that follows
+    the press depth needs a bank for each depth of the touches, but only one bank is counted.
     """
     known = StageStore(store)
     missing = {
@@ -131,7 +133,7 @@ def find_missing_stages(
 
 
 def list_model_keys(localizer: Localizer) -> list[StageKey]:
-    """Return the keys of a localizer's model, in the order of building; the last is the bank at full press."""
+    """Return the keys of a localizer's model, in the order of building; the last is that of the bank at full press."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
     grid = make_grid_key(scene, localizer.sampler)
     shapes = make_shapes_key(grid, scene)
@@ -146,7 +148,7 @@ def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]
     *learned, bank = list_model_keys(localizer)
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
-    whole = all(has(key) is not None for key in learned)  # if so, asking the localizer for keys builds nothing
+    whole = all(has(key) is not None for key in learned)  # if true, the next keys need no building
     fitted = one.config.temperature is not None
     if not fitted and whole:
         fitted = has(localizer.probabilities.temperature_key()) is not None
@@ -159,7 +161,7 @@ def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]
 
 
 def _load(configs: Sequence[ObjectConfig]) -> dict[str, tuple[ObjectConfig, ObjectModel]]:
-    """Return the objects by name. Raises ConfigError for two objects of the same name."""
+    """Return the objects by name. Raises ConfigError if two objects have the same name."""
     found: dict[str, tuple[ObjectConfig, ObjectModel]] = {}
     for config in configs:
         obj = load_object(config.path, config.units, config.symmetry)

@@ -1,4 +1,4 @@
-"""The comparison of two sweeps, for instance of two versions: better, worse, failed, or in only one of them."""
+"""The comparison of two sweeps, for instance of two versions: which combinations became better, worse, or failed."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ERROR = "error_mm"
-CHANGED = 1.10  # ratio of medians from which an error counts as worse or better
+CHANGED = 1.10  # a ratio of medians above this, or its inverse, counts as worse or better
 WORSE, BETTER, ONLY_OLD, ONLY_NEW, FAILED = "worse", "better", "only in old", "only in new", "failed"
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The compared line of the protocol, its `table`, and the versions that differ, by name: (old, new).
+    """The compared line of the protocol, a `table`, and the `versions` that differ, by name: (old, new).
 
-    The table has a row for each combination of either sweep. Its columns are the texts that identify it (empty where a
-    component lacks an option), old_mm, new_mm, their ratio (NaN if there is none), and the change (empty if small).
+    The table has a row for each combination of either sweep. Its first columns are texts that identify the combination;
+    a text is empty if a component lacks the option. The other columns are old_mm, new_mm, their ratio (NaN if unknown),
+    and the change (empty if small).
     """
 
     line: str
@@ -42,9 +43,9 @@ class Comparison:
 
 
 def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Comparison:
-    """Join two records of sweeps from `read_sweep` by combination, and compare the medians of `line`.
+    """Join two records of sweeps from `read_sweep` by combination, and compare the median errors of `line`.
 
-    Combinations are the same if object, touches, components, and the options known to both sweeps are the same.
+    Two combinations are the same if the object, touches, components, and the options known to both sweeps are the same.
     """
     import pandas as pd
 
@@ -60,7 +61,7 @@ def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Compar
 
 
 def summarise(comparison: Comparison) -> str:
-    """Return the numbers of combinations by change, in one sentence."""
+    """Return the number of combinations with each change, in one sentence."""
     marks = (WORSE, BETTER, FAILED, ONLY_OLD, ONLY_NEW)
     counts = ", ".join(f"{comparison.count(mark)} {mark}" for mark in marks if comparison.count(mark))
     percent = f"{100 * (CHANGED - 1):.0f} %"
@@ -68,7 +69,7 @@ def summarise(comparison: Comparison) -> str:
 
 
 def format_texts(comparison: Comparison) -> pd.DataFrame:
-    """Return the table with errors in mm and ratios as texts, empty if there is none."""
+    """Return the table with errors in mm and ratios as texts; a text is empty if a value is unknown."""
     errors = {name: comparison.table[name].map(_format_mm) for name in ("old_mm", "new_mm")}
     ratio = comparison.table["ratio"].map(lambda value: "" if np.isnan(value) else f"{value:.3f}")
     return comparison.table.assign(**errors, ratio=ratio)
@@ -91,7 +92,10 @@ def _format_markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[st
 
 
 def _describe(record: Mapping[str, Any], line: str) -> pd.DataFrame:
-    """Return the texts that identify each row (IDENTITY, SETTINGS, options "slot.component.option"); its error, mm."""
+    """Return a row for each combination: the texts that identify it, and its error in mm.
+
+    The texts are IDENTITY, SETTINGS and the options, which are called "slot.component.option".
+    """
     import pandas as pd
 
     found = []
@@ -113,9 +117,9 @@ def _list_options(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _index_by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
-    """Index rows by identity: the columns in `shared`, or all of them if the shared ones are ambiguous.
+    """Index rows by identity: the columns in `shared`, or all columns if rows have equal `shared` columns.
 
-    Of rows with the same identity, the first is kept.
+    If several rows have the same identity, the first is kept.
     """
     names = rows.columns.drop(ERROR) if rows.duplicated(shared).any() else shared
     named = rows.set_index(rows[names].fillna("").agg("\n".join, axis=1))
@@ -123,9 +127,9 @@ def _index_by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
 
 
 def _name_rows(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns that distinguish rows: the object, whatever else of IDENTITY differs, and options that differ.
+    """Return the columns that distinguish rows: the object, and all columns of IDENTITY and options that differ.
 
-    An option is called "slot.option", and is empty where a component lacks it.
+    An option is called "slot.option", and is empty if a component lacks it.
     """
     options = [name for name in rows.columns if "." in name]
     varied = [name for name in (*IDENTITY, *options) if name == "object" or rows[name].nunique() > 1]

@@ -1,4 +1,4 @@
-"""Start of a local worker, which imports this module: its output goes to a file, and it ignores Ctrl-C."""
+"""The start of a local worker: a worker that imports this module writes its output to a file and ignores Ctrl-C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LOG = "TACTILE_LOC_WORKER_LOG"
 
 
 def detach(path: str) -> None:
-    """Append this process's output to the file `path`, and ignore Ctrl-C."""
+    """Append the output of this process to the file `path`, and ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for stream in (1, 2):

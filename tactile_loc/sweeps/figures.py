@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 MARKERS = "osD^vP*Xh<>"
 FRONT, INK, FAINT = "#c53030", "#1a202c", "#cbd5e0"
-BY_COLOUR = ("refiner", "encoder", "matcher", "renderer", "grid", "fuser", "sensor")  # the first that varies
+# the first of these slots that varies determines the colours, the second the markers
+BY_COLOUR = ("refiner", "encoder", "matcher", "renderer", "grid", "fuser", "sensor")
 MOST_LISTED = 60
-PANEL, LETTER = 7.2, 0.068  # inches: the widths of a panel and of a letter in the list
+PANEL, LETTER = 7.2, 0.068  # inches: width of a panel, and of a letter in the list
 LIST_LINE = 0.19  # inches: the height of a line in the list
 LEAST_MM = 1e-6  # smaller errors are clipped before taking logarithms
 DIGIT, LINE, MARKER = 5.6, 10.0, 7.0  # points: width of a character, height of a label, size of a point's marker
@@ -34,7 +35,7 @@ OFFSETS = [(5, 3), (5, -12), (-5, 3), (-5, -12), (0, 8), (0, -17), (5, 13), (-5,
 
 @dataclass(frozen=True)
 class Point:
-    """One component for each slot, with geometric means over objects of the error, mm, and the time per touch, ms."""
+    """One component for each slot, with the error, mm, and the time per touch, ms, as geometric means over objects."""
 
     label: str
     choices: tuple[int, ...]
@@ -56,7 +57,7 @@ def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
 
 
 def find_pareto_front(found: Sequence[Point]) -> list[Point]:
-    """Return the points that no other point beats in both error and time, by increasing time."""
+    """Return the points that no other point beats in both error and time, in order of increasing time."""
     front: list[Point] = []
     for point in sorted(found, key=lambda p: (p.time_ms, p.error_mm)):
         if not front or point.error_mm < front[-1].error_mm:
@@ -67,8 +68,8 @@ def find_pareto_front(found: Sequence[Point]) -> list[Point]:
 def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Return natural logarithms (K,) of error ratios for each choice of each slot that varies.
 
-    A ratio divides the error with this choice by the geometric mean over all choices of the slot, everything else being
-    equal. K counts the settings of everything else (objects, noises, other slots) in which no choice failed.
+    A ratio divides the error with this choice by the geometric mean over all choices of the slot, all else being equal.
+    K is the number of settings of all else (objects, noises, other slots) for which no choice failed.
     """
     medians, labels = sweep.compute_medians(line), name_choices(sweep.plan)
     logs = medians.assign(log=np.log(medians["error_mm"].clip(lower=LEAST_MM)))
@@ -82,10 +83,10 @@ def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.f
 
 
 def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
-    """Draw a panel for each noise, with a numbered point for each combination of components, and a list of their names.
+    """Draw a panel for each noise, with a numbered point for each combination of components, and a list of the names.
 
-    Error and time are geometric means over objects of medians over touches. Names on the Pareto front are bold. Returns
-    None when no combination succeeded on all objects.
+    Error and time are medians over touches, then geometric means over objects. Names on the Pareto front are bold.
+    Returns None if no combination succeeded on all objects.
     """
     panels = {noise: found for noise in sweep.plan.noises if (found := list_points(sweep, line, noise))}
     if not panels:
@@ -113,10 +114,10 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
 
 
 def draw_effects(sweep: Sweep, line: str) -> Figure | None:
-    """Draw a panel for each slot that varies: the factor by which each of its choices changes the error.
+    """Draw a panel for each slot that varies: the factor by which each choice changes the error.
 
-    Each dot is one setting of everything else; the line is their geometric mean. Returns None when no slot varies, or
-    every setting has a failed choice.
+    Each dot is one setting of all else, and the line is the geometric mean of the dots. Returns None if no slot varies,
+    or if every setting has a failed choice.
     """
     found = {slot: ratios for slot, ratios in compute_effects(sweep, line).items() if min(map(len, ratios.values()))}
     if not found:
@@ -133,7 +134,7 @@ def draw_effects(sweep: Sweep, line: str) -> Figure | None:
 
 
 class _Style:
-    """A colour for each choice of one slot, a marker for each of another."""
+    """A colour for each choice of one slot, and a marker for each choice of another slot."""
 
     def __init__(self, sweep: Sweep) -> None:
         slots = [slot for slot in BY_COLOUR if slot in find_varying_slots(sweep.plan)]
@@ -213,7 +214,7 @@ def _locate_points(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
 
 
 def _draw_effect(axes: Axes, slot: str, ratios: Mapping[str, NDArray[np.float64]]) -> None:
-    """Draw the choices of a slot from top to bottom; the axis has natural logarithms of ratios."""
+    """Draw the choices of a slot from top to bottom, on an axis of natural logarithms of ratios."""
     axes.axvline(0, color=FAINT, lw=1.2, zorder=1)
     for place, (values, colour) in enumerate(zip(ratios.values(), COLOURS * len(ratios), strict=False)):
         spread = np.linspace(-0.22, 0.22, len(values)) if len(values) > 1 else np.zeros(1)
@@ -247,9 +248,10 @@ def _find_leading_digit(value: float) -> int:
 
 @dataclass(frozen=True)
 class NumberLabel:
-    """One label for nearly coincident points, whose indices are `members`, written at `offset_pt` from the first.
+    """One label for nearly coincident points, which have the indices `members`.
 
-    The text begins there if the first number of the offset is positive, ends there if negative, else it is centred.
+    The label is placed at `offset_pt`, in 1/72 inch, from the first point. The text begins there if the first number of
+    the offset is positive, and ends there if it is negative. If the number is zero, the text is centred there.
     """
 
     text: str
@@ -265,7 +267,8 @@ class NumberLabel:
 def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list[NumberLabel]:
     """Return labels for points (N, 2), in 1/72 inch, with these numbers.
 
-    Nearly coincident points share a label. Each label takes the first of OFFSETS where it covers nothing, if any.
+    Nearly coincident points share a label. Each label takes the first of OFFSETS at which it covers nothing, or the
+    first of all if there is none.
     """
     markers = [_make_box(x, y - MARKER / 2, MARKER, MARKER, 0) for x, y in places_pt]
     taken: list[Bbox] = []
@@ -296,7 +299,7 @@ def write_ranges(numbers: Sequence[int]) -> str:
 
 
 def _make_box(x: float, y: float, width: float, height: float, side: float) -> Bbox:
-    """Make a box right of x, left of it or around it, if `side` is positive, negative or zero."""
+    """Make a box to the right of x if `side` is positive, to the left if negative, or centred at x if zero."""
     from matplotlib.transforms import Bbox
 
     left = x - width * (0.5 if side == 0 else 0.0 if side > 0 else 1.0)

@@ -35,7 +35,7 @@ DEFAULT_COUNT, DEFAULT_NOISE = 150, "strong"
 
 @dataclass(frozen=True)
 class Plan:
-    """The values of everything that a sweep varies; it evaluates their full product.
+    """The values of everything that a sweep varies; the sweep evaluates all their combinations.
 
     `slots` has the choices of each slot with all their options. Each combination is evaluated on `count` simulated
     touches, with the same `settings` (RunConfig's SETTINGS).
@@ -50,7 +50,7 @@ class Plan:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Plan:
-        """Read a plan's file; see `from_values`."""
+        """Read a plan from a TOML file; see `from_values`."""
         with name_source(path):
             return cls.from_values(read_toml(path), str(path))
 
@@ -59,7 +59,7 @@ class Plan:
         """Make a plan from one value or a list of values for each of KEYS.
 
         Missing keys have the defaults of an evaluation: all demo objects, each slot's default, strong noise, seed 0.
-        Raises ConfigError or PluginError, which name `source`, for unknown or ill-typed values.
+        Raises ConfigError or PluginError, which name `source`, for unknown entries or values of a wrong type.
         """
         with nullcontext() if source == COMMAND_LINE else name_source(source):
             return cls._read(values, source)
@@ -92,7 +92,7 @@ class Plan:
 
 
 def _read_objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
-    """Return the objects without duplicates; paths are absolute, since workers may run elsewhere."""
+    """Return the objects without duplicates; paths become absolute, since workers may run in another folder."""
     found = []
     for entry in entries:
         table = entry if isinstance(entry, dict) else {"path": entry}
@@ -151,14 +151,15 @@ def _read_settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
 
 
 def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequence[Any]]) -> tuple[SlotConfig, ...]:
-    """Return every component with every combination of the option values, without duplicates; all options are resolved.
+    """Return every component with every combination of the option values, without duplicates.
 
-    An option goes to the components that have it. Raises PluginError or ConfigError, also for an option of none.
+    All options get their full values. An option applies to the components that have it. Raises PluginError or
+    ConfigError, also for an option that no component has.
     """
     known = {chosen.name: set(registry().load(slot, chosen.name).Options.model_fields) for chosen in named}
     foreign = [option for option in options if not any(option in fields for fields in known.values())]
     if foreign:
-        _resolve(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})  # raises, and names the known options
+        _resolve(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})  # raises, naming the known options
     found: dict[str, SlotConfig] = {}
     for chosen in named:
         own = {option: values for option, values in options.items() if option in known[chosen.name]}
@@ -231,7 +232,7 @@ def split_values(text: str) -> list[str]:
 
 
 def split_all(words: Iterable[str]) -> list[str]:
-    """Return the values of a repeatable flag, each of which may hold several."""
+    """Return the values of a repeatable flag; each word may have several values."""
     return [value for word in words for value in split_values(word)]
 
 
@@ -259,7 +260,7 @@ def _name_key(key: str, source: str) -> str:
 
 
 def read_options(given: Any, source: str) -> Options:
-    """Return {slot: {option: values}} from words "slot.option=value,value", or from such a table.
+    """Return {slot: {option: values}} from words "slot.option=value,value", or from a table of this form.
 
     The values of repeated options are joined. Raises ConfigError for another form or an unknown slot.
     """
@@ -277,7 +278,7 @@ def read_options(given: Any, source: str) -> Options:
 
 
 def merge_options(first: Options, second: Options) -> Options:
-    """Return the options of both; the second's values replace those of the first."""
+    """Return the options of both; where both have an option, the values of `second` count."""
     return {slot: {**first.get(slot, {}), **second.get(slot, {})} for slot in {**first, **second}}
 
 
@@ -286,7 +287,7 @@ def _read_table(table: dict[str, Any], source: str) -> Options:
     for slot, options in table.items():
         if not isinstance(options, dict):
             raise ConfigError(f"{source} has option.{slot} = {options!r}; write it as option.grid.spacing_mm = [3, 4]")
-        parse_overrides(f"{slot}.{option}=0" for option in options)  # raises for an unknown slot
+        parse_overrides(f"{slot}.{option}=0" for option in options)  # raises ConfigError for an unknown slot
         found[slot] = {
             option: list_values(values, f"option.{slot}.{option}", source) for option, values in options.items()
         }

@@ -27,7 +27,7 @@ FAILED = "failed"
 
 
 def require_line(line: str) -> str:
-    """Return `line` if it is one of the protocol's. Raises ConfigError otherwise."""
+    """Return `line` if it is a line of the protocol. Raises ConfigError otherwise."""
     if line not in LINES:
         raise ConfigError(f"there is no line {line!r}.{did_you_mean(line, LINES)} The lines are {', '.join(LINES)}")
     return line
@@ -36,8 +36,8 @@ def require_line(line: str) -> str:
 def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     """Write all results into the folder `out` and return their paths.
 
-    Summary and pictures show the errors of `line`, one of the protocol's LINES. A picture without data is left out.
-    Raises OutputError.
+    The summary and the pictures show the errors of `line`, one of the protocol's LINES. A picture without data is left
+    out. Raises OutputError.
     """
     document, table = format_json(record_sweep(sweep, line)), format_csv(sweep.table)
     written = write_texts(out, "sweep", csv=table, md=format_summary(sweep, line), json=document)
@@ -53,7 +53,7 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
 
 
 def format_csv(table: pd.DataFrame) -> str:
-    """Return a table as CSV; missing values are empty, booleans are written as in JSON."""
+    """Return a table as CSV; missing values are empty, and booleans are true or false."""
     truths = table.select_dtypes("boolean").columns
     written = table.assign(**{name: table[name].map({True: "true", False: "false"}) for name in truths})
     return str(written.to_csv(index=False, lineterminator="\n"))
@@ -70,7 +70,7 @@ def write_parquet(path: Path, table: pd.DataFrame) -> Path:
 
 
 def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
-    """Return plan, versions, numbers of built stages, and each row with its settings, as JSON values."""
+    """Return the plan, the versions, the number of built stages, and each row with its settings, as JSON values."""
     configurations = {one.key: one.describe() for one in sweep.combinations}
     return {
         "schema_version": SCHEMA_VERSION,
@@ -87,7 +87,7 @@ def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
 
 
 def read_sweep(folder: Path) -> dict[str, Any]:
-    """Read the sweep.json of a folder. Raises ConfigError when it is missing or damaged."""
+    """Read the sweep.json of a folder. Raises ConfigError if the file is missing or damaged."""
     path = folder / "sweep.json"
     try:
         found = read_json(path)
@@ -101,10 +101,10 @@ def read_sweep(folder: Path) -> dict[str, Any]:
 
 
 def _require_rows(rows: list[dict[str, Any]]) -> None:
-    """Raise an error that `read_sweep` catches for rows without their combination or with bad errors."""
+    """Raise an error that `read_sweep` catches if a row lacks its combination, or has an error that is not a number."""
     if not rows:
         raise ValueError("it has no row")
-    json.dumps(rows, ensure_ascii=False).encode()  # raises for half a surrogate pair, which cannot be written again
+    json.dumps(rows, ensure_ascii=False).encode()  # raises for a lone surrogate, which cannot be written again
     for row in rows:
         chosen = [row["configuration"][slot] for slot in SLOTS]
         said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]
@@ -114,7 +114,7 @@ def _require_rows(rows: list[dict[str, Any]]) -> None:
 
 
 def format_summary(sweep: Sweep, line: str) -> str:
-    """Return a table for each noise, with the median ADD of `line`, mm, and the list of failures, as Markdown."""
+    """Return, as Markdown, a table for each noise with the median ADD of `line`, mm, and a list of failures."""
     plan = sweep.plan
     seeds = f", mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
     parts = [f"# Sweep: {line}\n"]
@@ -133,7 +133,10 @@ def format_summary(sweep: Sweep, line: str) -> str:
 
 
 def pivot(medians: pd.DataFrame, noise: str) -> pd.DataFrame:
-    """Return the errors of `Sweep.compute_medians` with one noise, mm: a row for each label, a column per object."""
+    """Return the errors of `Sweep.compute_medians` with one noise, mm, with a row for each label.
+
+    Each object has a column.
+    """
     found = medians[medians["noise"] == noise]
     wide = found.pivot(index=[*SLOTS, "label"], columns="object", values="error_mm").droplevel(list(SLOTS))
     return wide[list(found["object"].unique())]

@@ -32,7 +32,7 @@ MOMENTARY = (*TIMES, "model_s", "built")
 MEASURED = (*ERRORS, *COVERAGES, "nll_nats", *TIMES, "model_s")
 WHOLE = ("seed", "count", "grid_poses")
 TEXTS = ("object", *SLOTS, "noise", "error", "key", "built")
-NAMED = ("encoder", "refiner")  # in labels, if no slot varies
+NAMED = ("encoder", "refiner")  # the slots that labels name if no slot varies
 
 log = logging.getLogger(__name__)
 
@@ -41,18 +41,18 @@ class Workers(Protocol):
     """Runs jobs: `LocalWorkers` or `DaskWorkers`."""
 
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job as it ends; `objects` has each job's object by the job's key."""
+        """Yield the outcome of every job when it ends; `objects` maps each job's key to its object."""
         ...
 
 
 class FinishedRows:
-    """The finished rows of a sweep, in OUT/rows/KEY.json, and tracebacks, in OUT/errors/KEY.txt."""
+    """The finished rows of a sweep, in the files OUT/rows/KEY.json, and tracebacks, in OUT/errors/KEY.txt."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
 
     def read(self, key: str) -> Outcome | None:
-        """Return the outcome of this key; None if it is missing or damaged."""
+        """Return the outcome of this key; None if its file is missing or damaged."""
         try:
             found = read_json(self._locate_row(key))
             return Outcome(found["key"], found["measured"], tuple(found["built"]), found["error"])
@@ -71,7 +71,7 @@ class FinishedRows:
         write_json(self._locate_row(outcome.key), record)
 
     def tidy(self) -> None:
-        """Remove unfinished files of a killed sweep."""
+        """Remove unfinished files of a sweep that was killed."""
         for name in ("rows", "errors"):
             remove_abandoned(self.out / name)
 
@@ -81,7 +81,10 @@ class FinishedRows:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A plan's combinations and their outcomes; `done` of them were evaluated now, the others before."""
+    """A plan's combinations and their outcomes.
+
+    `done` is the number of combinations that this call evaluated; the others were evaluated before.
+    """
 
     plan: Plan
     combinations: Sequence[Combination]
@@ -99,11 +102,10 @@ class Sweep:
         return make_table(self.rows)
 
     def compute_medians(self, line: str) -> pd.DataFrame:
-        """Return means over seeds, in a row for each object, noise and choice of components, in the plan's order.
+        """Return a row for each object, noise and choice of components, in the plan's order, as means over seeds.
 
-        `error_mm` is the median error of `line`, and `time_ms` the median time for a touch; both are NaN where a
-        combination failed. The column of a slot has the index of its choice. `label` names the choices of slots that
-        vary.
+        `error_mm` is the median error of `line`, and `time_ms` the median time for a touch. Both are NaN if a
+        combination failed. A slot's column has the index of the choice. `label` names the choices of slots that vary.
         """
         labels, named = name_choices(self.plan), find_varying_slots(self.plan) or NAMED
         known = {"error_mm": self.table[f"{line}_median_mm"], "time_ms": self.table["total_ms"]}
@@ -130,10 +132,10 @@ class Sweep:
 def run_sweep(
     plan: Plan, out: Path, store: Path, workers: Workers, progress: Progress | None = None
 ) -> Sweep:  # fmt: skip
-    """Evaluate every combination of `plan` without a row in `out`, and write each row there as soon as it is finished.
+    """Evaluate every combination of `plan` that has no row in `out`; write each row there when it is finished.
 
-    The row of a failed combination holds its error; the next call tries it again. All workers share the stage store in
-    the folder `store`. Raises TactileLocError for a bad plan or `out`, before anything runs.
+    The row of a failed combination states the error, and the next call tries the combination again. All workers share
+    the stage store in the folder `store`. Raises TactileLocError for a bad plan or `out`, before anything runs.
     """
     require_tables()
     combinations, objects = combine(plan)
@@ -141,7 +143,7 @@ def run_sweep(
     kept = FinishedRows(out)
     kept.tidy()
     outcomes = find_finished(combinations, kept)
-    for key in outcomes:  # a killed sweep may have written a row without removing its journal
+    for key in outcomes:  # a killed sweep may have left the journal of a finished row
         BuildJournal.forget(store, key)
     missing = [one for one in order_for_running(combinations) if one.key not in outcomes]
     if missing:
@@ -176,7 +178,7 @@ def _run(
 def _show(
     progress: Progress, advance: Callable[[int], None], last: Combination, outcomes: Mapping[str, Outcome]
 ) -> None:  # fmt: skip
-    """Advance the progress bar, with the last combination and the number of failures."""
+    """Advance the progress bar, and show the last combination and the number of failures."""
     failed = sum(bool(outcome.error) for outcome in outcomes.values())
     names = [last.object, last.config.encoder.name, last.config.refiner.name]
     text = " ".join([*names, *([f"({failed} failed)"] if failed else [])])
@@ -186,7 +188,7 @@ def _show(
 
 
 def average_all(values: pd.Series) -> float:
-    """Return the mean of values; NaN if any of them is NaN."""
+    """Return the mean of values; NaN if any value is NaN."""
     return float(values.mean(skipna=False))
 
 
@@ -202,7 +204,7 @@ def list_varied_columns(plan: Plan) -> list[str]:
 
 
 def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, Outcome]) -> list[Row]:
-    """Return a row of all columns for each combination, as JSON values; missing values are None."""
+    """Return a row with all columns for each combination, as JSON values; missing values are None."""
     columns, varied = list_columns(plan), list_varied_columns(plan)
     rows = []
     for one in combinations:
@@ -225,9 +227,9 @@ def _identify(one: Combination, varied: Sequence[str]) -> Row:
 
 
 def make_table(rows: Sequence[Row]) -> pd.DataFrame:
-    """Return rows as a table. The types of its columns are fixed, even if no combination succeeded.
+    """Return rows as a table whose column types are fixed, even if no combination succeeded.
 
-    The column of an option has the type of its values; lists and mixtures are written as JSON.
+    The column of an option has the type of its values. Lists and mixed types are written as JSON.
     """
     import pandas as pd
 
@@ -250,7 +252,7 @@ def _make_column(values: Sequence[Any], name: str) -> pd.Series:
 
 
 def require_tables() -> None:
-    """Raise MissingLibraryError when a library for writing tables is missing."""
+    """Raise MissingLibraryError if a library for writing tables is missing."""
     try:
         import pandas  # noqa: F401
         import pyarrow  # noqa: F401

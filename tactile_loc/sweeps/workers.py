@@ -37,12 +37,12 @@ COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
 TIMES = (*(f"{stage}_ms" for stage in STAGES), "total_ms")
 
 JOURNALS = "sweep-builds"  # a folder of the store
-RETRIES = 2  # for failures outside the evaluation, such as a broken connection
+RETRIES = 2  # repetitions after failures outside the evaluation, such as a broken connection
 CONNECT_S = 10
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-LOCAL_FAILURES = 1  # deaths of local workers after which a combination is tried again, in each of two rounds
-REPLACEMENT_S = 5  # after which a lost local worker is replaced
-LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # used by Dask
+LOCAL_FAILURES = 1  # deaths of workers after which a combination is tried again, in each of two rounds
+REPLACEMENT_S = 5  # time after which a lost local worker is replaced
+LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # loggers that Dask uses
 
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://.+")
 # A Dask worker may have several threads, but OpenGL contexts and numba's workqueue allow only one at a time.
@@ -65,9 +65,10 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a job: `measured`, or an `error` (one sentence), with its `trace` if it was unexpected.
+    """The outcome of a job: the values `measured`, or an `error` in one sentence.
 
-    `built` names the stages, "stage digest", that were built for it, also by processes that were then killed.
+    `trace` is the traceback of an unexpected error. `built` has the names, "stage digest", of the stages that were
+    built for the job, also by processes that were killed.
     """
 
     key: str
@@ -80,7 +81,7 @@ class Outcome:
 class BuildJournal(list[StageKey]):
     """The keys of the stages built for a job, also kept in a file of the store until `forget`.
 
-    If the file cannot be written, only the stages built by killed processes are lost from the list.
+    If the file cannot be written, the list lacks stages built by processes that were killed.
     """
 
     def __init__(self, store: Path, key: str) -> None:
@@ -91,7 +92,7 @@ class BuildJournal(list[StageKey]):
             self._earlier = self._path.read_text(encoding="utf-8").splitlines()
 
     def append(self, key: StageKey) -> None:
-        """Note that a stage was built."""
+        """Record that a stage was built."""
         super().append(key)
         with suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,7 +101,7 @@ class BuildJournal(list[StageKey]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of all stages, "stage digest"; those of killed processes come first."""
+        """The names of all stages, "stage digest"; names from killed processes come first."""
         return tuple(dict.fromkeys([*self._earlier, *map(str, self)]))
 
     @staticmethod
@@ -115,7 +116,7 @@ def _locate_journal(store: Path, key: str) -> Path:
 
 
 def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
-    """Evaluate a combination on its object. The outcome holds any error."""
+    """Evaluate a combination on its object. An error is returned in the outcome."""
     with _ALONE:
         store = StageStore(job.store)
         store.built = built = BuildJournal(job.store, job.key)
@@ -138,7 +139,7 @@ def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
         )
     localizer = Localizer(config, obj, store)
     start_s = time.perf_counter()
-    localizer.describe_scores()  # the grid, its shapes, and a trained encoder
+    localizer.describe_scores()  # builds the grid and its shapes, and trains the encoder
     _ = localizer.probabilities.temperature_scaling
     model_s = time.perf_counter() - start_s if store.built else 0.0
     evaluation = evaluate(localizer, job.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
@@ -146,10 +147,10 @@ def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
 
 
 def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None]:
-    """Return ERRORS (mm, and shares of a random pose's mean), COVERAGES, nll_nats and TIMES (medians, ms).
+    """Return ERRORS (mm, and shares of a random pose's mean error), COVERAGES, nll_nats and TIMES (medians, ms).
 
-    Numbers have six digits. None stands for a number that is not finite, such as the likelihood if a matcher did not
-    score the true pose.
+    Numbers have six digits. A number that is not finite becomes None, such as the likelihood if a matcher did not score
+    the true pose.
     """
     errors = []
     for line in LINES:
@@ -171,16 +172,16 @@ Outcomes = Generator[Outcome, None, None]
 
 @dataclass(frozen=True)
 class LocalWorkers:
-    """Local processes: their number, the threads of each, and the file `log` for their output."""
+    """Local processes: the number of `workers`, the `threads` of each, and the file `log` for their output."""
 
     workers: int
     threads: int
     log: Path
 
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job as it ends; `objects` has each job's object by the job's key.
+        """Yield the outcome of every job when it ends; `objects` maps each job's key to its object.
 
-        The workers end with the iteration. Raises MissingLibraryError, ClusterError, or OutputError when the log cannot
+        The workers end with the iteration. Raises MissingLibraryError, ClusterError, or OutputError if the log cannot
         be written.
         """
         why = f"its worker died each time, perhaps for lack of memory; see {self.log}"
@@ -190,12 +191,12 @@ class LocalWorkers:
 
 @dataclass(frozen=True)
 class DaskWorkers:
-    """The workers of the Dask scheduler at an address such as tcp://host:8786."""
+    """The workers of the Dask scheduler at an `address` such as tcp://host:8786."""
 
     address: str
 
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job as it ends; `objects` has each job's object by the job's key.
+        """Yield the outcome of every job when it ends; `objects` maps each job's key to its object.
 
         Raises MissingLibraryError or ClusterError.
         """
@@ -222,7 +223,8 @@ def _run_twice(
 ) -> Outcomes:
     """Yield the outcome of every job.
 
-    Dask gives up a job if its workers died, but another job may have killed them: each is tried once more, alone.
+    Dask gives up a job if its workers died, but another job may have killed the workers. So each such job is tried once
+    more, alone.
     """
     given_up: list[Job] = []
     for some in itertools.chain([jobs], ([job] for job in given_up)):
@@ -237,14 +239,14 @@ def _run_twice(
 def _run(
     client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], at_once: int | None
 ) -> Generator[tuple[Job, Outcome | None], None, None]:
-    """Yield each job with its outcome, or with None where too many workers died. Cancels all jobs at the end.
+    """Yield each job with its outcome, or with None if too many workers died. Cancels all jobs at the end.
 
-    At most `at_once` jobs are submitted at a time, so that few jobs are on a worker when it dies.
+    At most `at_once` jobs are submitted at a time, so that few jobs are on a worker that dies.
     """
     from distributed import as_completed
 
     token = uuid.uuid4().hex[:8]
-    held: dict[str, Any] = {}  # an object is sent once: as the result of a task, which Dask can repeat
+    held: dict[str, Any] = {}  # each object is sent once, as the result of a task that Dask can repeat
     futures: dict[Any, Job] = {}
     waiting, running = deque(jobs), as_completed(loop=client.loop)
     try:
@@ -261,7 +263,7 @@ def _run(
             future = next(running)
             job = futures.pop(future)
             outcome = _read_outcome(future, job, client.scheduler.address)
-            future.release()  # otherwise Dask repeats it if the worker that holds its result dies
+            future.release()  # otherwise Dask repeats the job if the worker with its result dies
             yield job, outcome
     finally:
         client.cancel(list(futures))
@@ -287,7 +289,7 @@ def _return_object(obj: ObjectModel) -> ObjectModel:
 
 @contextmanager
 def _connect(address: str) -> Iterator[Any]:
-    """Yield a client, and close it at the end."""
+    """Yield a client of the scheduler, and close the client at the end."""
     from distributed import Client
 
     try:
@@ -304,7 +306,7 @@ def _connect(address: str) -> Iterator[Any]:
 
 @contextmanager
 def _start_cluster(local: LocalWorkers) -> Iterator[str]:
-    """Yield the address of a scheduler in this process, with workers in separate processes that end with the block.
+    """Yield the address of a scheduler in this process, whose workers are separate processes that end with the block.
 
     Dask's own limits of memory and of time without contact are off: only the operating system kills a worker.
     """
@@ -342,8 +344,8 @@ def _start_cluster(local: LocalWorkers) -> Iterator[str]:
 def replace_lost_workers(cluster: Any, count: int) -> Iterator[None]:
     """Keep a local cluster at `count` workers.
 
-    Dask restarts a worker that dies, but not one that dies while Dask still waits for its start. Without this, a
-    combination that kills its workers at once could leave a cluster without workers, and the sweep would wait forever.
+    Dask restarts a worker that dies, except a worker that dies while Dask waits for its start. So a combination that
+    kills its workers at once could leave a cluster without workers, and the sweep would wait forever.
     """
     from tornado.ioloop import PeriodicCallback
 
@@ -358,8 +360,8 @@ def replace_lost_workers(cluster: Any, count: int) -> Iterator[None]:
 def _end(cluster: Any) -> None:
     """Kill the workers, then close the cluster.
 
-    On a busy machine, an orderly end takes longer than Dask waits for it. The workers hold no results any more, and
-    the store is always consistent.
+    On a busy machine, workers that end by themselves take longer than Dask waits. At this point, the workers hold no
+    results, and the store is always consistent.
     """
     for nanny in cluster.workers.values():
         nanny.close_gracefully("the sweep has ended")  # so that Dask does not restart the worker
@@ -372,7 +374,7 @@ def _end(cluster: Any) -> None:
 
 @contextmanager
 def _set_environment(threads: int) -> Iterator[None]:
-    """Set the environment in which workers start and restart, with their number of threads."""
+    """Set the environment variables with which workers start and restart, such as their number of threads."""
     before = dict(os.environ)
     os.environ.update(dict.fromkeys(THREADS, str(threads)), DASK_LOGGING__DISTRIBUTED="warning")
     try:
@@ -396,7 +398,7 @@ def _open_log(path: Path) -> Iterator[logging.Handler]:
 
 @contextmanager
 def _redirect_logs(handler: logging.Handler) -> Iterator[None]:
-    """Send Dask's log to a handler. Errors of the sweep tell the user what matters."""
+    """Send Dask's log to a handler, because the errors of the sweep tell the user all that matters."""
     loggers = [logging.getLogger(name) for name in LOGS]
     before = [(logger.handlers, logger.propagate) for logger in loggers]
     for logger in loggers:

@@ -1,10 +1,11 @@
 """Identification: which of several objects, if any, was touched, and where it is.
 
-A quick comparison ranks all objects. The best ones are searched roughly, and the best of these are located, each from
-all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its best pose lacks to explain all
-touches fully. It does not depend on how much of the object the touches show. If the touched object is not in the
-library, the best other object still explains the touches to some extent, by chance. The misfit of "none of these" was
-fitted to such cases: simulated touches of objects that were left out.
+A quick comparison ranks all objects. The best objects are searched roughly, and the best of these are located, each
+from all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its best pose lacks to explain all
+touches fully. The misfit does not depend on how much of the object is touched.
+
+If the touched object is not in the library, the best other object still explains the touches to some extent, by chance.
+So "none of these" has a misfit, too. It was fitted to simulated touches of objects that were left out of the library.
 """
 
 from __future__ import annotations
@@ -29,22 +30,21 @@ from tactile_loc.tasks.library import Glance, Library
 
 Float64 = NDArray[np.float64]
 
-LOOKED_INTO = 64  # objects searched roughly: the most similar ones in the quick comparison
-LOCATED = 8  # of those, objects located: the ones that explain the touches best
+LOOKED_INTO = 64  # objects that are searched roughly: the most similar ones in the quick comparison
+LOCATED = 8  # objects that are located: the ones that explain the touches best in the rough search
 MISFITS = np.geomspace(0.3, 20, 30).round(2).tolist()  # tried in the fit, nats
 TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()
-LEAST = 1e-3  # probability of the truth, so that one touch does not decide alone
+LEAST = 1e-3  # least probability of the true object in the fit, so that no single touch decides
 
 
 @keep_old_names(shortfall="measure_misfit")
 @dataclass(frozen=True)
 class NullEvidence:
-    """The misfit of "none of these" and the `temperature`, nats: less misfit by this makes an object e times as
-    probable.
+    """The misfit of "none of these", and the `temperature`, both in nats.
 
-    The misfit is `alone` for one touch, and `together` for each of several touches. They differ because many objects
-    have a feature in common, but few have several features at the same distances. Raises ConfigError unless all are
-    positive.
+    An object becomes e times as probable if its misfit decreases by `temperature`. The misfit of "none of these" is
+    `alone` for one touch, and `together` for each of several touches. They differ because many objects have a feature
+    in common, but few have several features at the same distances. Raises ConfigError unless all numbers are positive.
     """
 
     alone: float = 1.97
@@ -60,8 +60,9 @@ class NullEvidence:
         return self.alone if touches == 1 else touches * self.together
 
     def probabilities(self, misfits: Float64, touches: int) -> tuple[Float64, float]:
-        """Return probabilities (K,) of objects with misfits (K,), nats (infinite: impossible), and that of "none of
-        these".
+        """Return the probabilities (K,) of K objects, and the probability of "none of these".
+
+        `misfits` (K,), nats, are the objects' misfits; an infinite misfit gives probability 0.
         """
         logits = -np.append(misfits, self.measure_misfit(touches)) / self.temperature
         weights = np.exp(logits - logits.max())
@@ -69,14 +70,17 @@ class NullEvidence:
         return p[:-1], float(p[-1])
 
     def loss(self, answers: Sequence[KnownAnswer]) -> float:
-        """Return the sum of the answers' negative log-likelihoods, nats."""
+        """Return the negative log-likelihood of the true objects, nats, summed over the answers."""
         said = [(*self.probabilities(answer.misfits, answer.touches), answer.truth) for answer in answers]
         return -float(np.sum([np.log(max(none if k < 0 else p[k], LEAST)) for p, none, k in said]))
 
 
 class KnownAnswer(NamedTuple):
-    """Touches of a known object: the misfits (K,) of K objects, nats, the index of the true one (-1 if it was left
-    out), and the number of touches."""
+    """The result of comparing K objects with touches of a known object.
+
+    `misfits` (K,), nats, belong to the K objects. `truth` is the index of the touched object; -1 if it was left out.
+    `touches` is the number of touches.
+    """
 
     misfits: Float64
     truth: int
@@ -84,7 +88,7 @@ class KnownAnswer(NamedTuple):
 
 
 def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
-    """Return the null evidence that makes the truth most probable: least total negative log-likelihood."""
+    """Return the null evidence with the least negative log-likelihood of the true objects."""
     single = [answer for answer in answers if answer.touches == 1]
     several = [answer for answer in answers if answer.touches > 1]
 
@@ -102,11 +106,11 @@ def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
 class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
-    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison. The most
-    similar objects are searched roughly: `rough_iou` is their mean imprint IoU with the touches, 0 for the others. The
-    best of these are located: `found` is the result, None if that was not tried or failed. `misfit`, nats, is the
-    evidence that its best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is
-    the probability that this object was touched.
+    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison.
+    `rough_iou`, 0 to 1, is the best mean imprint IoU in the rough search; 0 if the object was not searched. `found` is
+    the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence that the
+    best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is the probability
+    that this object was touched.
     """
 
     name: str
@@ -121,7 +125,7 @@ class KnownObject:
 class Identification:
     """The objects, the most probable first, and the probability that `none` of them was touched.
 
-    `KnownObject.found` has the distribution of an object's pose, assuming that it is the right object.
+    `KnownObject.found` has the distribution of an object's pose, assuming that this object was touched.
     """
 
     objects: tuple[KnownObject, ...]
@@ -138,11 +142,12 @@ def identify(
     touches: Sequence[Touch], models: Library | Sequence[Localizer], located: int = LOCATED,
     null: NullEvidence | None = None,
 ) -> Identification:  # fmt: skip
-    """Return the probability of each of the models' objects that it was touched, and that none of them was.
+    """Return the probability that each of the models' objects was touched, and the probability of "none of these".
 
-    If there are several touches, each needs `T_base_sensor`. The LOOKED_INTO most similar objects are searched roughly,
-    and the best `located` of them are located. The order of the models does not matter. Raises TactileLocError for
-    touches of another sensor, several touches without sensor poses, models that share a name, or no models.
+    If there are several touches, each needs `T_base_sensor` (4, 4), metres. The LOOKED_INTO most similar objects are
+    searched roughly, and the best `located` of them are located. The order of the models does not matter. Raises
+    TactileLocError for touches of another sensor, several touches without sensor poses, models that share a name, or no
+    models.
     """
     library = models if isinstance(models, Library) else Library(models)
     if not touches:
@@ -177,12 +182,12 @@ def measure_misfit(model: Localizer, found: Localization) -> float:
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     seen = None if len(views) == 1 else _find_seen_poses(views, found)
     evidence = compare_where_seen(views, poses, seen)[1].sum(axis=1)
-    fully = sum(map(_compute_full_evidence, (*found.touches, *found.left_out)))  # no pose explains touches left out
+    fully = sum(map(_compute_full_evidence, (*found.touches, *found.left_out)))  # no pose explains the left-out ones
     return max(0.0, fully - float(evidence.max()))
 
 
 def _look_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np.int64]) -> Float64:
-    """Search the chosen objects roughly; return mean imprint IoUs (K,), 0 for the others."""
+    """Search the chosen objects roughly; return the mean imprint IoUs (K,) of all objects, 0 for those not chosen."""
     rough = np.zeros(len(library))
     with library.progress.task("looking into objects", len(chosen)) as advance:
         for k in chosen:
@@ -202,7 +207,11 @@ def _locate(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
 
 
 def _find_seen_poses(views: Sequence[View], found: Localization) -> Float64:
-    """Find where each of N sensors sees each of K hypotheses, (K, N, 4, 4), metres: as refined, else as reported."""
+    """Return K hypotheses in the frames of N sensors, (K, N, 4, 4), metres.
+
+    These are the refiner's poses for each sensor. If the refiner gives none, they follow from the reported sensor
+    poses.
+    """
     return np.stack([
         np.stack([view.T_sensor_first @ h.T_sensor_object for view in views])
         if h.refined.T_sensors_object is None or len(h.refined.T_sensors_object) != len(views)
@@ -212,7 +221,7 @@ def _find_seen_poses(views: Sequence[View], found: Localization) -> Float64:
 
 
 def _compute_full_evidence(touch: Touch) -> float:
-    """Compute the evidence, nats, of a pose whose contact is exactly the touch's."""
+    """Return the evidence, nats, of a pose whose contact is exactly the touch's contact."""
     geometry, shape = touch.thin(IOU_PX)
     seen = shape.depth_m
     fully = compare_imprints(seen[None], seen, touch.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)

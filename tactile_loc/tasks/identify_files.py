@@ -23,7 +23,7 @@ SCHEMA_VERSION = 1
 
 
 class PoseRecord(Record):
-    """An object's pose, assuming that it is the right object."""
+    """A pose of an object, assuming that this object was touched."""
 
     probability: float = Field(description="of this pose, given this object, 0 to 1")
     T_sensor_object: Matrix = Field(description="(4, 4), m, in the first touch's sensor frame")
@@ -57,9 +57,10 @@ class IdentificationRecord(Record):
 
 
 def read_library(folder: Path, config: RunConfig, store: StageStore, progress: Progress) -> Library:
-    """Open the meshes of a folder as a library; `config` holds all settings of the localizers except the object.
+    """Open the meshes of a folder as a library.
 
-    Raises ObjectError when there is no such folder, or no mesh in it.
+    `config` has all settings of the localizers except the object. Raises ObjectError if there is no such folder, or no
+    mesh in it.
     """
     if not os.path.isdir(folder):
         raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
@@ -75,7 +76,7 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
 
 
 def make_identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
-    """Make the record of an identification of touches, given by their names."""
+    """Make the record of an identification; `touches` are the touches' names."""
     return IdentificationRecord(
         touches=touches, identified=None if found.best is None else found.best.name, none=found.none,
         objects=[

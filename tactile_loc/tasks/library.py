@@ -1,8 +1,9 @@
-"""A library of objects, and two quick comparisons of all of them with touches.
+"""A library of objects, and two quick comparisons of all objects with touches.
 
-A glance compares the touch, at a few yaws, with some places of each object, which are encoded once for a few press
-depths. It takes a thousandth of the time of locating the object, but is sensitive to noise. A rough search of the most
-similar objects registers a few poses from the glance roughly to all touches. It takes a thirtieth of that time.
+A glance compares a touch, at a few yaws, with some places of each object, encoded once for a few press depths. It takes
+a thousandth of the time of locating the object, but is sensitive to noise. A rough search starts from the most similar
+places of an object. It registers a few poses roughly to all touches, and takes a thirtieth of the time of locating the
+object.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and
 MOST_PLACES = 2000  # per object, evenly spread
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
-PROPOSED, REGISTERED = 1000, 30  # rotated places per object and touch; poses registered to all touches
+PROPOSED, REGISTERED = 1000, 30  # per object: rotated places for each touch, and poses registered to all touches
 
 
 @dataclass(frozen=True, eq=False)
 class Glance:
-    """The similarity of one touch, rotated by each of YAWS_RAD, to places of each of K objects.
+    """The similarity of one touch, rotated by each of the M angles YAWS_RAD, to places of each of K objects.
 
-    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` has an array (M, N) for each
-    object, for M yaws and N places, unitless; higher is more similar.
+    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` has an array (M, N) for each object
+    with N places, unitless; higher is more similar.
     """
 
     touch: Touch
@@ -49,7 +50,7 @@ class Glance:
 
     @property
     def alike(self) -> NDArray[np.float64]:
-        """The similarity of the touch to the most similar place of each object (K,), unitless."""
+        """The similarity (K,) of the touch to the most similar place of each object, unitless."""
         return np.array([scores.max() for scores in self.scores], float)
 
     def poses(self, k: int, search: PlaceSearch, count: int) -> Poses:
@@ -59,9 +60,10 @@ class Glance:
 
 
 class Library:
-    """The objects that may have been touched, each with its localizer, all for one sensor. Raises TactileLocError.
+    """The objects that may have been touched, each with its localizer, all for one sensor.
 
-    Each object needs its own name. The order of the objects does not matter.
+    The order of the objects does not matter. Raises TactileLocError if there are no objects, if two objects share a
+    name, or if a localizer does not suit identification.
     """
 
     def __init__(self, models: Sequence[Localizer]) -> None:
@@ -90,7 +92,7 @@ class Library:
 
     @cached_property
     def searches(self) -> list[PlaceSearch]:
-        """The search of each object, stored or built now."""
+        """The search of each object; its places are stored, or found now."""
         found = []
         with self.progress.task("opening objects", len(self)) as advance:
             for model in self.models:
@@ -100,7 +102,7 @@ class Library:
         return found
 
     def glance(self, touch: Touch) -> Glance:
-        """Compare a touch with some places of each object. Raises TouchError for another sensor's touch."""
+        """Compare a touch with some places of each object. Raises TouchError for a touch of another sensor."""
         for model in self.models:
             model.require_own(touch)
         level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
@@ -111,7 +113,7 @@ class Library:
     def look_into(self, k: int, glances: Sequence[Glance]) -> float:
         """Search object k roughly, starting from the touches' glances; return the best mean imprint IoU, 0 to 1.
 
-        Several touches need their `T_base_sensor`.
+        If there are several touches, each needs `T_base_sensor`.
         """
         model, search = self.models[k], self.searches[k]
         views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
@@ -122,7 +124,10 @@ class Library:
         return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
 
     def _matchers_of(self, level_m: float) -> list[Matcher]:
-        """Return one matcher per object, which compares touches with its codes at a press depth, made at first use."""
+        """Return a matcher for each object, which compares touches with the object's places at a press depth.
+
+        The matchers of a press depth are made at first use.
+        """
         if level_m not in self._matchers:
             level, chosen = LEVELS_M.index(level_m), self.models[0].config.matcher
             self._matchers[level_m] = made = []
@@ -137,7 +142,7 @@ class Library:
 
 
 def _encode_places(model: Localizer, search: PlaceSearch) -> Codes:
-    """The codes (L, N, D) of some of an object's places, cut at each of LEVELS_M; stored, or encoded now."""
+    """Return the codes (L, N, D) of some of an object's places, cut at each of LEVELS_M, stored or encoded now."""
     key = StageKey(STAGE, STAGE_VERSION, {
         "places": search.key.digest, "encoder": model.encoder.describe(), "levels_m": list(LEVELS_M),
         "most": MOST_PLACES,
@@ -152,5 +157,5 @@ def _encode_places(model: Localizer, search: PlaceSearch) -> Codes:
 
 
 def _step(search: PlaceSearch) -> int:
-    """The step between the places of an object that a glance uses."""
+    """Return the step between the places of an object that a glance uses."""
     return -(-len(search.places) // MOST_PLACES)

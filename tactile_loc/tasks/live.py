@@ -1,4 +1,4 @@
-"""Live frames, located in turn: each separately, or tracked from one to the next."""
+"""Live frames, located in turn: each frame separately, or with a tracker as one sequence."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from tactile_loc.tasks.tracker import Tracker
 
 Floats = NDArray[np.float64]
 
-RECENT = 20  # number of last frames from which the rate is computed
+RECENT = 20  # the frame rate is computed from this number of latest frames
 
 
 class LiveRecord(LocatedRecord):
-    """One frame and its result: a line of a live run's file. SI units."""
+    """One frame and its result: one line in the file of a live run. SI units."""
 
     name: str = Field(description="of the frame's file, or made from its number")
     time_s: float = Field(description="when it was taken: since 1970; in a video, since its start; s")
@@ -37,7 +37,11 @@ class LiveRecord(LocatedRecord):
 
 @dataclass(frozen=True, eq=False)
 class LiveResult:
-    """A frame, its pose, its `touch` if any, the number of frames `dropped` so far, and the current frame rate, Hz."""
+    """A frame and its result.
+
+    `touch` is None if the frame shows no contact or cannot be read. `dropped` is the number of frames dropped so far.
+    `rate_hz` is the current number of frames per second.
+    """
 
     frame: SourceFrame
     located: LocatedFrame
@@ -47,7 +51,7 @@ class LiveResult:
 
     @cached_property
     def record(self) -> LiveRecord:
-        """The frame as a line of a live run's file."""
+        """The frame as one line in the file of a live run."""
         T = self.located.T_sensor_object
         return LiveRecord(
             number=self.frame.number, name=self.frame.name, time_s=self.frame.time_s, seconds=self.located.seconds,
@@ -57,10 +61,10 @@ class LiveResult:
 
 @dataclass(eq=False)
 class LiveLocator:
-    """Locates the frames of one sensor: with a `tracker` as one sequence, else each separately.
+    """Locates the frames of one sensor: as one sequence if there is a `tracker`, otherwise each frame separately.
 
-    A frame's file gives the sensor's pose (`Touch.T_base_sensor`); without one, the sensor is assumed to be at rest.
-    `unit` and `press_depth_m` are as for `read_touch`.
+    The sensor's pose comes from the frame's file (`Touch.T_base_sensor`). If a file has no pose, the sensor is assumed
+    to have stayed where it was. `unit` and `press_depth_m` are as for `read_touch`.
     """
 
     localizer: Localizer
@@ -74,14 +78,17 @@ class LiveLocator:
     _T_base_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
     def prepare(self) -> None:
-        """Build, load and compile everything once, so that no frame waits for it."""
+        """Build, load and compile everything once, so that the first frame need not wait."""
         touch = self.localizer.simulate(1, self.localizer.config.seed)[0]
         self.localizer.localize(touch)
         if self.tracker is not None:
             Tracker(self.localizer).update(0.0, touch, np.eye(4))
 
     def locate(self, frame: SourceFrame, dropped: int = 0) -> LiveResult:
-        """Locate a frame; its content never raises an error. `dropped` is the number of frames dropped so far."""
+        """Locate a frame. `dropped` is the number of frames dropped so far.
+
+        A frame that cannot be read raises no error; the result gives the reason (`LocatedFrame.says`).
+        """
         start = time.perf_counter()
         touch = None
         try:
@@ -99,7 +106,7 @@ class LiveLocator:
 
     @property
     def _rate_hz(self) -> float:
-        """Frames per second over the last ones; 0 before there are two."""
+        """Frames per second over the latest frames; 0 before the second frame."""
         return (len(self._ends) - 1) / (self._ends[-1] - self._ends[0]) if len(self._ends) > 1 else 0.0
 
     def _locate_touch(self, frame: SourceFrame, touch: Touch) -> LocatedFrame:
@@ -110,7 +117,7 @@ class LiveLocator:
         return self._track(self.tracker, frame, touch)
 
     def _predict(self, frame: SourceFrame, error: NoContactError) -> LocatedFrame:
-        """Predict the track for a frame without contact; if there is no track, return the error's frame."""
+        """Return the track's prediction for a frame without contact or, without a tracker, the error's frame."""
         if self.tracker is None:
             return LocatedFrame.of_error(error)
         return replace(self._track(self.tracker, frame, None), says=str(error))

@@ -1,8 +1,8 @@
 """The sensor's mount on a robot's flange, found from touches of one part at rest at an unknown pose.
 
-Each touch is located separately. The mount on which most hypotheses agree (`mount_guess`) predicts the part's pose in
-each sensor's frame. Each touch is registered again from there, and all touches are fitted together, until the poses
-converge.
+Each touch is located separately. The mount on which most touches agree (`mount_guess`) predicts the part's pose in each
+sensor's frame. Each touch is registered again from the predicted pose, and one mount is fitted to all touches. These
+two steps are repeated until the poses converge.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.locate.touch_files import read_listed_touch
 from tactile_loc.tasks.mount_guess import MountGuess, guess_mounts
 
-HYPOTHESES = 100  # per touch
+HYPOTHESES = 100  # most hypotheses per touch
 GUESSES = 3  # mounts that are refined
-LEAST = 4  # touches that must agree: three always have hypotheses that do
+LEAST = 4  # touches that must agree; any three have hypotheses that agree
 ROTATED_RAD = np.radians(3.0)  # least rotation about two axes, root mean square over pairs of flange poses
 LIMIT_M, LIMIT_RAD = 2e-3, np.radians(2.0)  # standard deviations above which a mount is unknown
 NOMINAL_M, NOMINAL_RAD = 0.03, np.radians(30.0)  # largest error of a nominal mount
-SHORT = 0.25  # imprint IoU that a touch may lose against its best hypothesis
-ROUNDS, STILL_M = 30, 5e-6  # steps of refinement; the last one moves no prediction farther
+SHORT = 0.25  # a touch agrees if its imprint IoU is less than this below that of its best hypothesis
+ROUNDS, STILL_M = 30, 5e-6  # most steps of refinement, and motion below which they end
 REJECTIONS = 3  # rounds of looking for touches that contradict the others
-NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad, of what a touch does not determine
+NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad, if a touch determines nothing
 Floats = NDArray[np.float64]
 
 
@@ -57,7 +57,7 @@ Floats = NDArray[np.float64]
 class FlangeTouches:
     """N touches of one object at rest by one sensor, with the flange's poses T_base_flange (N, 4, 4), metres.
 
-    A touch's `T_base_sensor_std_m` and `_rad` are the standard deviations of its flange's pose.
+    A touch's `T_base_sensor_std_m` and `T_base_sensor_std_rad` are standard deviations of the flange's pose.
     """
 
     touches: tuple[Touch, ...]
@@ -67,18 +67,18 @@ class FlangeTouches:
         return len(self.touches)
 
     def select(self, some: NDArray[np.bool_]) -> FlangeTouches:
-        """Return some (N,) of the touches."""
+        """Return the touches marked in `some` (N,)."""
         return FlangeTouches(tuple(itertools.compress(self.touches, some)), self.T_base_flange[some])
 
     @property
     def gel_m(self) -> Floats:
-        """The gel's middle (N, 3), metres, in the sensor's frame."""
+        """The gel's middle (N, 3), metres, in each touch's sensor frame."""
         return np.array([[0.0, 0.0, touch.geometry.standoff_m] for touch in self.touches])
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Where the sensor sees the object, from each of N touches separately: T_sensor_object (N, 4, 4), metres.
+    """The object's pose in the sensor's frame, T_sensor_object (N, 4, 4), metres, from each of N touches separately.
 
     `covariances` (N, 6, 6), as in RefinedPose, include the errors of the touch and of the flange's pose.
     """
@@ -90,10 +90,11 @@ class Measured:
 @keep_old_names(why_left_out="explain_left_out")
 @dataclass(frozen=True, eq=False)
 class FoundMount:
-    """A mount found from N touches: the `fit` of those `kept` (N,), and the `guess` that it began with.
+    """A mount found from N touches: the `fit` to the touches `kept` (N,), and the `guess` from which it started.
 
-    `measured` has the object's poses as all touches see them, registered from the mount's predictions. `imprint_ious`
-    (N,), 0 to 1, are the touches' imprint IoUs there. `best_ious` (N,) are those of each touch's best hypothesis alone.
+    `measured` has the object's pose from every touch, registered from the pose that the mount predicts. `imprint_ious`
+    (N,), 0 to 1, are the touches' imprint IoUs with the predicted poses. `best_ious` (N,), 0 to 1, are the imprint IoUs
+    of each touch's own best hypothesis.
     """
 
     given: FlangeTouches
@@ -106,17 +107,20 @@ class FoundMount:
 
     @property
     def mount(self) -> Mount:
-        """The answer: T_flange_sensor and its covariance."""
+        """The mount found: T_flange_sensor and its covariance."""
         return Mount(self.fit.T_flange_sensor, self.fit.covariance)
 
     @property
     def residuals(self) -> Floats:
-        """Distances of the touches from the mount's predictions, at the gel's middle: (N, 2), metres and radians."""
+        """Distances (N, 2) of the measured poses from the mount's predictions: metres at the gel's middle, radians."""
         return self._residuals(self.fit.T_flange_sensor, self.fit.T_base_object)
 
     @property
     def first_residuals(self) -> Floats:
-        """Distances of the touches from the first guess's predictions: (N, 2), metres and radians."""
+        """Distances (N, 2) of the measured poses from the first guess's predictions.
+
+        Distances are in metres, measured at the gel's middle, and in radians.
+        """
         return self._residuals(self.guess.T_flange_sensor, self.guess.T_base_object)
 
     def _residuals(self, X: Floats, Y: Floats) -> Floats:
@@ -126,7 +130,7 @@ class FoundMount:
         return np.stack([np.linalg.norm(shift, axis=1), np.linalg.norm(e[:, 3:], axis=1)], axis=1)
 
     def explain_left_out(self, number: int) -> str:
-        """Return why a touch was left out; "" if it was not."""
+        """Return why a touch was left out; "" if it was not left out."""
         if self.kept[number]:
             return ""
         iou, best = self.imprint_ious[number], self.best_ious[number]
@@ -137,7 +141,7 @@ class FoundMount:
 
 
 def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
-    """Read a list of the sensor's touches at known flange poses. Raises TactileLocError for bad input."""
+    """Read a list of touches of one sensor at known flange poses. Raises TactileLocError for bad input."""
     listed = read_touch_list(path, of_flange=True)
     own = localizer.config.sensor
     others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
@@ -150,8 +154,8 @@ def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
 def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None = None) -> FoundMount:
     """Find the mount of the localizer's sensor, and the object's pose, from touches at known flange poses.
 
-    A `nominal` mount limits the search to mounts within NOMINAL_M and NOMINAL_RAD. Raises MountError when there are too
-    few touches, too few of them agree, or the flange's motions do not determine the mount.
+    A `nominal` mount limits the search to mounts within NOMINAL_M and NOMINAL_RAD. Raises MountError if there are too
+    few touches, if too few touches agree, or if the flange's motions do not determine the mount.
     """
     require_motions(given)
     located = _locate(localizer, given.touches)
@@ -170,7 +174,7 @@ def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None
 
 
 def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
-    """Make the record of a mount: in SI units, with the residuals of every touch."""
+    """Make the record of a mount, in SI units, with the residuals of every touch."""
     touches = [
         MountTouchRecord(
             name=touch.name, residual_m=float(last[0]), residual_rad=float(last[1]), first_residual_m=float(first[0]),
@@ -221,7 +225,7 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_
     measured = registration.measure(X, Y)
     fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
     kept = kept & registration.find_trusted(X, Y, best_ious)
-    # registration absorbs a part of them
+    # registration absorbs part of the errors, so the typical residual gives the variance
     fit = dataclasses.replace(fit, variance=estimate_typical_variance(fit.chi2))
     return FoundMount(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
 
@@ -230,8 +234,8 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_
 class _Registration:
     """All touches as one problem, whose unknowns are the mount X and the object's pose Y in the base frame.
 
-    Each step registers every touch from the pose that X and Y predict. The result, with its covariance, is a
-    measurement of that pose; the fit of all measurements updates X and Y.
+    Each step registers every touch from the pose that X and Y predict. The registered poses, with their covariances,
+    are measurements. A fit to all measurements gives new X and Y.
     """
 
     given: FlangeTouches
@@ -245,7 +249,7 @@ class _Registration:
         return cls(given, views, localizer.refinement.registration, PoseMetric(localizer.object))
 
     def converge(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
-        """Fit X and Y to the touches marked in `some` (N,); `finely` if X and Y are already near."""
+        """Fit X and Y to the touches marked in `some` (N,). Pass `finely` if X and Y are already near the result."""
         scales_mm = self.registration.list_scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
         for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
@@ -257,7 +261,7 @@ class _Registration:
         return X, Y
 
     def measure(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
-        """Register the touches from the object poses that X and Y predict; by default at the finest scale."""
+        """Register the touches from the object poses that X and Y predict, by default at the finest scale."""
         scale_mm = float(self.registration.list_scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
@@ -267,7 +271,7 @@ class _Registration:
         return Measured(S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m))
 
     def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
-        """Mark the touches (N,) that agree with X and Y, both in the object's pose and in its imprint there."""
+        """Mark the touches (N,) that agree with X and Y, both in the object's pose and in its imprint."""
         measured = self.measure(X, Y)
         F = self.given.T_base_flange
         chi2 = fit_hand_eye(F, measured.T_sensor_object, measured.covariances, X, Y, robust=True).chi2
@@ -279,7 +283,7 @@ class _Registration:
         return predict(self.given.T_base_flange, X, Y)
 
     def compute_imprint_ious(self, X: Floats, Y: Floats) -> Floats:
-        """Return the imprint IoUs (N,) of the touches with the object where X and Y predict it."""
+        """Return the imprint IoUs (N,) of the touches with the object at the poses that X and Y predict."""
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         return np.array([float(view.imprint_ious(T[None])[0]) for view, T in pairs])
 
@@ -302,7 +306,7 @@ def require_motions(given: FlangeTouches) -> None:
 
 
 def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Mount | None) -> FoundMount:
-    """Return the mount. Raises MountError if too few touches agree on it, or it is not determined."""
+    """Return the mount. Raises MountError if too few touches agree on it, or if they do not determine it."""
     agreeing = 0 if found is None else int(found.kept.sum())
     if found is None or agreeing < max(LEAST, len(given) / 2):
         near = "" if nominal is None else " near the nominal one"
@@ -332,7 +336,7 @@ def require_determined(covariance: Floats) -> None:
 
 
 def _name_axis(v: Floats) -> str:
-    """Name a direction: x, y or z if it is near that axis, else its numbers."""
+    """Return the name of a direction: x, y or z if the direction is near that axis, otherwise its coordinates."""
     k = int(np.abs(v).argmax())
     if abs(v[k]) > np.cos(np.radians(5.0)):
         return "xyz"[k]

@@ -1,8 +1,8 @@
-"""A first guess of a sensor's mount: the one on which most touches agree.
+"""A first guess of a sensor's mount: the mount on which most touches agree.
 
 Two hypotheses of different touches are compatible if the part, seen from the sensor, moved by the same screw as the
-flange. Three hypotheses that are pairwise compatible give a mount, which is then scored by all touches. This is a
-consensus as in RANSAC, but over all compatible triples rather than random ones.
+flange. Three hypotheses that are pairwise compatible give a mount, which is then scored by all touches. The consensus
+is found as in RANSAC, but from all compatible triples rather than random triples.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from tactile_loc.core.geometry.hand_eye import predict, screws_agree, solve_clos
 from tactile_loc.core.geometry.rigid import Poses, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 
-AGREES_M = 4e-3  # surface distance between a hypothesis and the object where a mount predicts it
+AGREES_M = 4e-3  # largest surface distance between a hypothesis and a predicted pose that agree
 ANGLE_RAD, SLIDE_M = np.radians(5.0), 5e-3  # largest difference between compatible screws
-TURN_RAD = np.radians(6.0)  # step between the rotations of a continuous symmetry that are tried
-MOST_SEEN = 20_000  # hypotheses, with their equivalents by symmetry
-ANCHORS, TRIANGLES = 100, 300  # hypotheses to begin with, and triples tried for each
-ANOTHER_M, ANOTHER_RAD = 8e-3, np.radians(15.0)  # mounts that differ by more are different guesses
+TURN_RAD = np.radians(6.0)  # step between the tried rotations of a continuous symmetry
+MOST_SEEN = 20_000  # hypotheses that are used, including their equivalents by symmetry
+ANCHORS, TRIANGLES = 100, 300  # hypotheses from which triples are formed, and triples tried for each
+ANOTHER_M, ANOTHER_RAD = 8e-3, np.radians(15.0)  # two guesses that differ by more than this are different
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class MountGuess:
-    """A mount T_flange_sensor (4, 4), T_base_object (4, 4), metres, and the errors of the N touches.
+    """A guess of the mount T_flange_sensor (4, 4) and the object's pose T_base_object (4, 4), both in metres.
 
-    `off_m` (N,) are surface distances, metres, from the object as the mount predicts it to each touch's nearest
-    hypothesis.
+    The mount predicts the object's pose in each of N sensor frames. `off_m` (N,) are surface distances, metres, from
+    the predicted pose to the touch's nearest hypothesis.
     """
 
     T_flange_sensor: Floats
@@ -46,11 +46,11 @@ class MountGuess:
 
     @property
     def score(self) -> float:
-        """The number of touches that agree; a touch that agrees less well counts less."""
+        """The number of touches that agree; the worse a touch agrees, the less it counts."""
         return float(_score(self.off_m))
 
     def is_another(self, other: MountGuess) -> bool:
-        """Whether the other guess differs enough to count as a different mount."""
+        """Return whether the other guess differs enough to count as a different mount."""
         X, Y = self.T_flange_sensor, other.T_flange_sensor
         rotated = float(rotation_angle(X[:3, :3].T @ Y[:3, :3]))
         return rotated > ANOTHER_RAD or float(np.linalg.norm(X[:3, 3] - Y[:3, 3])) > ANOTHER_M
@@ -62,8 +62,9 @@ def guess_mounts(
 ) -> list[MountGuess]:  # fmt: skip
     """Return at most `count` different mounts on which touches agree, the best first; there may be none.
 
-    `T_base_flange` is (N, 4, 4), metres. `hypotheses` are the poses T_sensor_object (K, 4, 4) of each of N touches, the
-    likeliest first. `allowed` returns which (B,) of the mounts T_flange_sensor (B, 4, 4) may be considered.
+    `T_base_flange` is (N, 4, 4), metres. `hypotheses` has the poses T_sensor_object (K, 4, 4), metres, of each of N
+    touches, the likeliest first. `allowed` takes mounts T_flange_sensor (B, 4, 4) and returns which (B,) may be
+    considered.
     """
     nodes = _Nodes.of(T_base_flange, hypotheses, metric)
     found: list[MountGuess] = []
@@ -81,7 +82,7 @@ def guess_mounts(
 
 
 def measure_distances_to_hypotheses(T_sensor_object: Poses, hypotheses: Sequence[Poses], metric: PoseMetric) -> Floats:
-    """Return surface distances (B, N), metres, from poses (B, N, 4, 4) to the nearest hypothesis of each touch."""
+    """Return surface distances (B, N), metres, from poses (B, N, 4, 4) to each touch's nearest hypothesis."""
     off_m = np.full(T_sensor_object.shape[:2], np.inf)
     for k, poses in enumerate(hypotheses):
         if len(poses) and len(off_m):
@@ -92,7 +93,10 @@ def measure_distances_to_hypotheses(T_sensor_object: Poses, hypotheses: Sequence
 
 
 def _score(off_m: Floats) -> Floats:
-    """Count the touches that agree, (...,) of (..., N); one that agrees less well counts less (MSAC)."""
+    """Count the touches that agree, (...,), given distances (..., N), metres.
+
+    The worse a touch agrees, the less it counts (MSAC).
+    """
     return np.maximum(0.0, 1.0 - (off_m / AGREES_M) ** 2).sum(axis=-1)
 
 
@@ -108,9 +112,11 @@ def _choose_different(found: list[MountGuess], count: int) -> list[MountGuess]:
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """All hypotheses with their equivalents by symmetry: touch numbers (M,), the flanges' poses, and the poses.
+    """The nodes: all hypotheses with their equivalents by symmetry.
 
-    `own` are the hypotheses themselves. One of a triple needs no equivalents, because the object's frame is arbitrary.
+    `touch` (M,) are touch numbers. `flanges` and `poses` (M, 4, 4), metres, are the flange's and the object's poses.
+    `own` are the indices of the hypotheses without the equivalents. Equivalents of a triple's first hypothesis are not
+    tried, because the object's frame is arbitrary.
     """
 
     touch: Ints
@@ -128,15 +134,15 @@ class _Nodes:
         return cls(touch, T_base_flange[touch], np.concatenate(poses), own)
 
     def anchors(self) -> Iterator[int]:
-        """Yield at most ANCHORS of the `own` nodes: those compatible with nodes of most touches."""
+        """Yield at most ANCHORS of the `own` nodes, first the nodes that are compatible with the most touches."""
         with_touches = [len(np.unique(self.touch[self._partners(k)])) for k in self.own]
         order = np.argsort(np.negative(with_touches), kind="stable")
         yield from (int(self.own[k]) for k in order[:ANCHORS] if with_touches[k] >= 2)
 
     def triples(self, anchor: int) -> Ints:
-        """Find triples (B, 3) of pairwise compatible nodes of three touches, with the anchor; at most TRIANGLES.
+        """Return triples (B, 3) of the anchor and two nodes, pairwise compatible, of three touches.
 
-        The likelier hypotheses come first.
+        There are at most TRIANGLES, spread evenly from likely to unlikely hypotheses.
         """
         partners = self._partners(anchor)
         second, third = np.triu_indices(len(partners), 1)
@@ -151,13 +157,13 @@ class _Nodes:
         return np.concatenate([np.full((len(pairs), 1), anchor), pairs], axis=1)
 
     def _partners(self, k: int) -> Ints:
-        """Find the nodes (P,) of other touches that are compatible with node k."""
+        """Return the nodes (P,) of other touches that are compatible with node k."""
         others = np.flatnonzero(self.touch != self.touch[k])
         others = others[self._rotate_alike(np.full(len(others), k), others)]
         return others[self._agree(np.full(len(others), k), others)]
 
     def _rotate_alike(self, first: Ints, second: Ints) -> NDArray[np.bool_]:
-        """Whether pairs of nodes rotated by about the same angle as their flanges: a quick first test."""
+        """Return whether pairs of nodes rotated by about the same angle as their flanges: a quick first test."""
         angles = [
             np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", T[first, :3, :3], T[second, :3, :3]) - 1.0), -1.0, 1.0))
             for T in (self.flanges, self.poses)

@@ -1,9 +1,11 @@
 """The next touch: the approach with the greatest information gain about the modes, for its cost.
 
-For each approach and mode, the sensor's travel up to contact and the contact that it then sees are computed. If mode i
-is true, travel and contact give a number of nats of evidence against each mode j. These determine the entropy left if i
-is true. Its mean over the modes rates the approach (Lindley, 1956). The evidence of contacts is that of `imprints.py`,
-which also weighs hypotheses; it was fitted to touches with strong noise.
+For each approach and mode, the sensor's travel up to contact and the contact itself are computed. If mode i is true,
+both give a number of nats of evidence against each mode j. This evidence determines the entropy that remains if mode i
+is true. An approach is rated by the mean of this entropy over the modes (Lindley, 1956).
+
+The evidence of contacts is that of `imprints.py`, which also weighs hypotheses. It was fitted to touches with strong
+noise.
 """
 
 from __future__ import annotations
@@ -31,13 +33,13 @@ from tactile_loc.tasks.pose_modes import PoseModes, compute_entropy
 Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LOOKED_AT_PX = 24  # pixels per side of the contacts that are compared
+LOOKED_AT_PX = 24  # pixels along the long side of contacts that are compared
 MOST_DRAWN = 1500  # approaches whose contacts are rendered: the best ones by travel alone
 AT_ONCE = 500  # contacts rendered together
-TRAVEL_STD_M = 5e-4  # standard deviation of where a sensor is stopped: the mode's pose, the press, the robot
-MOST_NATS = 8.0  # most evidence of one touch between two modes: real touches differ from expected ones
+TRAVEL_STD_M = 5e-4  # standard deviation of the travel: errors of the mode's pose, the press and the robot
+MOST_NATS = 8.0  # most evidence of one touch between two modes, because real touches differ from expected ones
 ALIKE_NATS = 1.0  # modes are alike if no approach gives more evidence between them
-LEAST_PERCENT = 0.25  # of the observed pixels: a smaller contact is not a touch
+LEAST_PERCENT = 0.25  # of the observed pixels: a touch needs at least this contact
 IN_THE_WAY = 0.01  # an approach is out of reach if it starts inside the object with this probability
 
 
@@ -48,9 +50,9 @@ Cost = Callable[[Approach], float]
 class Foreseen:
     """The encounters of A approaches with the object, for each of K modes as the true one.
 
-    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose in the frame of the pressed sensor. `travel_m` (A, K)
-    is the sensor's travel up to contact. `meets` (A, K) marks where it touches the object on its way, `blocked` (A, K)
-    where its gel starts inside or beyond the object.
+    `T_sensor_object` (A, K, 4, 4), metres, is the object's pose in the frame of the pressed sensor. `travel_m` (A, K),
+    metres, is the sensor's travel up to contact. `meets` (A, K) is true where the sensor touches the object on its way.
+    `blocked` (A, K) is true where the sensor's gel starts inside or beyond the object.
     """
 
     T_sensor_object: Float64
@@ -63,9 +65,9 @@ class Foreseen:
 class RatedApproach:
     """An approach and its expected result.
 
-    `information`, nats, is the expected decrease of the modes' entropy, and
-    `entropy` the entropy that remains. `meets`, 0 to 1, is the probability that it makes a touch. `travel_m` (K,) is
-    the travel up to contact with each mode, NaN if it misses.
+    `information`, nats, is the expected decrease of the modes' entropy, and `entropy`, nats, the entropy that remains.
+    `meets`, 0 to 1, is the probability that the approach makes a touch. `travel_m` (K,), metres, is the travel up to
+    contact with each mode, NaN if the sensor misses the object.
     """
 
     approach: Approach
@@ -83,7 +85,7 @@ class RatedApproach:
 
 @dataclass(frozen=True, eq=False)
 class NextTouch:
-    """Approaches, the best first, and those `out_of_reach`, each with the reason."""
+    """Approaches, the best first, and the approaches `out_of_reach`, each with the reason."""
 
     modes: PoseModes
     ranked: tuple[RatedApproach, ...]
@@ -97,23 +99,23 @@ class NextTouch:
 
     @cached_property
     def alike(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of modes, numbered from 0, that no approach can tell apart; the largest first."""
+        """Groups of modes, numbered from 0, that no approach can distinguish; the largest first."""
         count = len(self.modes.probabilities)
         apart, at_once = np.zeros((count, count)), max(1, MOST_DRAWN // count)
         for start in range(0, len(self.ranked), at_once):
             some = [rated.approach for rated in self.ranked[start : start + at_once]]
             nats, _, tells = _compare_drawn(self.scene, some, foresee(self.scene, self.modes, some), self.modes)
-            apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located: 0
+            apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located gives 0
         return find_groups(apart < ALIKE_NATS)
 
     @property
     def doubt_left(self) -> float:
-        """The probability that the truth is in such a group, but is not its likeliest mode."""
+        """The probability that the true mode is in a group of `alike`, but is not the likeliest mode of its group."""
         p = self.modes.probabilities
         return float(sum(p[list(group)].sum() - p[list(group)].max() for group in self.alike))
 
     def contacts(self, rated: RatedApproach) -> NDArray[np.float32]:
-        """Return the contact depths (K, H, W), metres, that each mode would show; the press depth means no contact."""
+        """Return the contact depths (K, H, W), metres, that each mode would make; the press depth means no contact."""
         seen = foresee(self.scene, self.modes, [rated.approach])
         scene = self.scene.press(_find_press_m(rated.approach, self.modes))
         depths = np.full((len(self.modes.probabilities), *scene.geometry.shape), scene.geometry.max_depth_m, np.float32)
@@ -127,13 +129,15 @@ def choose_next_touch(
     found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
     renderer: Renderer | None = None,
 ) -> NextTouch:  # fmt: skip
-    """Rate approaches by the entropy of the modes of `found` that is expected after each.
+    """Rate approaches by the entropy of the modes of `found` that is expected after each approach.
 
     An approach can also be just the pose (4, 4), metres, at which the sensor starts. Poses are in the frame of the
-    touch's `T_base_sensor` or, without one, in its sensor's frame. A press that meets nothing, or shows only a flat
-    face, gives no information, because it cannot be located. The travel up to contact also counts, because it differs
-    between modes. `cost` replaces the approaches' own costs; infinity means out of reach. Raises ConfigError if there
-    is no approach, none is within reach, or a cost or press is invalid.
+    touch's `T_base_sensor` or, without it, in the touch's sensor frame. `cost` replaces the approaches' own costs;
+    infinity means out of reach.
+
+    A press gives no information if the sensor misses the object or touches only a flat face, because such a touch
+    cannot be located. The travel up to contact gives information, too, because it differs between modes. Raises
+    ConfigError if there is no approach, if none is within reach, or if a cost or press is invalid.
     """
     modes = found if isinstance(found, PoseModes) else PoseModes.of(found)
     scene = Scene(modes.object, modes.geometry, renderer or registry().create("renderer", "heightmap", {}))
@@ -177,8 +181,8 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
 def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
     """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
-    `nats` (A, K, K) is the evidence for i against j of the touch that mode i makes. `tells` (A, K) marks the modes
-    whose touch can be located; other touches change nothing.
+    `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `tells` (A, K) marks the
+    modes whose touch can be located; other touches change nothing.
     """
     with np.errstate(divide="ignore"):
         logits = np.log(probabilities) - nats
@@ -190,9 +194,9 @@ def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools
 def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
     """Return the evidence (K, K), nats, of each of K contacts for the mode that made it, against each other mode.
 
-    That is the evidence for contact i of the depths i minus that of the depths j (K, H, W), metres; see
-    `core.sensing.imprints.compare_imprints`. All pairs are compared at once, from the contacts' sums and the sums of
-    their differences.
+    Element (i, j) is the evidence that contact i gives for depths i, minus the evidence that it gives for depths j
+    (`core.sensing.imprints.compare_imprints`). `depth_m` (K, H, W) is in metres. All pairs are compared at once, from
+    the contacts' sums and the sums of their differences.
     """
     from scipy.spatial.distance import pdist, squareform
 
@@ -204,7 +208,7 @@ def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Boo
     both = total[:, None] + total[None]
     ious = (both - apart) / np.maximum(both + apart, 1.0)
     common = contact @ contact.T
-    alone = total[:, None] - weight @ contact.T  # of i, where j has no contact
+    alone = total[:, None] - weight @ contact.T  # sum over contact i where j has no contact
     off_mm = 1e3 * press_m * np.maximum(apart - alone - alone.T, 0.0) / np.maximum(common, 1.0)
     area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
     evidence = IOU_NATS * ious + AREA_NATS * np.log1p(area_mm2) - DEPTH_NATS * off_mm
@@ -212,7 +216,10 @@ def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Boo
 
 
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of two or more of K items that are `alike` (K, K), directly or via others; largest first."""
+    """Return the groups of two or more of K items that are `alike` (K, K), the largest first.
+
+    Two items of a group may be alike only through other items.
+    """
     from scipy.sparse.csgraph import connected_components
 
     _, label = connected_components(alike, directed=False)
@@ -223,7 +230,7 @@ def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
 def _expect_entropy(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
 ) -> Float64:
-    """Expect the entropy (A,), nats: by travel alone, and for the most promising approaches by contact as well."""
+    """Return the expected entropy (A,), nats: by travel, and for the most promising approaches by contact as well."""
     p = modes.probabilities
     after = compute_expected_entropy(_compare_travels(seen), p, seen.meets)
     promising = np.argsort(-(modes.entropy - after) / costs, kind="stable")[: max(1, MOST_DRAWN // len(p))]
@@ -235,7 +242,7 @@ def _expect_entropy(
 def _compare_drawn(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
 ) -> tuple[Float64, Float64, Bools]:
-    """Return the arguments of `compute_expected_entropy`, with contacts rendered."""
+    """Return the arguments of `compute_expected_entropy`, from travels and rendered contacts."""
     nats, tells = _compare_travels(seen), seen.meets.copy()
     for press_m in {_find_press_m(a, modes) for a in approaches}:
         some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
@@ -252,7 +259,7 @@ def _compare_drawn(
 
 
 def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """Return the modes that each approach meets, and the contact depths (M, h, w), metres, that they would show."""
+    """Return the modes that each approach meets, and the contact depths (M, h, w), metres, that they would make."""
     poses = seen.T_sensor_object[seen.meets]
     depths = [glance.render_contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
     every = np.concatenate(depths) if depths else np.empty((0, *glance.geometry.shape), np.float32)
@@ -263,7 +270,7 @@ def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArra
 
 
 def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
-    """Whether contacts (M, h, w) can be located: large enough, and not a flat face all over the sensor."""
+    """Return which contacts (M, h, w) can be located: large enough, and not a flat face all over the sensor."""
     seen = depth_m[:, geometry.observed_mask]
     share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
     return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
@@ -279,7 +286,7 @@ def _compare_travels(seen: Foreseen) -> Float64:
 
 
 def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> list[str]:
-    """Return why each approach (A,) cannot be made; "" if it can."""
+    """Return the reason why each approach (A,) cannot be made; "" if it can be made."""
     inside = seen.blocked @ modes.probabilities
     return [
         "is out of reach: its cost is infinite" if np.isinf(price)

@@ -36,7 +36,7 @@ class RatedRecord(Record):
 
 
 class OutOfReachRecord(Record):
-    """An approach that cannot be made."""
+    """An approach that cannot be made, and the reason."""
 
     name: str = Field(description="its name in the list")
     reason: str = Field(description="why it cannot be made")
@@ -69,14 +69,14 @@ class NextTouchRecord(Record):
 
 
 def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
-    """Return the modes of a result.json, with the .npz beside it, and the touch's T_base_sensor (4, 4), metres.
+    """Return the modes of a result.json and the .npz beside it, and the touch's T_base_sensor (4, 4), metres.
 
-    If T_base_sensor is None, the modes are in the sensor's frame. Raises ResultError when the files cannot be used.
+    If T_base_sensor is None, the modes are in the touch's sensor frame. Raises ResultError if the files cannot be used.
     """
     path = Path(path)
     record = read_record(path)
     arrays = read_arrays(path.with_name(NAME), record)
-    symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # on every axis of symmetry
+    symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # lies on every axis of symmetry
     obj = ObjectModel(record.object.name, arrays.mesh, symmetry)
     T_base_sensor = None if record.touch.T_base_sensor is None else np.array(record.touch.T_base_sensor)
     poses = np.array([h.T_sensor_object for h in record.hypotheses])

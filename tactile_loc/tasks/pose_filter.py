@@ -1,13 +1,13 @@
 """A Kalman filter of one object's pose, from touches whose errors are correlated from frame to frame.
 
-An error (6,) of a pose is that of x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are
+The error (6,) of a pose has two parts: x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are
 along the axes of the frame in which the pose is given, as in `hand_eye.compute_pose_errors` and
 `RefinedPose.covariance`.
 
-Frames of one contact have similar errors. If they counted as independent, a thousand frames would seem thirty times as
-exact as one. So the filter's unknowns are the pose, the touches' common error and the error of the sensor's reported
-pose. Both errors are first-order autoregressive as the sensor moves on (coloured noise: Bryson and Johansen, 1965).
-Where a touch does not determine the pose, the filter keeps its prediction.
+Frames of one contact have similar errors. If these errors counted as independent, a thousand frames would seem thirty
+times as exact as one. So the filter's unknowns are the pose, the touches' common error and the error of the sensor's
+reported pose. Both errors change as the sensor moves, as first-order autoregressive processes (coloured noise: Bryson
+and Johansen, 1965). Where a touch does not determine the pose, the filter keeps its prediction.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ POSE, TOUCH, SENSOR = slice(0, 6), slice(6, 12), slice(12, 18)
 
 @dataclass(frozen=True, eq=False)
 class SeenPose:
-    """The pose (4, 4), metres, that one touch gives, with the sensor's reported pose `T_base_sensor` (4, 4).
+    """The pose (4, 4), metres, that one touch gives, with the sensor's reported pose `T_base_sensor` (4, 4), metres.
 
-    The touch's error has the covariances `common` (6, 6), shared with the next touch of the contact, and `own`. The
-    sensor's error has the covariance `sensor` (6, 6), along and about its axes through a point `at_m` (3,).
+    The touch's error is the sum of two errors. One has the covariance `common` (6, 6), and persists from touch to touch
+    of one contact. The other has the covariance `own` (6, 6). The error of the sensor's pose has the covariance
+    `sensor` (6, 6). It is along the sensor's axes, and about the point `at_m` (3,), metres, in the sensor's frame.
     """
 
     T_base_sensor: Floats
@@ -45,8 +46,12 @@ class SeenPose:
 
 @dataclass(frozen=True, eq=False)
 class PoseFilter:
-    """An object at T_base_object (4, 4), metres, and the covariance (18, 18), in UNIT, of three errors: the pose's, the
-    touches' common one along the sensor's axes, and the sensor's. The last two have the mean `errors` (12,)."""
+    """The estimated pose of an object, T_base_object (4, 4), metres, and three errors of six components each.
+
+    The errors are those of the pose, of the touches (the common part, along the sensor's axes), and of the sensor's
+    pose. `errors` (12,) is the mean of the last two, and `covariance` (18, 18) the covariance of all three. Both are in
+    units of `hand_eye.UNIT`.
+    """
 
     T_base_object: Floats
     errors: Floats
@@ -54,7 +59,7 @@ class PoseFilter:
 
     @classmethod
     def known(cls, T_base_object: Floats, covariance: Floats) -> PoseFilter:
-        """Start from a pose (4, 4) with a covariance (6, 6)."""
+        """Start from a pose (4, 4), metres, with a covariance (6, 6)."""
         P = np.zeros((18, 18))
         P[POSE, POSE] = _to_unit(covariance)
         return cls(T_base_object, np.zeros(12), P)
@@ -66,13 +71,20 @@ class PoseFilter:
         return cls.known(T, np.diag(np.square(UNKNOWN))).update(seen, 1.0)
 
     def predict(self, creep: Floats) -> PoseFilter:
-        """Return the filter after the object may have moved, with a covariance (6, 6) along the base's axes."""
+        """Return the filter after the object may have moved.
+
+        `creep` (6, 6) is the covariance of this motion, along the base's axes.
+        """
         P = self.covariance.copy()
         P[POSE, POSE] += _to_unit(creep)
         return replace(self, covariance=P)
 
     def view_from(self, T_base_sensor: Floats, at_m: Floats) -> tuple[Floats, Floats]:
-        """Return T_sensor_object (4, 4) and its covariance (6, 6), seen by a sensor reported at (4, 4)."""
+        """Return T_sensor_object (4, 4), metres, and its covariance (6, 6).
+
+        The sensor is reported at T_base_sensor (4, 4), metres, with errors about the point `at_m` (3,), metres, in its
+        frame.
+        """
         T = invert(T_base_sensor) @ self.T_base_object
         G = _propagate_errors(T_base_sensor, T, at_m)
         G[:, TOUCH] = 0.0
@@ -81,7 +93,8 @@ class PoseFilter:
     def update(self, seen: SeenPose, share: float) -> PoseFilter:
         """Return the filter after a touch.
 
-        `share`, 0 to 1, is the new share of the common errors of touches and sensor poses since the previous touch.
+        `share`, 0 to 1, is the share of the common errors of touches and sensor poses that is new since the previous
+        touch.
         """
         kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
         P = kept[:, None] * self.covariance * kept
@@ -93,19 +106,22 @@ class PoseFilter:
         e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
         known = H @ P @ H.T
         S = known + fresh * _to_unit(seen.common) + _to_unit(seen.own)
-        # Student's t: its heavy tails allow for registrations that end in a wrong local minimum, so S may be too small
+        # Student's t has heavy tails, which allow for registrations that end in a wrong local minimum
         doubt = max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
         P[TOUCH, TOUCH] += doubt * fresh * _to_unit(seen.common)
         own = doubt * _to_unit(seen.own)
         S = H @ P @ H.T + own
         K = np.linalg.solve(S, H @ P).T
         kept_back = np.eye(18) - K @ H
-        P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form keeps the covariance positive
+        P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form keeps the covariance positive definite
         return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
 
 
 def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:
-    """Return the matrix (6, 18), in UNIT, that maps errors of pose, touch and sensor to the error of the pose seen."""
+    """Return the matrix (6, 18) from errors of pose, touch and sensor to the error of T_sensor_object.
+
+    All errors are in units of `hand_eye.UNIT`.
+    """
     H = np.zeros((6, 18))
     H[:3, :3] = H[3:, 3:6] = T_base_sensor[:3, :3].T
     H[:, TOUCH] = H[:, SENSOR] = np.eye(6)
@@ -123,8 +139,9 @@ def _from_unit(covariance: Floats) -> Floats:
 
 
 def estimate_motion_errors(covariance: Floats, T_base_sensor: Floats, T_base_object: Floats) -> Floats:
-    """Return the covariance (6, 6) of T_base_object (4, 4) that comes from errors of the sensor's motion to (4, 4).
+    """Return the covariance (6, 6) of T_base_object (4, 4) that comes from errors of the sensor's motion.
 
-    `covariance` (6, 6) is that of the motion, about the sensor frame's origin. Both are along the base's axes.
+    The sensor has moved to T_base_sensor (4, 4), metres. `covariance` (6, 6) is that of the motion, about the sensor
+    frame's origin. Both covariances are along the base's axes.
     """
     return move_covariance(covariance, T_base_object[:3, 3] - T_base_sensor[:3, 3])

@@ -1,4 +1,4 @@
-"""The modes of an object's pose: a few distinct poses with probabilities, between which the next touch shall decide."""
+"""The modes of an object's pose: a few distinct poses with probabilities, which the next touch has to distinguish."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from tactile_loc.locate.results.localization import Localization
 Float64 = NDArray[np.float64]
 
 MOST_MODES = 30
-NOISY, SHARPEST = 0.25, 5.0  # unexplained share of an imprint with strong noise; sharpness of a clean imprint
-SAME_POSE_M = 5e-4  # modes that are nearer, up to the object's symmetry, are merged
+NOISY, SHARPEST = 0.25, 5.0  # unexplained share of an imprint with strong noise; largest sharpness
+SAME_POSE_M = 5e-4  # modes at a smaller surface distance, symmetry included, are merged
 
 
 @dataclass(frozen=True, eq=False)
 class PoseModes:
     """K modes of an object's pose: `T_base_object` (K, 4, 4), metres, and their probabilities (K,), which sum to one.
 
-    `unlisted`, 0 to 1, is the probability of poses left out; they favour no approach. `geometry` is that of the next
-    touch's sensor; `press_m`, metres, is its press depth, unless an approach has its own. `sharpness`, 1 or more, is
-    how much more evidence contacts give than with strong noise: see `measure_sharpness`.
+    `unlisted`, 0 to 1, is the probability of poses left out, which favour no approach. `geometry` is that of the next
+    touch's sensor. `press_m`, metres, is the press depth of approaches that state none. `sharpness`, 1 or more, is the
+    ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`.
     """
 
     object: ObjectModel
@@ -53,15 +53,16 @@ class PoseModes:
 
     @property
     def entropy(self) -> float:
-        """The entropy of the modes, nats: 0 when one is certain."""
+        """The entropy of the modes, nats: 0 if one mode is certain."""
         return float(compute_entropy(self.probabilities))
 
 
 def measure_sharpness(imprint_ious: Sequence[float]) -> float:
-    """Return how much more evidence contacts give than with strong noise, from the imprint IoUs of hypotheses, 0 to 1.
+    """Return how many times as much evidence contacts give as with strong noise.
 
-    The nats of evidence were fitted to touches whose true pose leaves a share NOISY unexplained. If the best hypothesis
-    leaves less, smaller differences count.
+    The evidence, in nats, was fitted to noisy touches: their true pose leaves a share NOISY of the imprint unexplained.
+    If the best hypothesis leaves a smaller share, smaller differences count. `imprint_ious`, 0 to 1, are those of
+    hypotheses.
     """
     return float(np.clip(NOISY / max(1 - max(imprint_ious, default=0.0), 1e-6), 1.0, SHARPEST))
 
@@ -72,7 +73,7 @@ def find_distinct_modes(
 ) -> PoseModes:  # fmt: skip
     """Return poses (K, 4, 4), metres, and probabilities (K,) as modes, at most MOST_MODES; merge equivalent poses.
 
-    The modes' sharpness comes from `imprint_ious`, 0 to 1. Raises TouchError when all probabilities are 0.
+    The modes' sharpness comes from `imprint_ious`, 0 to 1. Raises TouchError if all probabilities are 0.
     """
     order = np.argsort(-probabilities, kind="stable")
     order = order[probabilities[order] > 0]

@@ -1,4 +1,4 @@
-"""Replay of a recording: the images of a topic are located in order, and an interrupted replay can be resumed."""
+"""Replay of a recording: the images of a topic are located in order. An interrupted replay can be resumed."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
 from tactile_loc.locate.results.verdict import Verdict
 
-Estimator = Callable[[Touch], LocatedFrame]  # locates a touch, by a localizer or a tracker
+Estimator = Callable[[Touch], LocatedFrame]  # locates a touch with a localizer or a tracker
 
 
 class FrameRecord(LocatedRecord):
-    """One image of the recording and its result; `number` counts the images of its topic. SI units."""
+    """One image of the recording and its result. SI units. `number` counts the images of the topic from 0."""
 
     stamp_ns: int = Field(description="the image's stamp, ns")
     log_time_ns: int = Field(description="when the image was logged, ns")
@@ -42,8 +42,10 @@ class FrameRecord(LocatedRecord):
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """An image of a recording, (H, W, 3) or (H, W), and the pose of its frame in the base frame, (4, 4), metres, if a
-    base frame was chosen and the pose is known."""
+    """An image of a recording, (H, W, 3) or (H, W), and the pose of its frame in the base frame, (4, 4), metres.
+
+    The pose is None if no base frame was chosen or the pose is unknown.
+    """
 
     image: NDArray[Any]
     T_base_frame: NDArray[np.float64] | None
@@ -53,8 +55,8 @@ class FrameView:
 class Replay:
     """Locates the images on a `topic` of a recording with a localizer's sensor.
 
-    Poses are in `frame`, by default the one that each image's header names. With `base_frame` they are transformed by
-    `frame_tree` (see `read_frame_tree`). `press_depth_m` is as for `read_touch`.
+    Poses are in `frame`, by default the frame named in each image's header. With `base_frame`, poses are transformed to
+    the base frame by `frame_tree` (see `read_frame_tree`). `press_depth_m` is as for `read_touch`.
     """
 
     recording: Recording
@@ -68,7 +70,7 @@ class Replay:
     def frames(self, estimator: Estimator, first: int = 0) -> Iterator[FrameRecord]:
         """Yield the results of the images from number `first` on.
 
-        Raises RecordingError for images that cannot be read at all, FrameError if the frames are not connected.
+        Raises RecordingError for images that cannot be read at all, and FrameError if the frames are not connected.
         """
         for number, message in enumerate(self.recording.read_messages(self.topic.name)):
             if number >= first:
@@ -85,7 +87,10 @@ class Replay:
             yield FrameView(decode_image(image), T)
 
     def touch(self, image: NDArray[Any]) -> Touch:
-        """Return the touch that the sensor reads in an image. Raises NoContactError or TouchError."""
+        """Return the touch in an image of the sensor.
+
+        Raises NoContactError for an image without contact, and TouchError for an image that cannot be read.
+        """
         return touch_from_image(image, self.localizer.sensor, self.press_depth_m)
 
     def _locate(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
@@ -136,7 +141,7 @@ class ReplaySummary:
 
     @classmethod
     def of(cls, records: Iterable[FrameRecord]) -> ReplaySummary:
-        """Count the frames' results, and how often their stamps went back in time."""
+        """Count the frames' results, and the frames whose stamp is earlier than the stamp of the frame before."""
         records = list(records)
         without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
         reasons = Counter(record.says for record in without)

@@ -27,7 +27,10 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """The results of a replay, frame by frame, and the files it wrote; `resumed` frames were finished earlier."""
+    """The results of a replay, frame by frame, and the files it wrote.
+
+    `resumed` is the number of frames that an earlier, interrupted replay finished.
+    """
 
     records: Sequence[FrameRecord]
     summary: ReplaySummary
@@ -45,9 +48,9 @@ def replay_to(
 ) -> Replayed:
     """Locate each of a recording's `frames` images; write the results to `out`, and .csv and .json files beside it.
 
-    A journal beside `out` keeps the finished frames until all files are written, so the same call resumes there. A
-    tracker does not remember the frames before that. Raises RecordingError when no frame has a pose, and OutputError
-    when a file cannot be written.
+    A journal beside `out` keeps the finished frames until all files are written. If the replay is interrupted, the same
+    call resumes it, but a tracker then forgets the earlier frames. Raises RecordingError if no frame has a pose, and
+    OutputError if a file cannot be written.
     """
     path = out.with_name(f"{out.name}.journal")
     with open_journal(path, replay) as kept:
@@ -111,7 +114,7 @@ def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
 
 
 def make_row(record: FrameRecord) -> dict[str, str]:
-    """Return a frame's row of the table; standard deviations are root mean squares over the three axes."""
+    """Return a frame's row of the table; a standard deviation is the root mean square over the three axes."""
     cells = {
         "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "verdict": record.verdict or "",
         "frame": record.frame, "says": record.says,

@@ -14,13 +14,14 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
 from tactile_loc.tasks.replay import FrameRecord, Replay
 
-VERSION = 2  # raise it when replays give other results
+VERSION = 2  # increase it when replays give other results
 
 
 class Journal:
-    """The finished frames of a replay, in an open file: `records`, in order.
+    """The finished frames of a replay, `records`, in order, kept in an open file.
 
-    A last line that a killed process left incomplete is dropped. `stale`: the file belonged to another replay.
+    An incomplete last line, from a process that was killed, is dropped. `stale` is true if the file belonged to another
+    replay.
     """
 
     def __init__(self, file: IO[bytes], key: str) -> None:
@@ -34,7 +35,7 @@ class Journal:
             add_line(file, head)
 
     def append(self, record: FrameRecord) -> None:
-        """Append a finished frame; it survives if the process is killed after this. Raises OutputError."""
+        """Append a finished frame, which then survives if the process is killed. Raises OutputError."""
         add_line(self._file, record.model_dump_json())
         self.records.append(record)
 
@@ -43,7 +44,7 @@ class Journal:
 def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
     """Open and lock the journal of a replay; delete it at the end if no frame has a pose.
 
-    Raises OutputError when it cannot be written, or another process uses it.
+    Raises OutputError if the journal cannot be written, or if another process uses it.
     """
     with open_locked(path) as file:
         file.seek(0)
@@ -56,7 +57,7 @@ def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
 
 
 def make_replay_key(replay: Replay) -> str:
-    """Return a digest of everything that determines the frames' results: the recording and the settings."""
+    """Return a digest of all inputs of the frames' results: the recording and the settings."""
     localizer = replay.localizer
     return StageKey("replay", VERSION, {
         "recording": _identify(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
@@ -66,7 +67,7 @@ def make_replay_key(replay: Replay) -> str:
 
 
 def _identify(path: Path) -> list[Any]:
-    """Return what identifies a recording and changes when it grows, without reading its messages."""
+    """Return values that identify a recording and change when it grows, without reading its messages."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 

@@ -1,10 +1,11 @@
 """Tracking of an object from frame to frame, while a sensor slides and rotates over it.
 
 A few possible poses, the modes, are predicted from the sensor's motion and registered to each touch. Prediction and
-touch are fused, so the prediction determines what the touch does not show, such as a bolt's rotation. Keyframes are
-touches at places far enough apart; their evidence decides between modes. If no mode explains the touch, nearby poses
-are tried, in case the object slipped. If that fails, or no mode is certain, the whole object is searched with all
-keyframes together.
+touch are fused. So the prediction determines what the touch does not show, such as a bolt's rotation.
+
+Keyframes are touches at places far enough apart; their evidence decides between modes. If no mode explains the touch,
+nearby poses are tried, in case the object slipped. If that fails, or no mode is certain, the whole object is searched
+with all keyframes together.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The sensor's motion since the previous frame: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of
-    its error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes.
+    """The sensor's motion since the previous frame, T_previous_sensor (4, 4), metres, and the covariance of its error.
 
-    Raises TouchError for an invalid pose or covariance.
+    The error is x, y, z of the new sensor frame's origin (m) and a rotation vector (rad), along the previous sensor's
+    axes. Raises TouchError for an invalid pose or covariance (6, 6).
     """
 
     T_previous_sensor: Floats
@@ -63,12 +64,13 @@ class Motion:
 class TrackedPose:
     """The object's pose at one frame.
 
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with `covariances` (K, 6,
-    6) as in RefinedPose, and `probabilities` (K,). If these sum to less than 1, the rest is the probability that the
-    pose is elsewhere. `imprint_iou`, 0 to 1, is how well the first pose explains the touch; NaN without a touch.
+    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first. They have `covariances`
+    (K, 6, 6), as in RefinedPose, and `probabilities` (K,). If the probabilities sum to less than 1, the rest is the
+    probability that the pose is elsewhere. `imprint_iou`, 0 to 1, states how well the first pose explains the touch;
+    NaN without a touch.
 
     `verdict` is as in a run, with the tracker's thresholds (`tracker.certain`, `tracker.least_iou`). Without contact,
-    poses are predicted. `searched`: poses were searched nearby or on the whole object, which takes longer.
+    poses are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
     """
 
     time_s: float
@@ -86,12 +88,12 @@ class TrackedPose:
 
     @property
     def covariance(self) -> Floats | None:
-        """Its covariance (6, 6), as RefinedPose's; None before the first touch."""
+        """The covariance (6, 6) of the most probable pose, as in RefinedPose; None before the first touch."""
         return self.covariances[0] if len(self.covariances) else None
 
     @property
     def frame(self) -> LocatedFrame:
-        """The pose in the form shared with live runs, recordings and ROS."""
+        """The pose as a located frame, the form shared with live runs, recordings and ROS."""
         return LocatedFrame(
             self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
         )
@@ -99,8 +101,11 @@ class TrackedPose:
 
 @dataclass(frozen=True, eq=False)
 class _Mode:
-    """One pose of the object, `known` in the base frame, and as the sensor sees it (4, 4), with a covariance (6, 6);
-    its evidence, nats, and its imprint IoU with the touch."""
+    """One possible pose of the object.
+
+    `known` is the pose in the base frame. `T_sensor_object` (4, 4), metres, is the pose in the sensor frame, with a
+    covariance (6, 6). `evidence`, nats, and `imprint_iou`, 0 to 1, state how well the pose explains the touches.
+    """
 
     known: PoseFilter
     T_sensor_object: Floats
@@ -112,9 +117,9 @@ class _Mode:
 class Tracker:
     """Tracks one object from frame to frame, by touches of one sensor.
 
-    The object is assumed to rest, except for a creep per second with standard deviations of `creep_m` metres along and
-    `creep_rad` radians about each axis. It may also jump. The errors of sensor poses are those that the touches state
-    (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not finite.
+    The object is assumed to rest, except for a slow creep. The creep in one second has standard deviations of `creep_m`
+    metres along and `creep_rad` radians about each axis. The object may also jump. The errors of sensor poses are taken
+    from the touches (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not finite.
     """
 
     def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
@@ -133,14 +138,14 @@ class Tracker:
         self._T_base_sensor: Floats | None = None
         self._relative = False
         self._usual, self._elsewhere = 0.0, 0.0
-        self._alike = 0.0  # share of the previous touch's errors that this touch has, too
+        self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
 
     def start(self, T_base_object: Floats, covariance: Floats) -> None:
         """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
 
-        Without a start, the whole object is searched for the first touch. The base is that of the sensors' poses; if
-        their motions are given instead, it is the first frame's sensor. Raises TouchError for an invalid pose or
-        covariance.
+        Without a start, the whole object is searched for the first touch. The base is the frame of the sensor's poses.
+        If motions are given instead, the base is the sensor frame at the first frame. Raises TouchError for an invalid
+        pose or covariance.
         """
         T = require_rigid(T_base_object, "T_base_object", TouchError)
         covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
@@ -154,9 +159,9 @@ class Tracker:
     ) -> TrackedPose:  # fmt: skip
         """Return the pose at `time_s` seconds, given a touch, or None without contact.
 
-        The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from its `motion` since the
-        previous frame. Give poses for all frames, or motions for all. Raises TouchError if neither is given, if time
-        runs backwards, or for a touch of another sensor.
+        The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from the sensor's `motion` since
+        the previous frame. Give poses for all frames, or motions for all. Raises TouchError if neither is given, if
+        time runs backwards, or for a touch of another sensor.
         """
         self._require_later(time_s)
         if touch is not None:
@@ -168,12 +173,12 @@ class Tracker:
         self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
         self._modes = [self._predict(mode, T, passed_s, added) for mode in self._modes]
         if touch is None:
-            self._alike = 0.0  # the next contact is a new one
+            self._alike = 0.0  # the next contact will have new errors
             return self._result(math.nan, searched=False, touched=False)
         return self._update_touched(replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
-        """Follow the modes to a touch; search if none explains it, or if none is certain at a new keyframe."""
+        """Follow the modes to a touch; search if no mode explains it, or if no mode is certain at a new keyframe."""
         is_keyframe = (
             not self._keyframes
             or self._motion_m(self._keyframes[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.keyframe_mm
@@ -206,7 +211,10 @@ class Tracker:
         return self.localizer.scene.geometry.gel_middle_m
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
-        """Distance the gel moved between sensor poses (4, 4), metres; rotations count with a lever of `lever_mm`."""
+        """Return the distance the gel moved between sensor poses (4, 4), metres.
+
+        A rotation counts as the motion at the end of a lever of `lever_mm`.
+        """
         T = invert(T_base_first) @ T_base_second
         shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
         return float(shift_m + 1e-3 * self.options.lever_mm * rotation_angle(T[:3, :3]))
@@ -255,7 +263,7 @@ class Tracker:
         return replace(mode, T_sensor_object=T, covariance=covariance)
 
     def _see(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
-        """Return the pose (4, 4) with covariance (6, 6) that was registered to a touch, for the filter."""
+        """Return a pose (4, 4), metres, registered to a touch with a covariance (6, 6), in the filter's form."""
         std_m, std_rad = (0.0, 0.0) if self._relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
         T = np.asarray(touch.T_base_sensor)
@@ -263,7 +271,7 @@ class Tracker:
         return SeenPose(T, T_sensor_object, common * covariance, (1 - common) * covariance, sensor, self._gel_m)
 
     def _follow(self, touch: Touch, is_keyframe: bool) -> list[_Mode]:
-        """Register the modes to a touch, fuse them with it, and merge them; add the evidence of a keyframe."""
+        """Register the modes to a touch, fuse them with it, and merge them. A keyframe also adds its evidence."""
         if not self._modes:
             return []
         view = View(touch, self.localizer.scene.match_touch(touch))
@@ -284,14 +292,14 @@ class Tracker:
         return self._keep_distinct(weighed)
 
     def _is_contradicted(self, is_keyframe: bool) -> bool:
-        """Whether the likeliest mode explains a touch far worse than before, or does not explain a keyframe."""
+        """Return whether the likeliest mode explains a touch far worse than before, or does not explain a keyframe."""
         iou = self._modes[0].imprint_iou
         return iou < self._usual - min(self.options.fall_iou, self._usual / 2) or (
             is_keyframe and iou < self.options.least_iou
         )
 
     def _keep_distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
-        """Return the likeliest modes; drop modes near a likelier one, or much less probable than the best."""
+        """Return the likeliest modes, except modes near a likelier one or much less probable than the best one."""
         ordered = sorted(modes, key=lambda mode: -mode.evidence)
         least = ordered[0].evidence + math.log(self.options.improbable) if ordered else 0.0
         ordered = [mode for mode in ordered if mode.evidence >= least]
@@ -320,7 +328,7 @@ class Tracker:
         return False
 
     def _guess_slips(self, view: View) -> list[_Mode]:
-        """Guess poses to which the two likeliest modes may have slipped, registered roughly, and keep distinct ones."""
+        """Guess poses to which the two likeliest modes may have slipped, register them, and keep distinct ones."""
         slips = self.options.slips
         rng = np.random.default_rng(slips)
         modes = [self._modes[k] for k in np.arange(slips) % min(len(self._modes), 2)]
@@ -355,21 +363,21 @@ class Tracker:
         tracked = self._weigh_staying(keys)
         self._modes = self._keep_distinct([*tracked, *self._weigh(new, keys)])
         lost = self._modes[0] not in tracked
-        if not lost and len(keys) == 1:  # the touch is bad, not the track
+        if not lost and len(keys) == 1:  # the touch is bad, and the track is right
             self._modes = self._keep_distinct(tracked)
         else:
             self._elsewhere = found.posterior.elsewhere
         return lost
 
     def _weigh_staying(self, keys: Sequence[Touch]) -> list[_Mode]:
-        """Weigh the tracked modes by keyframes, with a bonus for staying."""
+        """Weigh the tracked modes by keyframes; each gets a bonus, because objects rarely jump."""
         best = max((mode.evidence for mode in self._modes), default=0.0)
         return self._weigh(
             [replace(mode, evidence=self.options.stay_nats + mode.evidence - best) for mode in self._modes], keys
         )
 
     def _weigh(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
-        """Add the evidence of all keyframes to modes, and set their imprint IoU with the last one."""
+        """Add the evidence of all keyframes to modes, and set the modes' imprint IoU with the last keyframe."""
         if not modes:
             return []
         poses = np.stack([mode.known.T_base_object for mode in modes])

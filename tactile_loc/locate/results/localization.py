@@ -22,11 +22,11 @@ from tactile_loc.locate.results.verdict import Verdict, judge
 class Hypothesis:
     """One distinct explanation of the touches.
 
-    `probability` is the probability of its whole mode, which holds `grid_poses` poses of the grid.
-    `T_sensor_object_grid` (4, 4), metres, is the most probable of them, at `grid_index`. `refined` is the refiner's
-    result; its pose is the answer. `imprint_iou`, 0 to 1, is how well that pose explains the touches in depth and
-    outline (`Scene.imprint_ious`). For several touches, `imprint_ious` has one value per touch, and `imprint_iou` is
-    their mean without outliers.
+    `probability` is the probability of the whole mode, which has `grid_poses` poses of the grid. The most probable of
+    these poses is `T_sensor_object_grid` (4, 4), metres, with index `grid_index` in the grid. `refined` is the
+    refiner's result for this pose. `imprint_iou`, 0 to 1, states how well the refined pose explains the touches in
+    depth and outline (`Scene.imprint_ious`). For several touches, `imprint_ious` has one value per touch, and
+    `imprint_iou` is the mean of these values without outliers.
     """
 
     probability: float
@@ -44,7 +44,7 @@ class Hypothesis:
 
     @property
     def is_refined(self) -> bool:
-        """Whether the refined pose differs from the grid's; if not, its imprint IoU means little."""
+        """Whether the refined pose differs from the grid pose; if not, the imprint IoU means little."""
         return not np.array_equal(self.T_sensor_object, self.T_sensor_object_grid)
 
 
@@ -52,9 +52,9 @@ class Hypothesis:
 class Agreement:
     """Whether N touches agree on a pose. Touches are numbered from 0, in the order given.
 
-    `best_ious` (N,), 0 to 1, are the best imprint IoUs of any pose tried with each touch. If the best hypothesis
-    explains a touch far worse than that, the touches are `contradictory`. `outliers` are touches that contradict all
-    others, while the others agree. It is empty if the wrong touch is unknown, as with two touches.
+    `best_ious` (N,), 0 to 1, has each touch's best imprint IoU with any pose tried. The touches are `contradictory` if
+    the best hypothesis has a far lower imprint IoU with one of them. `outliers` are the touches that contradict all
+    others, while the others agree. There are no outliers if the wrong touch is unknown, as with two touches.
     """
 
     best_ious: tuple[float, ...] = ()
@@ -64,12 +64,13 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """The answer: the posterior, its distinct hypotheses, the best first, and the seconds of each stage.
+    """The result: the posterior, its distinct hypotheses, the best first, and the seconds of each stage.
 
-    The answer is in the sensor frame of the first touch, `touch`; `others` are the other touches. `pose_set` holds the
-    true pose with the requested coverage; the hypotheses are then its modes. Outliers (see `agreement`) count in the
-    posterior, but not in the hypotheses. Touches that were `left_out` because they contradict the others count in
-    neither.
+    Poses are in the sensor frame of the first touch, `touch`; `others` are the other touches. If a coverage was
+    requested, `pose_set` contains the true pose with this probability, and the hypotheses are the modes of the set.
+
+    The posterior includes outliers (see `agreement`), but the hypotheses do not. Touches that were `left_out` because
+    they contradict the others affect neither the posterior nor the hypotheses.
     """
 
     touch: Touch
@@ -93,14 +94,14 @@ class Localization:
 
     @property
     def best(self) -> Hypothesis:
-        """The hypothesis that is ranked first."""
+        """The most probable hypothesis."""
         return self.hypotheses[0]
 
     @property
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.
 
-        It is also "poor fit" if touches contradict each other and the wrong one is unknown.
+        The verdict is also "poor fit" if the touches contradict each other and the wrong touch is unknown.
         """
         if self.agreement.contradictory and not self.agreement.outliers:
             return Verdict.POOR_FIT
@@ -108,7 +109,7 @@ class Localization:
         return judge(self.best.probability, iou, self.posterior.elsewhere)
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
-        """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that is unknown."""
+        """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that pose is unknown."""
         T_true = self.touch.T_sensor_object
         if T_true is None:
             return None
@@ -117,6 +118,6 @@ class Localization:
 
     @cached_property
     def normalised_entropy(self) -> float:
-        """Entropy of the posterior over N poses divided by log N: 0 if a pose is certain, 1 if all are alike."""
+        """Entropy of the posterior over N poses divided by log N: 0 if one pose is certain, 1 if all are equal."""
         count = len(self.posterior.grid)
         return float(self.posterior.entropy / np.log(count)) if count > 1 else 0.0

@@ -1,6 +1,6 @@
-"""A located frame: the object's pose at one frame, and the fields shared by all records of it.
+"""A located frame: the object's pose at one frame, and the fields that all records of located frames share.
 
-The tracker, live frames, recordings and the ROS node use it.
+The tracker, live runs, recordings and the ROS node use located frames.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ Floats = NDArray[np.float64]
 class LocatedFrame:
     """The object's pose at one frame.
 
-    `verdict` rates the first pose. It is None for a frame that cannot be read, and `says` gives the reason.
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with `probabilities` (K,).
-    `covariance` (6, 6), as in RefinedPose, is the first pose's; None if unknown. `imprint_iou`, 0 to 1, is how well
-    that pose explains the touch; NaN without a touch. `seconds` is the time that locating took; NaN if not measured.
+    `verdict` rates the first pose; it is None for a frame that cannot be read. If there is no pose, `says` gives the
+    reason. `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with
+    `probabilities` (K,). `covariance` (6, 6), as in RefinedPose, belongs to the first pose; None if unknown.
+    `imprint_iou`, 0 to 1, states how well the first pose explains the touch; NaN without a touch. `seconds` is the time
+    to locate the frame; NaN if not measured.
     """
 
     verdict: Verdict | None
@@ -46,7 +47,7 @@ class LocatedFrame:
 
     @classmethod
     def of(cls, localization: Localization) -> LocatedFrame:
-        """Make the frame of a localisation, with poses in its first touch's sensor frame."""
+        """Make the frame of a localisation, with poses in the first touch's sensor frame."""
         poses = np.stack([one.T_sensor_object for one in localization.hypotheses])
         shares = np.array([one.probability for one in localization.hypotheses])
         best, seconds = localization.best, sum(localization.seconds.values())
@@ -54,7 +55,10 @@ class LocatedFrame:
 
     @classmethod
     def of_error(cls, error: TactileLocError) -> LocatedFrame:
-        """Make the frame of a touch that raised an error: no contact, not found or, without a verdict, refused."""
+        """Make the frame of a touch that raised an error.
+
+        The verdict is "no contact", "not found" or, for a touch that was refused, None.
+        """
         verdict = None
         if isinstance(error, NoContactError):
             verdict = Verdict.NO_CONTACT
@@ -64,22 +68,22 @@ class LocatedFrame:
 
     @property
     def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the transform's name
-        """The most probable pose (4, 4), metres; None if there is none."""
+        """The most probable pose (4, 4), metres; None if there is no pose."""
         return self.T_sensor_object_modes[0] if len(self.T_sensor_object_modes) else None
 
     @property
     def probability(self) -> float | None:
-        """The probability of the most probable pose, 0 to 1; None if there is none."""
+        """The probability of the most probable pose, 0 to 1; None if there is no pose."""
         return float(self.probabilities[0]) if len(self.probabilities) else None
 
     @property
     def std(self) -> Floats | None:
-        """Standard deviations (6,), metres and radians, of x, y, z and about them; None if unknown."""
+        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
     @property
     def word(self) -> str:
-        """The verdict, or "refused" if there is none."""
+        """The verdict, or "refused" if there is no verdict."""
         return name_verdict(self.verdict)
 
     def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
@@ -89,7 +93,7 @@ class LocatedFrame:
 
 
 class LocatedRecord(BaseModel):
-    """The fields shared by all records of a located frame, in live runs and recordings. SI units."""
+    """The fields that all records of a located frame share, in live runs and recordings. SI units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -108,12 +112,12 @@ class LocatedRecord(BaseModel):
 
     @property
     def std(self) -> Floats | None:
-        """Standard deviations (6,), metres and radians, of x, y, z and about them; None if unknown."""
+        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(np.array(self.covariance)))
 
     @property
     def word(self) -> str:
-        """The verdict, or "refused" if there is none."""
+        """The verdict, or "refused" if there is no verdict."""
         return name_verdict(self.verdict)
 
 
@@ -127,9 +131,9 @@ def record_fields(located: LocatedFrame) -> dict[str, Any]:
 
 
 def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
-    """Count all `frames`, and those that are `located`, `not_found`, without contact (`no_contact`) or `refused`.
+    """Return the number of all `frames`, and of frames with each result.
 
-    A poor fit counts as located.
+    The results are `located`, `not_found`, `no_contact` and `refused`. A poor fit counts as located.
     """
     counts = Counter(verdicts)
     others = {

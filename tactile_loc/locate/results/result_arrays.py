@@ -1,6 +1,6 @@
-"""The file `result.npz`: the arrays for a report that `result.json` does not hold. SI units.
+"""The file `result.npz`: the arrays of a result that a report needs and `result.json` lacks. SI units.
 
-It holds the posterior, the surface and the contact shapes as plain arrays and JSON texts. Nothing is pickled.
+The file has the posterior, the surface and the contact shapes as plain arrays and JSON texts. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ AGAIN = "run tactile-loc again with this touch alone, which writes both files"
 class TouchArrays:
     """One touch, and the contact shapes that the hypotheses would make on its sensor.
 
-    `T_sensor_first` (4, 4), metres, transforms from the first touch's sensor frame to this one's. `made_m` (K, H, W)
-    are the hypotheses' contact depths at the touch's press, metres. `image` (H, W, 3) is the photo, if there is one.
+    `T_sensor_first` (4, 4), metres, transforms from the first touch's sensor frame to the sensor frame of this touch.
+    `made_m` (K, H, W) are the hypotheses' contact depths at the touch's press, metres. `image` (H, W, 3) is the photo,
+    if there is one.
     """
 
     shape: ContactShape
@@ -82,7 +83,7 @@ class ResultArrays:
 
 
 def gather_arrays(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
-    """Gather the arrays of a localisation from `contacts`: its touches in order, each with its localizer."""
+    """Gather the arrays of a localisation; `contacts` are its touches in order, each with its localizer."""
     poses = np.stack([h.T_sensor_object for h in localization.hypotheses])
     (first_localizer, first), posterior = contacts[0], localization.posterior
     touches = []
@@ -120,7 +121,7 @@ def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path
 
 
 def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
-    """Read the arrays of a record. Raises ResultError when they cannot be used."""
+    """Read the arrays of a record. Raises ResultError if the file cannot be used."""
     if not path.is_file():
         raise ResultError(f"{path} is missing, and a report of this result needs it; {AGAIN}")
     try:
@@ -142,7 +143,7 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
 
 
 def hash_record(record: ResultRecord) -> str:
-    """Return the SHA-256 (hex) of a record's content, by which each file is matched with the other."""
+    """Return the SHA-256 (hex) of a record's content, which shows whether a .json and an .npz file belong together."""
     try:
         return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
     except PydanticSerializationError as error:  # for instance a lone surrogate in a text
@@ -150,7 +151,7 @@ def hash_record(record: ResultRecord) -> str:
 
 
 def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
-    """Return the arrays as stored in the file; docs/reports.md has the table."""
+    """Return the arrays as stored in the file; docs/reports.md lists them."""
     arrays: dict[str, Any] = {
         "vertices_m": result.mesh.vertices_m.astype(np.float32), "faces": result.mesh.faces.astype(np.int32),
         "T_sensor_object": result.T_sensor_object.astype(np.float32), "log_p": result.log_p.astype(np.float32),
@@ -206,7 +207,7 @@ def _unpack_touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
 
 
 def _read_numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
-    """Return the array of that name as floats. Raises KeyError, or ValueError if its values are not finite numbers."""
+    """Return the array `name` as floats. Raises KeyError, or ValueError if its values are not finite numbers."""
     values = arrays[name]
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise ValueError(f"{name} holds values that are not finite numbers")

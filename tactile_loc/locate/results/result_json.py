@@ -84,7 +84,7 @@ class HypothesisRecord(Record):
 
 
 class PoseSetRecord(Record):
-    """Grid poses that include the one nearest to the truth with a known probability (split conformal prediction)."""
+    """A set of grid poses that contains the one nearest to the true pose with a known probability."""
 
     coverage: float = Field(description="the requested probability, 0 to 1")
     level: float = Field(description="the credible level that this coverage takes, 0 to 1")
@@ -152,7 +152,7 @@ class ResultRecord(Record):
 
     @property
     def errors_m(self) -> list[float] | None:
-        """Each hypothesis's surface distance (K,), metres, to the true pose; None if that is unknown."""
+        """Each hypothesis's surface distance (K,), metres, to the true pose; None if the true pose is unknown."""
         return [h.error_m for h in self.hypotheses if h.error_m is not None] or None
 
     @property
@@ -165,7 +165,7 @@ class ResultRecord(Record):
 
 
 def read_record(path: Path) -> ResultRecord:
-    """Read result.json. Raises ResultError when it cannot be used."""
+    """Read result.json. Raises ResultError if the file cannot be used."""
     document = read_document(path)
     version = document.get("schema_version")
     if version != SCHEMA_VERSION:
@@ -182,7 +182,7 @@ def read_record(path: Path) -> ResultRecord:
 def make_record(
     localizer: Localizer, localization: Localization, seconds: Mapping[str, float] | None = None
 ) -> ResultRecord:
-    """Make the record of a localisation. `seconds` adds the durations of other stages."""
+    """Make the record of a localisation. `seconds` has the durations of other stages to add."""
     config, posterior = localizer.config, localization.posterior
     touches = _record_touches(localization, config.touch)
     errors_m = localization.measure_errors_m(localizer.object)

@@ -1,4 +1,4 @@
-"""The verdict on a located touch: one word, with the same meaning in runs, tracks, live frames, recordings and ROS."""
+"""The verdict on a located touch: one word with the same meaning in runs, tracks, live frames, recordings and ROS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 from tactile_loc.io.options import CERTAIN
 
 LEAST_IOU = 0.5  # imprint IoU of one touch: below it, 1 of 83 simulated touches had the right pose
-MOSTLY_ELSEWHERE = 0.5  # above it, the search has probably missed the true pose
+MOSTLY_ELSEWHERE = 0.5  # a greater probability of "elsewhere" means that the pose was not found
 
 
 class Verdict(StrEnum):
@@ -32,7 +32,7 @@ MEANINGS = {
 
 
 def name_verdict(verdict: Verdict | None) -> str:
-    """Return the verdict's word; "refused" if there is none."""
+    """Return the verdict's word, or "refused" if there is no verdict."""
     return REFUSED if verdict is None else verdict.value
 
 
@@ -52,10 +52,10 @@ def judge(
 ) -> Verdict:
     """Return the verdict on the first pose.
 
-    `probability`, 0 to 1, is the first pose's; None if there is no pose. `imprint_iou`, 0 to 1, is how well it explains
-    the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search missed the pose. `touched` tells
-    whether there is a touch. A pose is certain if its probability is at least `certain`. It is a poor fit if its
-    imprint IoU is below `least_iou`.
+    `probability`, 0 to 1, is the first pose's; None if there is no pose. `imprint_iou`, 0 to 1, states how well the
+    first pose explains the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search missed the
+    true pose. `touched` states whether there is a touch. A pose is certain if its probability is at least `certain`. A
+    pose is a poor fit if its imprint IoU is below `least_iou`.
     """
     if not touched:
         return Verdict.NO_CONTACT
