@@ -110,11 +110,11 @@ class ProductPrior(PosePrior):
 class GaussianPrior(PosePrior):
     """A Gaussian prior about the pose `T` (4, 4), metres, which may come from vision.
 
-    log w = -|dt|^2 / (2 s_t^2) - a^2 / (2 s_r^2). dt is the translation between the origins of the object frame at the
-    two poses, and a is the angle of the rotation between the poses. s_t is `translation_std_m`, and s_r is
-    `rotation_std_rad`; inf means unknown. If the object's `symmetry` is given, a is the least angle over all equivalent
-    poses. dt is then measured at the centre of symmetry, which all equivalent poses share. Raises ConfigError if T is
-    not rigid or a standard deviation is not positive.
+    The log-weight of a pose is -|dt|^2 / (2 s_t^2) - a^2 / (2 s_r^2). The translation dt leads from the origin of the
+    object frame at T to the origin at the pose. The angle a is that of the rotation between T and the pose. The
+    standard deviations are s_t, `translation_std_m`, and s_r, `rotation_std_rad`; inf means unknown. If the object's
+    `symmetry` is given, a is the least angle over all equivalent poses. Then dt is measured at the centre of symmetry,
+    which all equivalent poses share. Raises ConfigError if T is not rigid or a standard deviation is not positive.
     """
 
     T: Poses
@@ -190,14 +190,14 @@ class PosteriorPrior(PosePrior):
     """An earlier posterior as a prior, after a known motion of the object in the sensor frame.
 
     A pose x has the weight w(x) = (1 - f) sum_j p_j exp(-d(x, T_new_old x_j)^2 / (2 s^2)) + f / N, raised to `power`.
-    The sum is over the N earlier poses x_j with probabilities p_j. d is the distance in the pose metric, up to
+    The sum is over the N earlier poses x_j with probabilities p_j. The distance d is that of the pose metric, up to
     symmetry.
 
     `T_new_old` (4, 4), metres, is the motion: T_sensor_object_new = T_new_old @ T_sensor_object_old. For an object at
-    rest, it is inv(T_base_sensor_new) @ T_base_sensor_old. s is the motion's uncertainty `std_m`, metres, but at least
-    half the spacing of the earlier grid, so that new poses between the earlier poses get weight. f is `floor`, the
-    weight that every pose gets; the earlier posterior's `elsewhere` is added to it. Raises ConfigError if the motion is
-    not rigid, `std_m` is negative or `floor` is not in [0, 1).
+    rest, the motion is inv(T_base_sensor_new) @ T_base_sensor_old. The kernel's standard deviation s is `std_m`,
+    metres, the uncertainty of the motion. It is at least half the spacing of the earlier grid, so that new poses
+    between the earlier poses get weight. The share f is `floor`, plus the earlier posterior's `elsewhere`. Raises
+    ConfigError if the motion is not rigid, `std_m` is negative or `floor` is not in [0, 1).
     """
 
     posterior: PosePosterior
