@@ -253,7 +253,7 @@ class _Search:
     def _scan(
         self, directions: NDArray[np.float64], order: int, points_m: NDArray[np.float64], count: int
     ) -> NDArray[np.float64]:
-        """Return up to `count` clearly different directions (K, 3) about which a rotation of an order fits best."""
+        """Return up to `count` clearly different `directions` (K, 3) about which a symmetry of an order fits best."""
         rotated_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
         distance_m = self._probe.distance_m(rotated_m, candidates=1)
         scores = np.square(distance_m).reshape(len(directions), -1).mean(axis=1)
