@@ -2,8 +2,8 @@
 
 numba checks only the file of a function. But a function's compiled code contains other functions and constants, which
 may come from other files. A folder's name therefore contains a hash of all of these files and constants, so that
-outdated code is never used. numba would end the program if it could not read an index on disk. Unreadable files are
-therefore deleted first.
+outdated code is never used. If numba cannot read an index on disk, it ends the program. Unreadable files are therefore
+deleted first.
 """
 
 from __future__ import annotations

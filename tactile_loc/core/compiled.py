@@ -1,7 +1,7 @@
 """Compiled loops, and the threads that run them.
 
 Kernels are plain numba functions that release the GIL. Threads of this module call the kernels for parts of a range.
-numba's own parallel loops are not used, because they take several times as long to compile. Their threads also wait in
+The parallel loops of numba are not used, because they take several times as long to compile. Their threads also wait in
 busy loops, which slows down all other work.
 """
 

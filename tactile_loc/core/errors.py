@@ -1,4 +1,4 @@
-"""All errors that a user can meet. A message tells what is wrong, where, and what to do, in one or two sentences."""
+"""All errors that a user can meet. A message states what is wrong, where, and what to do, in one or two sentences."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from tactile_loc.core.deprecation import find_renamed
 def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of a module, from the names under its `if TYPE_CHECKING:`.
 
-    Type checkers read that block too, so each name and its module are written only once. `__getattr__` also finds the
+    Type checkers read the same block, so each name and its module are written only once. `__getattr__` also finds the
     old names of renamed functions, and warns.
     """
     loader: Any = vars(sys.modules[module])["__spec__"].loader

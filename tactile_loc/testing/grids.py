@@ -288,7 +288,7 @@ def _draw_random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
 
 
 def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
-    """Bring poses of an object, by default the block, to contact. Return those that touch."""
+    """Bring poses of an object, by default the block, to contact. Return the poses that touch."""
     obj = make_block() if obj is None else obj
     contact, touching = bring_to_contact(obj.mesh, poses, CAMERA)
     require(touching.sum() > 1, "several poses must be able to touch the sensor")

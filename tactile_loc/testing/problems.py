@@ -241,7 +241,7 @@ class PressedBlock:
         return Candidate(self.scene.bring_to_contact(moved[None])[0][0], index=0, log_p=0.0)
 
     def measure_error_m(self, pose: Candidate | RefinedPose) -> float:
-        """Return the root mean square distance, metres, of the block's surface points from those at the true pose."""
+        """Return the root mean square distance, metres, of the block's surface points from their true positions."""
         return float(PoseMetric(self.scene.object).distance(pose.T_sensor_object, self.truth))
 
 

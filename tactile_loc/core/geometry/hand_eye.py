@@ -66,13 +66,13 @@ def predict(T_base_flange: Poses, T_flange_sensor: Poses, T_base_object: Poses) 
 
 
 def compute_pose_errors(T: Poses, T_measured: Poses) -> Floats:
-    """Return the errors (..., 6) of poses T against measured ones, ordered as in `RefinedPose.covariance`."""
+    """Return the errors (..., 6) of poses T against measured poses, ordered as in `RefinedPose.covariance`."""
     rotation = compute_rotation_vectors(T[..., :3, :3] @ np.swapaxes(T_measured[..., :3, :3], -1, -2))
     return np.concatenate([T[..., :3, 3] - T_measured[..., :3, 3], rotation], axis=-1)
 
 
 def move(T: Poses, errors: Floats) -> Poses:
-    """Return poses (..., 4, 4), metres, that differ from T by `errors` (..., 6); inverse of `compute_pose_errors`."""
+    """Return poses (..., 4, 4), metres, that differ from T by `errors` (..., 6), as `compute_pose_errors` returns."""
     from scipy.spatial.transform import Rotation
 
     rotation: Any = Rotation.from_rotvec(errors[..., 3:].reshape(-1, 3)).as_matrix()
@@ -164,7 +164,7 @@ def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats)
 
 
 def estimate_typical_variance(chi2: Floats) -> float:
-    """Return the typical squared ratio of residuals to their expected size; at least 1."""
+    """Return the typical squared ratio of residuals to their expected size, but at least 1."""
     return max(1.0, float(np.median(chi2)) / MEDIAN_6)
 
 

@@ -1,9 +1,9 @@
 """Nearest points of an object's surface, found with the nearest triangle of each cell of a box around the object.
 
 The field is built once per object. A wave carries triangles outwards from the cells that the triangles cross. The time
-to find a nearest point does not depend on the size of the mesh. The point found is exact if the nearest triangle of the
-cell's centre is also the nearest triangle of the given point. Near an edge between triangles, the two can be different.
-The search therefore continues to nearer triangles that share an edge.
+to find a nearest point does not depend on the size of the mesh. The search starts with the triangle that is nearest to
+the centre of the given point's cell. Near an edge between triangles, another triangle can be nearer to the point
+itself. The search therefore continues to nearer triangles that share an edge.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"

@@ -1,4 +1,4 @@
-"""Rotational symmetry groups of objects. They are read from text; their elements are listed or factored out."""
+"""Rotational symmetry groups of objects, which are read from text, and tests for poses that are equal by symmetry."""
 
 from __future__ import annotations
 

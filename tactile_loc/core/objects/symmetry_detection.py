@@ -114,7 +114,7 @@ def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: fl
 def _map_points(
     points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Rotate points (N, 3) by R (3, 3) about a centre (3,); metres."""
+    """Rotate points (N, 3), metres, by R (3, 3) about a centre (3,), metres."""
     return (points_m - centre_m) @ R.T + centre_m
 
 

@@ -33,7 +33,7 @@ class Mode:
 @keep_old_names(tempered="temper")
 @dataclass(frozen=True, eq=False)
 class PosePosterior:
-    """Log-probabilities `log_p` (N,) over a grid's poses; -inf where a pose is excluded.
+    """Log-probabilities `log_p` (N,) of a grid's poses. An excluded pose has -inf.
 
     The probabilities were fitted to simulated touches. `log_train` (N,) is the logarithm, up to a constant, of the
     distribution P_train of these touches' poses. None means that it was uniform. Fusers divide by P_train. `touches` is

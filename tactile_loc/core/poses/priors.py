@@ -88,7 +88,7 @@ class SeenFrom(PosePrior):
 
 @dataclass(frozen=True, eq=False)
 class ProductPrior(PosePrior):
-    """The product of several priors. Its log-weights are the sums of theirs."""
+    """The product of several priors. A pose's log-weight is the sum of its log-weights in all priors."""
 
     priors: tuple[Prior, ...]
 
@@ -273,12 +273,15 @@ class PosteriorPrior(PosePrior):
 
 
 def count_touches(prior: Prior | None) -> int:
-    """Return the number of touches behind a prior; 0 unless it is a PosePrior."""
+    """Return the number of touches behind a prior. It is 0 if the prior is not a PosePrior."""
     return prior.touches if isinstance(prior, PosePrior) else 0
 
 
 def temper(prior: Prior, power: Callable[[int], float]) -> Prior:
-    """Return a prior with its weights from N earlier touches raised to `power(N)`; unchanged unless a PosePrior."""
+    """Return a prior with its weights from N earlier touches raised to `power(N)`.
+
+    A prior that is not a PosePrior is returned unchanged.
+    """
     return prior.temper(power) if isinstance(prior, PosePrior) else prior
 
 

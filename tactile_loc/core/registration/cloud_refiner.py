@@ -70,7 +70,8 @@ class CloudRefiner(Refiner):
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Move the candidate (4, 4), metres, by the transform that registers its contact cloud to the touch's.
 
-        Return the candidate unchanged if the registered pose's contact overlaps that of the touch less.
+        If the registered pose's contact overlaps the touch's contact less than the candidate's contact does, return the
+        candidate unchanged.
         """
         return self.refine_many(touch, [candidate], scene)[0]
 
@@ -129,7 +130,7 @@ def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None
 def _choose_better(
     found: Registration, pose: NDArray[np.float64], after: float, given: NDArray[np.float64], before: float
 ) -> RefinedPose:
-    """Return the registered pose if its contact overlaps the touch's as well as the candidate's, else the candidate."""
+    """Return the registered pose, or the candidate if the candidate's contact overlaps the touch's contact better."""
     if found.T_mm is not None and after >= before - ROUGHLY:
         return RefinedPose(pose, after, found.converged and after > 0, found.iterations)
     return RefinedPose(given.copy(), before, converged=False, iterations=found.iterations)

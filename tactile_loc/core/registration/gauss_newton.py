@@ -88,8 +88,8 @@ class Registration:
     def _step(self, T: Floats, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, ...]:
         """Take one Gauss-Newton step of the object's poses T (K, 4, 4) and of its poses T_each in each touch.
 
-        Return four values: the new T; the new T_each; the information (K, 2, 6, 6) from the first touch and from all
-        other touches; and the length (K,) of the step, mm.
+        Return the new T, the new T_each, the information (K, 2, 6, 6) and the length (K,) of the step, mm. The first
+        part of the information is from the first touch, the second from all other touches.
 
         Touch i gives the equations A u = b for a twist u of its pose in T_each. Its present error is e. Its new error s
         has the covariance S, and the object's twist is x. Then u = Ad x - e + s. Eliminating s gives the equations for

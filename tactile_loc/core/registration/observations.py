@@ -26,8 +26,13 @@ class Observed(NamedTuple):
     in 1/mm^2. `slack` (P,) is the distance to the surface that costs nothing. The points of touch i are those from
     starts[i] to starts[i + 1], and their middle is centres[i].
 
-    A row of `cameras` (N, 11) has these numbers: 1 for a pinhole camera, else 0; fx, fy, cx, cy; the gel's greatest z;
-    the four numbers of the sensing rectangle; and the weight, 1/mm^2, of a surface sample that reaches into the gel.
+    A row of `cameras` (N, 11) has these numbers:
+
+    - 1 for a pinhole camera, else 0;
+    - fx, fy, cx and cy;
+    - the greatest z of the gel;
+    - the four numbers of the sensing rectangle;
+    - the weight, 1/mm^2, of a surface sample that reaches into the gel.
 
     A row of `images` (Q, 4) describes a square of four neighbouring pixels. Its first number is the least z in the
     square: nothing between the pixels' centres is nearer to the camera. The number is NaN if a pixel is not observed.

@@ -1,8 +1,13 @@
 """Functions that move an object along z until it just touches the sensing rectangle.
 
-Only the part of the object over the rectangle counts. The lowest point of a triangle over the rectangle is one of three
-kinds: a vertex of the triangle, a point where an edge crosses a side of the rectangle, or the triangle's point over a
-corner of the rectangle. All of these points are computed, so the result is exact.
+Only the part of the object over the rectangle counts. The lowest point of a triangle over the rectangle has one of
+three kinds:
+
+- a vertex of the triangle,
+- a point where an edge of the triangle crosses a side of the rectangle,
+- the triangle's point over a corner of the rectangle.
+
+All of these points are computed, so the result is exact.
 
 Over a curved gel, any point of a triangle can be the nearest to the gel. Points on the triangle's edges and inside it
 are therefore sampled every STEP_M. For a gel of radius r, the error is at most STEP_M^2 / 8 r, below a micrometre.

@@ -116,7 +116,7 @@ class SensorGeometry:
 
     @cached_property
     def band(self) -> SensorGeometry:
-        """The same sensor with a flat gel, for renderers. Its contact band contains that of a curved gel."""
+        """The same sensor with a flat gel, for renderers. Its contact band includes the band of this sensor."""
         if self.relief_m is None:
             return self
         least, most = float(self.relief_m.min()), float(self.relief_m.max())
@@ -170,14 +170,14 @@ class SensorGeometry:
 
     @cached_property
     def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The x/z of each column's rays (W,) and the y/z of each row's (H,); x and y, metres, if orthographic."""
+        """The x/z of each column's rays (W,) and the y/z of each row's rays (H,); x and y, metres, if orthographic."""
         u = np.arange(self.width_px, dtype=np.float64) + 0.5
         v = np.arange(self.height_px, dtype=np.float64) + 0.5
         return (u - self.cx) / self.fx, (v - self.cy) / self.fy
 
     @cached_property
     def observed_mask(self) -> NDArray[np.bool_]:
-        """The pixels (H, W), bool, on the sensing rectangle, without those where `observed` is False."""
+        """A mask (H, W), True at pixels that are on the sensing rectangle and not excluded by `observed`."""
         k = self.surface_m if self.is_pinhole else 1.0
         x, y = (s * k for s in self.pixel_slopes)
         x0, x1, y0, y1 = self.rectangle

@@ -77,8 +77,8 @@ class Touch:
     metres, is the true pose of the pressed object, which simulations and some experiments know. `image` (H, W, 3),
     uint8, is the photo from which the contact shape was estimated, if any.
 
-    Raises NoContactError if no observed pixel is in contact. Raises TouchError if the shape does not fit the sensor, if
-    all observed pixels are in contact at the same depth, or if a pose is not a rigid transform.
+    Raises NoContactError if no observed pixel is in contact. Raises TouchError in three other cases: the shape does not
+    fit the sensor, all observed pixels are in contact at the same depth, or a pose is not a rigid transform.
     """
 
     contact_shape: ContactShape

@@ -31,7 +31,7 @@ REACH = 4.0  # standard deviations at which a Gaussian is cut off
 
 
 class Centres(NamedTuple):
-    """P points in a batch of images: the number of each point's image, and its x and y there, metres; each (P,)."""
+    """P points in a batch of images: the number of each point's image, and the point's x and y, metres; each (P,)."""
 
     image: Index
     x_m: Float64
@@ -261,8 +261,8 @@ class TouchNoise:
     ) -> Float32:
         """Return noisy contact depths (N, H, W), float32, metres, for clean contact depths at the maximal depth.
 
-        They are cut at the press depths (N,), metres; a pixel without contact has exactly this depth. Pixels outside
-        the sensing rectangle get no noise, because there is no elastomer.
+        The noisy depths are cut at the press depths (N,), metres. A pixel without contact has exactly the press depth.
+        Pixels outside the sensing rectangle get no noise, because there is no elastomer.
         """
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)

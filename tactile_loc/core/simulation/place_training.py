@@ -40,7 +40,10 @@ MOST_ROUNDS = 50
 
 
 class Labels(NamedTuple):
-    """The labels of M touches: nearest places, yaws, rad, that rotate them there, and distances, metres; each (M,)."""
+    """The labels of M touches: the nearest places, the yaws, rad, and the distances, metres; each (M,).
+
+    The yaw rotates a touch so that it is nearest to its place.
+    """
 
     numbers: NDArray[np.int64]
     yaw_rad: NDArray[np.float64]

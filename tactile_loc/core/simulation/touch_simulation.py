@@ -35,9 +35,9 @@ def draw_touches(
     is the maximal depth. A pose is that of the pressed object, whose deepest point is at z = surface - press depth.
 
     With `noise`, the rendered pose has the sensor's calibration error. Noise is added to the contact shape, which is
-    cut at the measured press depth. A press is refused and drawn again if noise leaves less true contact than the
-    sampler requires, or if the touch shows only a flat face. Except for that, the same `rng` draws the same poses with
-    any noise.
+    cut at the measured press depth. A press is refused if noise leaves less true contact than the sampler requires, or
+    if the touch shows only a flat face. Another press is then drawn. Except for that, the same `rng` draws the same
+    poses with any noise.
 
     Raises TouchError if the press depth is beyond the sensor's range, or if hardly any press leaves an imprint. Raises
     GridError if hardly any pose touches.

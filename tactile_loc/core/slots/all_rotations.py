@@ -64,7 +64,7 @@ class AllRotationsGrid(GridSampler):
         """Return the advice ("take ...") for the message that a spacing, metres, makes too many poses."""
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return poses (N, 4, 4), metres, about `spacing_m` metres apart, without those that are equal by symmetry.
+        """Return poses (N, 4, 4), metres, about `spacing_m` metres apart, and only one of poses equal by symmetry.
 
         The object's centroid lies on a square lattice with the pitch `spacing_m`, at z = 0. Raises GridError if the
         spacing is below a micrometre, or if the grid would have more than `max_poses` poses.

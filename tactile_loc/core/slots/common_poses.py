@@ -53,8 +53,8 @@ class CommonPosesFuser(Fuser):
         """Return the posterior over the poses of the first touch's grid.
 
         `T_base_sensor` are sensor poses (4, 4), metres. Only a single touch may have None. Raises ConfigError if one of
-        several touches has no sensor pose, if the touches are of different objects, or if the prior does not return one
-        finite or -inf log-weight per pose. Raises GridError if no pose is left.
+        several touches has no sensor pose, or if the touches are of different objects. Raises ConfigError, too, if the
+        prior does not return one log-weight per pose, each finite or -inf. Raises GridError if no pose is left.
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
@@ -182,7 +182,7 @@ def find_common_poses(
 
 
 def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
-    """Return the sensors to search, by number: without the first, and without those with its grid and its pose."""
+    """Return the sensors to search, by number: all except the first and sensors with the first's grid and pose."""
     others: dict[int, OtherSensor] = {}
     for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
         if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
@@ -193,9 +193,9 @@ def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reac
 
 
 def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
-    """Return the order of the sensors in which the first ones exclude the most of a few poses.
+    """Return an order of the sensors, judged by a few poses. A sensor that excludes many poses comes early.
 
-    Then fewer poses are left to look up in the grids of the other sensors.
+    Then fewer poses are left to look up in the grids of the later sensors.
     """
     if len(T_first_object) <= SAMPLE:
         return list(others)

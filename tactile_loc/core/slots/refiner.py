@@ -31,7 +31,7 @@ class RefinedPose:
 
     `contact_iou`, 0 to 1, is the contact IoU with the touch (see `Scene.contact_iou`), or the mean over several
     touches. `covariance` (6, 6) is the covariance of the pose's error, if the refiner estimates it. The error is x, y,
-    z of the object frame's origin (m), then a rotation vector (rad), along the sensor's axes, as in ROS's
+    z of the object frame's origin (m), then a rotation vector (rad). Both are along the sensor's axes, as in ROS's
     PoseWithCovariance. `T_sensors_object` (N, 4, 4), metres, are the object's poses in the frames of several sensors,
     if the refiner corrects the sensors' poses; else None.
     """
