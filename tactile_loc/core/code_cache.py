@@ -100,7 +100,7 @@ def _can_write(folder: Path) -> bool:
 
 def _delete_older(root: Path, stem: str, folder: Path) -> None:
     """Delete the folders for other states of a file, except the one used last, which another process may use."""
-    with suppress(OSError):  # another process may do the same
+    with suppress(OSError):  # another process may delete them at the same time
         others = sorted((one.stat().st_mtime_ns, one) for one in root.glob(f"{stem}.{_HEX}") if one != folder)
         for _, other in others[:-1]:
             shutil.rmtree(other, ignore_errors=True)

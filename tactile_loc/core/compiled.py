@@ -71,7 +71,7 @@ def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> 
     others = [_pool(os.getpid(), threads - 1).submit(work) for _ in range(threads - 1)]
     work()
     for other in others:
-        if not other.cancel():  # it has not started yet if other callers keep the threads busy
+        if not other.cancel():  # the thread has not started if other callers keep it busy
             other.result()
 
 

@@ -106,7 +106,7 @@ def check_weights(matcher: Matcher) -> None:
     plain = _score_weighted(matcher, bank, queries, np.ones_like(queries))
     _require_alike(plain, _compute_truth(bank, queries), "weights of one must give the plain scores")
     weights = _draw_weights()
-    queries[weights == 0] += 3  # numbers of weight zero may be anything
+    queries[weights == 0] += 3  # numbers with weight zero may have any value
     before = Untouched(queries=queries, weights=weights)
     found, truth = _score_weighted(matcher, bank, queries, weights), _compute_truth(bank, queries, weights)
     before.require()

@@ -20,7 +20,7 @@ from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
-EXAMPLES = 5  # of each property; the first is the simplest
+EXAMPLES = 5  # number of cases for each property; the first case is the simplest
 SPARE_BITS = 3  # additional bits of a number, so that all of its values are about equally likely
 AXES = tuple(axis for axis in product((0, 1, -2), repeat=3) if any(axis))
 

@@ -167,7 +167,7 @@ def check_deterministic(renderer: Renderer) -> None:
 
 def check_undercuts(renderer: Renderer) -> None:
     """From beside, a pinhole camera sees the surface behind an overhang."""
-    camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # sees 90 degrees
+    camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # its field of view is 90 degrees
     T = bring_to_contact(make_overhang(), make_planar_pose(0.0, 0.0, 0.0)[None], camera)[0]
     depth, truth = (r.render(make_overhang(), T, camera) for r in (renderer, ReferenceRenderer()))
     sentence = "the surface behind an overhang must be seen; otherwise declare exact_undercuts=False"

@@ -74,7 +74,7 @@ class FrameTree:
     """A tree of named frames. Each frame has one parent, except a frame at the top."""
 
     def __init__(self) -> None:
-        self._edges: dict[str, Edge] = {}  # by child
+        self._edges: dict[str, Edge] = {}  # the edge to its parent, by child
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ TRUSTED = 22.5  # 99.9 % quantile of the same variable; a touch with a larger va
 STEPS, STILL = 50, 1e-10  # largest number of Gauss-Newton steps; a shorter step, in UNIT, is the last one
 UNIT = np.array([1e-3] * 3 + [1e-2] * 3)  # 1 mm, and the rotation (rad) that moves a point at 100 mm by 1 mm
 KNOWN = np.array([3e-3] * 3 + [0.3] * 3)  # m and rad; a touch with larger errors determines nothing
-LEAST_INFORMATION = 1e-8  # information about a twist in UNIT in an undetermined direction: 10 m
+LEAST_INFORMATION = 1e-8  # least information about a twist in UNIT; it corresponds to 10 m
 ALIKE = 1e-9
 
 
@@ -98,7 +98,7 @@ def solve_closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Pos
     R_F, R_S = T_base_flange[..., :3, :3], T_sensor_object[..., :3, :3]
     kronecker = np.einsum("...nij,...nlk->...ikjl", R_F, R_S).reshape(*R_F.shape[:-3], 9, 9)  # of F X S, row by row
     _, _, right = np.linalg.svd(kronecker)
-    M = right[..., 0, :].reshape(*right.shape[:-2], 3, 3)  # its sign is arbitrary
+    M = right[..., 0, :].reshape(*right.shape[:-2], 3, 3)  # the sign of M is arbitrary
     R_X = _average_rotations((M * np.sign(np.linalg.det(M))[..., None, None])[..., None, :, :])
     R_Y = _average_rotations(R_F @ R_X[..., None, :, :] @ R_S)
     t_X, t_Y = _solve_translations(T_base_flange, R_X, T_sensor_object[..., :3, 3])

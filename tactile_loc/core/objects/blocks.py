@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.objects.mesh import TriangleMesh
 
-TRIANGLES = 24  # per block
+TRIANGLES = 24  # largest number of triangles per block
 
 
 class Blocks(NamedTuple):

@@ -60,7 +60,7 @@ def name_axis(axis: ArrayLike) -> str:
 def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.float64] | None:
     """Return all products (K, 3, 3) of generators (3, 3), the identity first; None if there are over MAX_ORDER."""
     found = [np.eye(3)]
-    for rotation in found:  # grows during the loop
+    for rotation in found:  # the list grows during the loop
         for generator in generators:
             product = rotation @ generator
             traces = np.einsum("kij,ij->k", np.stack(found), product)

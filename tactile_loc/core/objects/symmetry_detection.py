@@ -19,13 +19,13 @@ _logger = logging.getLogger(__name__)
 RESOLUTION_M = 5e-5
 """The smallest deviation that a tactile sensor sees, on a patch about half a millimetre wide."""
 
-_IGNORED = 1e-3  # share of the few points that may deviate more; the many points show whether this is a feature
+_IGNORED = 1e-3  # share of the few points that may deviate more; the many points show if it is a feature
 _EQUAL_MOMENTS = 0.06
 _VERIFY_STEP_RAD = math.radians(16.0)
 _VERIFY_EVALUATIONS = 40_000
 _GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # its multiples are not rotations of any finite group
 _SCAN_ORDERS = (2, 3, 5, 7)
-_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half turns, one about x is preferred to y, and y to z
+_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half-turn axes, x is preferred to y, and y to z
 
 
 def detect_symmetry(

@@ -75,7 +75,7 @@ class PosePosterior:
         """Return the grid indices (K,) of the `count` most probable poses, the most probable first, ties by index."""
         count = min(count, len(self.log_p))
         least = np.partition(self.log_p, -count)[-count]
-        best = np.flatnonzero(self.log_p >= least)  # more than `count` if several are as probable as the last
+        best = np.flatnonzero(self.log_p >= least)  # more than `count` if poses are as probable as the last one
         return best[np.argsort(-self.log_p[best], kind="stable")][:count]
 
     def credible_level(self, index: int, lot: float = 0.0) -> float:

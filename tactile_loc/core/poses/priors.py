@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 FORGOTTEN = 1e-6  # the least probable poses of a posterior, which together have this probability, are ignored
 KERNEL_RADII = 6.0  # standard deviations beyond which a kernel counts as zero (e^-18)
 LEAST_SPREAD = 0.5  # grid spacings; the median distance of the true pose from the nearest grid pose
-NOTHING = -100.0  # least log of a kernel: its exponential is negligible, and those of smaller numbers are slow
+NOTHING = -100.0  # least log of a kernel; its exponential is negligible, and exponentials of smaller numbers are slow
 PAIRS = 500_000  # largest number of pairs of poses and kernels computed at once
 
 Prior = Callable[[Poses], NDArray[np.float64]]

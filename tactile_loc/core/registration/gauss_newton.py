@@ -18,7 +18,7 @@ from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
 
-SETTLED_MM = 1e-3  # a pose that moves less has converged
+SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
 COARSELY = 3  # the first steps use one point out of this many
 FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest rotation and translation of a step
 DAMPING = 1e-4

@@ -72,7 +72,7 @@ class JointRegistration:
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         after = _explain(views, found.T)
         before = np.ones_like(after)
-        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly everything cannot be worse than before
+        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly the whole touch cannot be worse than before
         before[:, doubted] = _explain(views, T_first_object[doubted])
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         results = []

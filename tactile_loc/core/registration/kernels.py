@@ -61,7 +61,7 @@ def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
         corner = triangles.corners[f]
         off = m[0] * (x[0] - corner[0]) + m[1] * (x[1] - corner[1]) + m[2] * (x[2] - corner[2])
         d0, d1, d2, r = m[0], m[1], m[2], off
-        if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # beside the triangle
+        if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # the point is beside the triangle
             c = find_closest_on_triangle(x, corner, triangles.sides[f])
             r = math.sqrt(squared)
             d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
@@ -106,7 +106,7 @@ def add_kept_out(i, T, observed, samples, scale, every, A, b):
             pixel = observed.images[offset + v * width + u]
             nothing = pixel[0] < 0.0
             surface = -pixel[0] if nothing else pixel[0]
-            if not surface > z:  # not observed, or not deeper
+            if not surface > z:  # the pixel is not observed, or the sample is not deeper
                 continue
             r = min(surface, gel) - z
             d[0] = d[1] = 0.0

@@ -19,7 +19,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 Float32 = NDArray[np.float32]
 
 PATCH_PX, PITCH_M = 41, 5e-4  # side of a patch, size of a pixel; the place is at the centre of the middle pixel
-STEP_M, BELOW = 1.25e-5, 15  # resolution of heights; number of steps for surface nearer to the sensor than the place
+STEP_M, BELOW = 1.25e-5, 15  # size of a height step; number of steps kept for surface nearer than the place
 FAR = 255  # value of a pixel without surface, or whose surface is at least HIGHEST_M beyond the place
 HIGHEST_M = (FAR - BELOW) * STEP_M
 PRESS_STEP_M = 1e-4  # step between the press depths at which touches are compared

@@ -150,7 +150,7 @@ def contact_shape_from_array(
             f"{name} is an array of shape {depth.shape} and type {depth.dtype}; a contact shape is (H, W) numbers, "
             "depth from full penetration"
         )
-    with np.errstate(over="ignore"):  # depths beyond float32 are beyond the sensor too
+    with np.errstate(over="ignore"):  # depths that are too large for float32 are beyond the sensor too
         depth = np.where(np.isnan(depth), np.inf, depth).astype(np.float32)
     if (depth < -1e-6).any():
         raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration")

@@ -126,7 +126,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
     aq, bq, cq = s[1] * zp - zs * p[1], zs * p[0] - s[0] * zp, s[0] * p[1] - s[1] * p[0]
     as_, bs, cs = p[1] * zq - zp * q[1], zp * q[0] - p[0] * zq, p[0] * q[1] - p[1] * q[0]
     determinant = p[0] * ap + p[1] * bp + zp * cp
-    if determinant == 0.0:  # seen edge-on
+    if determinant == 0.0:  # the camera sees the triangle edge-on
         return
     k = 1.0 / determinant
     ap, aq, as_ = ap * k, aq * k, as_ * k

@@ -16,7 +16,7 @@ from tactile_loc.core.slots.scene import Scene
 
 log = logging.getLogger(__name__)
 
-CLOSE_ENOUGH = 0.03  # relative error of the spacing
+CLOSE_ENOUGH = 0.03  # allowed relative error of the spacing
 MOST_ROUNDS = 3
 BATCH = 256  # largest number of random poses drawn and rendered at once
 HARDLY_ANY = 1e-3  # least share of the random poses that must have contact

@@ -27,7 +27,7 @@ Index = NDArray[np.intp]
 
 FAINTEST = 0.2  # least value of the varying threshold, as a share of its mean
 SHALLOWEST = 0.1  # least measured press depth, as a share of the true press depth
-REACH = 4.0  # standard deviations at which a Gaussian is cut off
+REACH = 4.0  # number of standard deviations at which a Gaussian is cut off
 
 
 class Centres(NamedTuple):
@@ -96,15 +96,15 @@ class Gel:
         return columns[:, None, :] | rows[:, :, None]
 
     def draw_points(self, counts: Index, rng: np.random.Generator) -> Centres:
-        """Draw points uniformly on the rectangle, as many for each image as `counts` (N,) has."""
+        """Draw `counts` (N,) points for the N images, uniformly on the rectangle."""
         x0, x1, y0, y1 = self.rectangle_m
         image = np.repeat(np.arange(len(counts)), counts)
         return Centres(image, rng.uniform(x0, x1, len(image)), rng.uniform(y0, y1, len(image)))
 
     def draw_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
-        """Draw pixels of each image that are `marked` (N, H, W), with replacement, as many as `counts` (N,) has.
+        """Draw `counts` (N,) of the `marked` (N, H, W) pixels of N images, with replacement.
 
-        An image without marked pixels gets none.
+        For an image without marked pixels, no pixel is drawn.
         """
         held = np.count_nonzero(marked, axis=(1, 2))
         image = np.repeat(np.arange(len(counts)), np.where(held > 0, counts, 0))
@@ -181,8 +181,8 @@ class TouchNoise:
     - The elastomer smooths the imprint, like a Gaussian with the standard deviation `smoothing_m`.
     - The sensor does not see an imprint shallower than `least_m`. This threshold varies with the standard deviation
       `edge_m` over patches of `edge_patch_m`, but never falls below `FAINTEST` times `least_m`.
-    - The measured depth varies with the standard deviation `drift_m` over patches of `drift_patch_m`. No contact is
-      lost by this.
+    - The measured depth varies with the standard deviation `drift_m` over patches of `drift_patch_m`. This does not
+      remove any contact.
     - `missing` and `spurious` are the mean numbers of round patches that lose or gain contact, with radii up to
       `patch_m`.
     - Contact is lost in a strip, up to `border_m` wide, along a random side of the sensing rectangle.
@@ -267,7 +267,7 @@ class TouchNoise:
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)
         gel = Gel.of(geometry)
-        depth = noisy[:, gel.rows, gel.columns]  # a view
+        depth = noisy[:, gel.rows, gel.columns]  # a view of `noisy`, so that writing to it changes `noisy`
         if self.smoothing_m > 0:
             depth[...] = np.maximum(press - gel.blur(press - depth, self.smoothing_m), 0.0)
         if self.least_m > 0 or self.edge_m > 0:

@@ -80,7 +80,7 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def grid(self) -> PoseGrid:
-        """Raise ConfigError: no poses are listed."""
+        """Raise ConfigError, because this problem lists places instead of poses."""
         raise ConfigError(
             f"this encoder learns from listed poses, but the grid lists an object's {len(self)} places; choose --grid "
             "face, --grid hopf, or another encoder"
@@ -88,7 +88,7 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def shapes(self) -> PoseGrid:
-        """Raise ConfigError: no poses are listed."""
+        """Raise ConfigError, because this problem lists places instead of poses."""
         return self.grid
 
     def __len__(self) -> int:
@@ -240,7 +240,7 @@ class PlaceTouches(TrainingTouches):
 
 
 def move_to_anchors(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
-    """Return the poses (M, 4, 4), metres, of M touches in frames at their deepest points, with z along the normal."""
+    """Convert poses (M, 4, 4), metres, to frames at the deepest points of M touches, with z along the gel's normal."""
     from tactile_loc.core.sensing.rotated_patches import find_anchor
 
     anchors = [find_anchor(touch) for touch in touches]

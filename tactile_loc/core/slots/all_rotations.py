@@ -50,7 +50,7 @@ class AllRotationsGrid(GridSampler):
 
     @abstractmethod
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
-        """Return R_sensor_object (K, 3, 3) that move the surface by about `spacing_m` metres from one to the next.
+        """Return rotations R_sensor_object (K, 3, 3), about `spacing_m` metres of surface motion apart.
 
         Of rotations that are equal by symmetry, only one is returned.
         """
@@ -61,13 +61,14 @@ class AllRotationsGrid(GridSampler):
 
     @abstractmethod
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Return the advice ("take ...") for the message that a spacing, metres, makes too many poses."""
+        """Return the advice, such as "take ...", for the message that a spacing, metres, gives too many poses."""
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return poses (N, 4, 4), metres, about `spacing_m` metres apart, and only one of poses equal by symmetry.
+        """Return poses (N, 4, 4), metres, about `spacing_m` metres apart.
 
-        The object's centroid lies on a square lattice with the pitch `spacing_m`, at z = 0. Raises GridError if the
-        spacing is below a micrometre, or if the grid would have more than `max_poses` poses.
+        Of poses that are equal by symmetry, only one is returned. The object's centroid lies on a square lattice with
+        the pitch `spacing_m`, at z = 0. Raises GridError if the spacing is below a micrometre, or if the grid would
+        have more than `max_poses` poses.
         """
         require_spacing(spacing_m)
         self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)

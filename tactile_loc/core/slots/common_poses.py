@@ -29,7 +29,7 @@ class CommonPosesFuser(Fuser):
     """Base class for fusers over those poses of the first grid that touch all sensors.
 
     A subclass defines the `evidence` of a touch. Its own Options derive from `CommonPosesFuser.Options`.
-    `if_contradictory` is the advice in the message that no pose is left.
+    `if_contradictory` is the advice in the message for contradictory touches, which leave no pose.
     """
 
     if_contradictory: ClassVar[str] = "let the matcher score all poses"

@@ -69,7 +69,7 @@ class Component(ABC):
     """Base class for all components.
 
     `version` is part of the store's keys. Raise it when the component's output changes. If a component was written for
-    an earlier interface, `outdated` states the changes that it needs. It is set when the component is loaded.
+    an earlier interface, `outdated` states the changes that the component needs. The registry sets `outdated`.
     """
 
     slot: ClassVar[str]

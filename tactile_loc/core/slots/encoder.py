@@ -99,7 +99,7 @@ class TrainingProblem(ABC):
 
     @abstractmethod
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
-        """Render `count` touches at random poses. Their batches add this noise."""
+        """Render `count` touches at random poses. The batches of these touches add `noise`."""
 
     @abstractmethod
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:

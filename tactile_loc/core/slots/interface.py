@@ -40,7 +40,7 @@ def adapt(kind: Any, slot: str, version: int) -> Any:
     """
     if version >= 2 or slot != "matcher" or takes_weights(kind):
         return kind
-    weighs = hasattr(kind, "weighted_scores")  # a method of interface 1 only
+    weighs = hasattr(kind, "weighted_scores")  # only interface 1 had this method
     consequence = "its weighted_scores is used" if weighs else "it compares with listed poses only"
     logger.warning(
         "The matcher %s was written for plugin interface 1: %s. To bring it to interface %d, %s.",

@@ -61,7 +61,7 @@ class Refiner(Component):
         return [self.refine(touch, candidate, scene) for candidate in candidates]
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates against several touches. Their poses are in the frame of the first touch's sensor.
+        """Refine candidates, given as poses in the frame of the first touch's sensor, against several touches.
 
         By default, each candidate is refined against each touch separately. The result is the refined pose with the
         best mean imprint IoU over all touches, or the candidate itself if its mean is best. Override this method to use

@@ -253,7 +253,7 @@ def registry() -> Registry:
     """Return the process's registry: the built-in components, and all others that TACTILE_LOC_PLUGINS allows.
 
     TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names. If it is not set, all plugins
-    are allowed. If it is empty, only the built-in components are.
+    are allowed. If it is empty, only the built-in components are allowed.
     """
     found = list(entry_points(group=PROJECT))
     wanted = os.environ.get("TACTILE_LOC_PLUGINS")

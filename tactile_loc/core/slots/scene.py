@@ -18,7 +18,8 @@ from tactile_loc.core.slots.renderer import Renderer
 
 IOU_PX = 100
 
-# The error of a measured indentation is a share of the indentation plus a constant. A pose may move along z by it.
+# The error of a measured indentation is a share of the indentation plus a constant. It limits how far a pose may move
+# along z.
 PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 
 
@@ -121,9 +122,9 @@ class Scene:
     def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
-        An imprint IoU is the sum over pixels of the smaller of two imprints, divided by the sum of the larger. An
-        imprint is the press depth minus the contact depth. Where there is contact, OUTLINE_SHARE of the press depth is
-        added to it. Pixels and movements along z are those of `contact_ious`.
+        At each pixel, the imprint is the press depth minus the contact depth. Where there is contact, OUTLINE_SHARE of
+        the press depth is added. The imprint IoU is the sum of the smaller of both imprints over all pixels, divided by
+        the sum of the larger. Pixels and movements along z are the same as for `contact_ious`.
         """
         return self.compare_imprints(T_sensor_object, touch).imprint_ious
 
