@@ -64,7 +64,7 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     """Return the observations of touches, in mm, with at most about `points` surface points each.
 
     `noise_m`, metres, is the least standard deviation of a measured surface point. Points share their errors over
-    patches of `patch_m` metres. `sample_area_m2` is the area of the object's surface per sample of it.
+    patches of `patch_m` metres. `sample_area_m2` is the area of the object's surface for each of its samples.
     """
     clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
     P, n, w, slack = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(4))

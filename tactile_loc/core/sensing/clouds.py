@@ -102,7 +102,7 @@ def _sample_walls(
 def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
     """Return unit vectors (H, W, 3) that point across the outline, out of contact.
 
-    They are the falling direction of the smoothed contact mask. Smoothing removes the pixel steps of an oblique edge.
+    They point down the slope of the smoothed contact mask. Smoothing removes the pixel steps of an oblique edge.
     Unobserved pixels count as half in contact.
     """
     from scipy.ndimage import gaussian_filter

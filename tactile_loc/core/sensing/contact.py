@@ -83,7 +83,7 @@ def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], 
     """Return a curved gel's relief (H, W), metres, above a lattice of points in the plane z = surface; and the lattice.
 
     The lattice (4,), metres, is given by the x and y of its first point and by its steps along x and y. Parallel rays
-    see the relief directly above these points. A pinhole's rays are oblique, so its relief is interpolated there.
+    see the relief directly above these points. A pinhole's rays are oblique, so the relief above them is interpolated.
     """
     from scipy.ndimage import map_coordinates
 

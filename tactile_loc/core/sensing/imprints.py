@@ -2,9 +2,9 @@
 
 An intersection over union (IoU) is easy to interpret. But it gives equal weight to contact that noise hides and to
 contact that a wrong pose adds. Evidence therefore also uses the contact area that a pose explains, and the error of
-depth in this area. The weights of evidence were fitted to simulated touches with strong noise. They separate the true
-poses from all other poses that a search of the whole object finds. Then the weight of the IoU was raised, because the
-IoU distinguishes poses well in touches without noise.
+depth in this area. The weights of evidence were fitted to simulated touches with strong noise, so that the true poses
+get more evidence than other poses that a search of the whole object finds. Then the weight of the IoU was raised,
+because the IoU distinguishes poses well in touches without noise.
 """
 
 from __future__ import annotations

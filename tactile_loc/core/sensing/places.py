@@ -1,8 +1,8 @@
 """Places: the points of an object that can touch first, with height maps of the surface around them.
 
-The touch's deepest point gives the position of the touching point. Rotations of the touch try all yaws. A search over
-places finds the rest: which point of the object touches first, and along which direction. Each place has a patch, which
-is a height map of the surface around it. A patch does not depend on the sensor or on the press.
+A place touches at the deepest point of the touch, which gives the position. All yaws are tried by rotating the touch. A
+search over places finds the rest: which point of the object touches first, and along which direction. Each place has a
+patch, which is a height map of the surface around the place. A patch does not depend on the sensor or on the press.
 """
 
 from __future__ import annotations

@@ -291,7 +291,7 @@ Drawing = Literal["pressed", "paper"]
 def find_drawing(
     T_sensor_object: NDArray[np.float64], geometry: SensorGeometry, drawing: Drawing
 ) -> tuple[NDArray[np.float64], SensorGeometry]:
-    """Return the poses (..., 4, 4), metres, and the sensor to render for a comparison with touches.
+    """Return the poses (..., 4, 4), metres, and the sensor with which to render them for comparison with touches.
 
     The drawing "pressed" renders the object where it is pressed in, as the sensor sees it. "paper" renders the object
     where it just touches the gel, as in Bauza et al. (CoRL 2020). There it is farther from the camera, so a pinhole

@@ -31,11 +31,11 @@ class ContactShape:
 
     @property
     def contact(self) -> NDArray[np.bool_]:
-        """The pixels (H, W) in contact: depth below the press depth in metres."""
+        """A mask (H, W), True at pixels in contact, whose depth is below the press depth."""
         return self.depth_m < np.float32(self.press_depth_m)
 
     def subsample(self, step: int) -> ContactShape:
-        """Return the shape with every `step`-th pixel, as `SensorGeometry.subsample` returns its sensor."""
+        """Return the shape with every `step`-th pixel. `SensorGeometry.subsample` returns the sensor for this shape."""
         return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
 
     def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:

@@ -6,7 +6,8 @@ Neighbouring triangles form blocks. A block beyond the contact band or outside t
 The ray of a pixel is r = (x/z, y/z, 1). Let the columns of P be the corners of a triangle. Solving P b = r gives the
 weights b of the corners. The ray meets the triangle if no weight is negative, at depth 1 / sum(b). A triangle that
 reaches behind the camera needs no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates,
-Graphics Hardware 1997). A parallel ray has r = (x, y, 1). Its depth is the weighted mean of the corners' depths.
+Graphics Hardware 1997). For parallel rays, r = (x, y, 1), and the third row of P is replaced by ones. The depth is then
+the weighted mean of the corners' depths.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
