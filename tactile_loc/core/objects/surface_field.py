@@ -78,7 +78,7 @@ class SurfaceField:
 
 
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Return the lists of triangles that share an edge with each triangle (F, 3, 3), joined, and where they end."""
+    """Return the neighbours that share an edge with each triangle (F, 3, 3), joined, and where each list ends."""
     from scipy.sparse import csr_matrix
 
     which = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].ravel()

@@ -37,8 +37,8 @@ def detect_symmetry(
     surface, at least half a millimetre wide, is farther than `tolerance_m` from the surface. A pocket therefore breaks
     the symmetry of a plate of any size. On tessellated curves, the error of the facets is also allowed. Axes with up to
     60-fold symmetry and continuous axes are found. A sphere is reported as a cylinder, with a warning. `seed` is for
-    drawing the surface points, which are 0.4 mm apart, but at most 40,000. Raises ObjectError if the mesh has no
-    surface.
+    drawing the surface points, which are about 0.4 mm apart. There are at most 40,000 points. Raises ObjectError if the
+    mesh has no surface.
     """
     probe = SurfaceProbe(vertices_m, faces, seed)
     search = _Search(probe, tolerance_m)
@@ -228,7 +228,7 @@ class _Search:
         return terms
 
     def _flip(self, axis: NDArray[np.float64], order: float) -> NDArray[np.float64] | None:
-        """Return the axis (3,) of a half turn, perpendicular to `axis` of the given order, or None without symmetry."""
+        """Return the axis (3,) of a half-turn symmetry that is perpendicular to `axis`, or None if there is none."""
         u = _find_perpendicular(axis)
         if math.isinf(order):
             return u if self.is_symmetry(u, math.pi) else None
@@ -287,7 +287,7 @@ class _Search:
         return axis
 
     def _find_term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
-        """Return the term, with the nearest coordinate axis if this differs by less than a fifth of the tolerance."""
+        """Return the term. If a coordinate axis is within a fifth of the tolerance of `axis`, use that axis instead."""
         axis = axis / np.linalg.norm(axis)
         main = int(np.argmax(np.abs(axis).round(6)))
         axis = axis * np.sign(axis[main])

@@ -89,7 +89,7 @@ class SurfaceProbe:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Return heights (N,) of points (N, 3) above their nearest faces, and the normals (N, 3) of these faces.
 
-        Also return which points (N,) are directly above their faces. The others are beside them, nearest to an edge.
+        Also return which points (N,) are directly above their faces. All other points are nearest to an edge of a face.
         """
         squared_m2, face, _ = self._find_nearest_face(points_m, 4)
         normals = self._normals[face]
@@ -145,9 +145,9 @@ class SurfaceProbe:
     def _find_nearest_face(
         self, points_m: NDArray[np.float64], count: int
     ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
-        """Return the nearest face (N,) of each point (N, 3), between its squared distance (N,) and all faces (N, C).
+        """Return the squared distance (N,) of each point (N, 3) to its nearest face, and the index (N,) of this face.
 
-        Only the faces (N, C) of the C samples nearest to a point are compared.
+        Also return the compared faces (N, C), which are those of the C samples nearest to each point.
         """
         faces = self._dense_face[self._tree.query(points_m, k=count)[1]].reshape(-1)
         repeated_m = np.repeat(points_m, count, axis=0)

@@ -76,8 +76,8 @@ def _require_pitch(pitch_m: float) -> None:
 def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
     """Return the least and the greatest x, y translation (..., 2), metres, that lets points overlap the rectangle.
 
-    `points_m` (..., V, 3), metres, are already rotated into the axes of the sensor frame. Their bounding box overlaps
-    the rectangle (x0, x1, y0, y1), metres, between these translations, and just touches it at them.
+    `points_m` (..., V, 3), metres, are already rotated into the axes of the sensor frame. Between the two translations,
+    the bounding box of the points overlaps the rectangle (x0, x1, y0, y1), metres.
     """
     points = np.asarray(points_m, float)[..., :2]
     x0, x1, y0, y1 = rectangle_m

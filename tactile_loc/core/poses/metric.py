@@ -43,8 +43,8 @@ class PoseMetric:
     def embed_orbits(self, T_sensor_object: Poses) -> NDArray[np.float64]:
         """Map poses (N, 4, 4) to points (K, N, D), metres, one row for each of K equivalents by symmetry.
 
-        Two poses' distance up to symmetry is the least Euclidean distance from all points of one pose to the first
-        point of the other.
+        To compare two poses up to symmetry, take the first point of one pose and all K points of the other. The least
+        Euclidean distance between them is the distance of the poses.
 
         Without a continuous axis of symmetry, the points are phi (D = 12) of all equivalents. With a continuous axis,
         all rotations about it have one point (D = 6), [r R a, R c + t]. Here a is the unit axis, c the centroid, C the
@@ -86,7 +86,7 @@ class PoseMetric:
         return np.asarray(same[far.argmin(axis=0), np.arange(len(T_near))])
 
     def symmetric_distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-        """Return the distances (N,), metres, between poses T1 and T2 (N, 4, 4), up to symmetry. They are exact."""
+        """Return the exact distances (N,), metres, between poses T1 and T2 (N, 4, 4), up to symmetry."""
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
 
@@ -181,9 +181,9 @@ class PoseGrid:
         return np.asarray(measure_distances(self._orbit_tree.data, same).min(axis=1))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-        """Return the distance (N,), metres, of each pose, or each pose with an index in `subset`, to its neighbour.
+        """Return the distance (N,), metres, between each pose and the nearest other pose of the grid.
 
-        The neighbour is the nearest other pose of the whole grid, ignoring symmetry.
+        Symmetry is ignored. If `subset` (N,) is given, only the poses with these indices get a distance.
         """
         points = self.phi if subset is None else self.phi[subset]
         distances: NDArray[np.float64] = self._tree.query(self._move_to_level(points), k=2)[0]
