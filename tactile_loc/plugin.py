@@ -1,8 +1,8 @@
 """The interface for plugin authors. A component and its package import only this module and `tactile_loc.testing`.
 
-It has the slots with their options, capabilities, arguments and results, the errors that components raise, and the
-helpers of the built-in components. Names are imported at their first use, so a package's `__init__` can import
-`ComponentSpec` and `hookimpl` quickly.
+The module offers the slots with their options, capabilities, arguments and results. It also offers the errors that
+components raise, and the helpers of the built-in components. Names are imported at their first use, so a package's
+`__init__` can import `ComponentSpec` and `hookimpl` quickly.
 """
 
 # ruff: noqa: I001 - names are grouped by purpose

@@ -1,1 +1,1 @@
-"""Data types, interfaces and numerical kernels. Imports no plugin and nothing heavy."""
+"""Data types, interfaces and numerical kernels. This package imports no plugin and no large library."""

@@ -1,8 +1,9 @@
-"""Folders for compiled code on disk: one for each source file and everything that its code is compiled from.
+"""Folders for compiled code on disk. Each state of a source file and of the code compiled into it has its own folder.
 
-numba only checks the file of a function. But functions that it calls, and constants that it uses, are compiled into it
-too, and may come from other files. So a folder's name contains a hash of all of them, and outdated code is never used.
-An index on disk that numba cannot read would end the program, so such files are deleted first.
+numba checks only the file of a function. But a function's compiled code contains other functions and constants, which
+may come from other files. A folder's name therefore contains a hash of all of these files and constants, so that
+outdated code is never used. If numba cannot read an index on disk, it ends the program. Unreadable files are therefore
+deleted first.
 """
 
 from __future__ import annotations
@@ -33,16 +34,16 @@ Folder = Path | None
 _HEX = "[0-9a-f]" * 16
 _PICKLES = {".nbi": 2, ".nbc": 1}  # number of pickles in numba's index files and code files
 
-_opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # by source file: its time and size; its folder
+_opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # time and size, and folder, by source file
 
 
 def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
-    """Return the folder for the compiled code of a function's file; create it if necessary, delete unreadable files.
+    """Return the folder for the compiled code of a function's file. Create it if necessary; delete unreadable files.
 
-    It is under `chosen` (NUMBA_CACHE_DIR), else in `__pycache__` beside the file, else in the user's cache. A file has
-    one folder per process, which depends on the names defined before its first compiled function; so put imports first.
-    Of the folders for other states of the file, only the last used one is kept. Returns None if no code can be kept:
-    the function is not in a file, or no folder is writable.
+    The folder is under `chosen` (NUMBA_CACHE_DIR). If that is empty, the folder is in `__pycache__` beside the file, or
+    else in the user's cache. A file has one folder per process. The folder depends on the names that are defined before
+    the file's first compiled function, so put imports first. The folders for other states of the file are deleted,
+    except the one used last. Returns None if the function is not in a file, or if no folder is writable.
     """
     path = Path(function.__code__.co_filename).absolute()
     if not path.is_file():
@@ -59,7 +60,7 @@ def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
 def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Folder:
     try:
         sources = [f"{file.name} {sha256(file.read_bytes()).hexdigest()}" for file in sorted(files)]
-    except OSError:  # a function that it calls is not in a file
+    except OSError:  # a called function is not in a file
         return None
     key = sha256("\n".join([numba.__version__, *sources, *sorted(constants)]).encode()).hexdigest()[:16]
     for root in _list_roots(path.parent, chosen):
@@ -76,7 +77,7 @@ def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Fol
 
 
 def _list_roots(source: Path, chosen: str) -> Iterator[Path]:
-    """Yield the places where code compiled from files of a folder may be kept, the best one first."""
+    """Yield the folders that may hold the code compiled from files of the folder `source`, the best one first."""
     name = f"{source.name}_{sha256(str(source).encode()).hexdigest()[:16]}"
     if chosen:
         yield Path(chosen).absolute() / name
@@ -87,7 +88,7 @@ def _list_roots(source: Path, chosen: str) -> Iterator[Path]:
 
 
 def _can_write(folder: Path) -> bool:
-    """Create a folder, mark it as used now, and try to write to it."""
+    """Create a folder and mark it as used now. Return whether files can be written to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -98,18 +99,18 @@ def _can_write(folder: Path) -> bool:
 
 
 def _delete_older(root: Path, stem: str, folder: Path) -> None:
-    """Delete the folders for other states of a file, except the last used one, which may be in use."""
-    with suppress(OSError):  # another process may do the same
+    """Delete the folders for other states of a file, except the one used last, which another process may use."""
+    with suppress(OSError):  # another process may delete them at the same time
         others = sorted((one.stat().st_mtime_ns, one) for one in root.glob(f"{stem}.{_HEX}") if one != folder)
         for _, other in others[:-1]:
             shutil.rmtree(other, ignore_errors=True)
 
 
 def _find_sources(function: Callable[..., Any]) -> tuple[set[Path], set[str]]:
-    """Find what may be compiled into a function's file: files, and constants ("NAME=value", names in capitals).
+    """Return the files and the constants ("NAME=value") that may be compiled into the code of a function's file.
 
-    The files are its own, those of the compiled functions that it uses, directly or indirectly, and those of the named
-    tuples that these use. Constants are numbers and tuples of numbers.
+    These are the function's own file, the files of all compiled functions that it uses, directly or indirectly, and the
+    files of their named tuples. Constants are numbers and tuples of numbers with a name in capitals.
     """
     compiled = type(numba.njit(function))
     files, constants, seen = {Path(function.__code__.co_filename).absolute()}, set(), set()
@@ -136,7 +137,7 @@ def _read_cells(function: Callable[..., Any]) -> list[Any]:
     """Return the values that a function uses from its enclosing functions."""
     cells = []
     for cell in function.__closure__ or ():
-        with suppress(ValueError):  # it is not set yet
+        with suppress(ValueError):  # the value is not set yet
             cells.append(cell.cell_contents)
     return cells
 
@@ -146,9 +147,9 @@ def _is_number(value: object) -> bool:
 
 
 def _delete_unreadable(folder: Path, files: set[Path]) -> None:
-    """Delete damaged files, and indices that name code which is missing or may have changed.
+    """Delete damaged files, and indices of code that is missing or may have changed.
 
-    `files` are known to be unchanged, because they are part of the folder's name.
+    `files` cannot have changed, because their hash is part of the folder's name.
     """
     for path in folder.rglob("*.nb[ic]"):
         try:
@@ -162,7 +163,7 @@ def _delete_unreadable(folder: Path, files: set[Path]) -> None:
 
 
 def _read_names(path: Path) -> set[tuple[str, str]]:
-    """Read a numba file to its end, without importing or calling anything; return the modules and names in it."""
+    """Return the modules and names in a numba file. The whole file is read, but nothing is imported or called."""
     stream, names = io.BytesIO(path.read_bytes()), set()
     for _ in range(_PICKLES[path.suffix]):
         reader = _NameReader(stream)
@@ -172,7 +173,7 @@ def _read_names(path: Path) -> set[tuple[str, str]]:
 
 
 def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
-    """Whether a module still has a name, and its file is in `files` or older than a time."""
+    """Return whether a module still has a name, and the module's file is in `files` or older than `time_ns`."""
     if module in sys.builtin_module_names:
         return True
     loaded = sys.modules.get(module)
@@ -180,20 +181,20 @@ def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
     if origin is None:
         return False
     first, path = name.partition(".")[0], Path(origin).absolute()
-    if not hasattr(loaded, first) and first.encode() not in path.read_bytes():  # its import may be incomplete
+    if not hasattr(loaded, first) and first.encode() not in path.read_bytes():  # the module's import may be incomplete
         return False
     return path in files or path.stat().st_mtime_ns <= time_ns
 
 
 class _NameReader(pickle.Unpickler):
-    """Reads a pickle without importing or calling anything."""
+    """A reader of pickles that imports and calls nothing."""
 
     def __init__(self, stream: io.BytesIO) -> None:
         super().__init__(stream)
         self.names: set[tuple[str, str]] = set()
 
     def find_class(self, module: str, name: str) -> type[_Anything]:
-        """Note a name and return a substitute for it."""
+        """Add a name to `names`, and return a substitute for its class, function or object."""
         self.names.add((module, name))
         return _Anything
 

@@ -1,7 +1,8 @@
-"""Compiled loops, and threads that share them.
+"""Compiled loops, and the threads that run them.
 
-Kernels are plain numba functions that release the GIL. Our own threads call them for parts of a range. numba's parallel
-loops take several times as long to compile, and their threads wait in busy loops, which slows down all other work.
+Kernels are plain numba functions that release the GIL. Threads of this module call the kernels for parts of a range.
+The parallel loops of numba are not used, because they take several times as long to compile. Their threads also wait in
+busy loops, which slows down all other work.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ from numba import njit as numba_njit
 
 from tactile_loc.core.code_cache import open_code_folder
 
-PARTS = 4  # parts per thread: a thread that finishes early takes another part
+PARTS = 4  # parts per thread; a thread that finishes early takes another part
 
-FASTMATH = {"nsz", "arcp", "contract"}  # for `fast`: all but ignoring infinities and NaN
+FASTMATH = {"nsz", "arcp", "contract"}  # for `fast`; infinities and NaN keep their meaning
 
-_one_folder = RLock()  # numba has one setting for the folder of compiled code per process
+_one_folder = RLock()  # numba has only one folder setting per process
 
 
 def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> Any:
-    """Compile a function with numba, keep it on disk, and release the GIL while it runs.
+    """Compile a function with numba, and keep its code on disk. The function releases the GIL while it runs.
 
-    `fast` allows contraction of products and sums, and multiplication by reciprocals; infinities and NaN keep their
-    meaning. Code on disk is used as long as no file changes that it is compiled from (`code_cache`). Import compiled
-    functions and constants from other files before the first function of a file.
+    `fast` allows contraction of products and sums, and multiplication by reciprocals. Infinities and NaN keep their
+    meaning. The code on disk is used until one of its source files changes (see `code_cache`). In each file, import
+    compiled functions and constants from other files before the first compiled function.
     """
     if function is None:
         return lambda f: njit(f, fast=fast)
@@ -50,10 +51,10 @@ def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> A
 
 
 def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
-    """Call kernel(first, last, *arguments) for parts of range(count), shared among threads.
+    """Call kernel(first, last, *arguments) for parts of range(count), in several threads.
 
-    The parts must not write to the same place. The number of threads is numba's (NUMBA_NUM_THREADS, or the process's
-    cores), including the caller's.
+    The parts must not write to the same memory. The number of threads, including the caller's, is numba's:
+    NUMBA_NUM_THREADS, or the number of cores.
     """
     threads = min(int(config.NUMBA_NUM_THREADS), count)  # type: ignore[attr-defined]
     if threads < 2:
@@ -70,11 +71,11 @@ def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> 
     others = [_pool(os.getpid(), threads - 1).submit(work) for _ in range(threads - 1)]
     work()
     for other in others:
-        if not other.cancel():  # it may not have started, if other callers keep the threads busy
+        if not other.cancel():  # the thread has not started if other callers keep it busy
             other.result()
 
 
 @lru_cache(maxsize=8)
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
-    """Return the threads of this process; a forked process has none of its parent's."""
+    """Return the threads of this process. A forked process cannot use the threads of its parent."""
     return ThreadPoolExecutor(threads, thread_name_prefix="tactile-loc")

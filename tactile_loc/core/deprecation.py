@@ -1,6 +1,6 @@
-"""Deprecated names: they still work until version REMOVAL, and warn.
+"""Deprecated names. They work until version REMOVAL, with a warning.
 
-`RENAMED` lists the old names in modules. The decorator `keep_old_names` of a class lists those of its members.
+`RENAMED` lists the old names in modules. The class decorator `keep_old_names` lists the old names of a class's members.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NEXT_TOUCH = {"next_touch": "choose_next_touch"}
 _IMAGES = {"image_array": "decode_image"}
 _NOISE = {"noise_level": "make_noise"}
 
-# old name to new name, by the module that offers them
+# for each module, its old names and the new names
 RENAMED: dict[str, dict[str, str]] = {
     "tactile_loc": {**_NOISE, **_NEXT_TOUCH, **_IMAGES},
     "tactile_loc.plugin": {
@@ -100,7 +100,7 @@ RENAMED: dict[str, dict[str, str]] = {
 
 
 def find_renamed(module: str, name: str) -> Any:
-    """Return a module's attribute by its old name, and warn. Raises AttributeError for an unknown name."""
+    """Return a module's attribute by its old name, and warn. Raises AttributeError if the name is unknown."""
     new = RENAMED.get(module, {}).get(name)
     if new is None:
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
@@ -114,7 +114,7 @@ def make_getattr(module: str) -> Callable[[str], Any]:
 
 
 def keep_old_names(**renamed: str) -> Callable[[Kind], Kind]:
-    """Return a class decorator that keeps old names of methods and attributes, `old="new"`; they work and warn."""
+    """Return a class decorator that keeps old names of methods and attributes, given as `old="new"`, with a warning."""
 
     def decorate(kind: Kind) -> Kind:
         for old, new in renamed.items():
@@ -133,7 +133,7 @@ def _make_alias(kind: str, old: str, new: str) -> property:
 
 
 def _warn(old: str, new: str) -> None:
-    """Warn about the line that uses the old name: in the first frame that is not one of PASSED_OVER."""
+    """Warn about the line that uses the old name. This line is in the first frame outside the modules PASSED_OVER."""
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_globals.get("__name__") in PASSED_OVER:
         frame, level = frame.f_back, level + 1

@@ -1,4 +1,4 @@
-"""All errors that a user can meet: what is wrong, where, and what to do, in one or two short sentences."""
+"""All errors that a user can meet. A message states what is wrong, where, and what to do, in one or two sentences."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 from tactile_loc.core.deprecation import make_getattr
 
-MOST_LETTERS = 1500  # of a message
+MOST_LETTERS = 1500  # largest length of a message
 
 
 class TactileLocError(Exception):
-    """Base class for all errors raised on purpose. The command line prints it and exits with code 2.
+    """Base class for all errors raised on purpose. The command line prints the message and exits with code 2.
 
-    It is one line of bounded length without control characters, whatever it quotes from a file.
+    The message is one line of at most MOST_LETTERS characters, without control characters.
     """
 
     def __str__(self) -> str:
@@ -24,7 +24,7 @@ class TactileLocError(Exception):
 
 
 class ObjectError(TactileLocError):
-    """The object cannot be used: file missing, not a mesh, empty, non-finite, or of an impossible size."""
+    """The object cannot be used: its file is missing, not a mesh, empty, not finite, or of an impossible size."""
 
 
 class SymmetryError(ObjectError):
@@ -36,15 +36,15 @@ class SensorError(TactileLocError):
 
 
 class TouchError(TactileLocError):
-    """A touch cannot be used: wrong size, type or unit, no contact, or nothing but contact."""
+    """A touch cannot be used: its size, type or unit is wrong, or no pixel or every pixel is in contact."""
 
 
 class NoContactError(TouchError):
-    """Nothing touches the sensor: an image or a contact shape of the gel at rest."""
+    """Nothing touches the sensor: the image or the contact shape shows the gel at rest."""
 
 
 class RecordingError(TactileLocError):
-    """A recording cannot be used: missing, not a recording, without the topic, or with unreadable messages."""
+    """A recording cannot be used: it is missing, not a recording, without the topic, or has unreadable messages."""
 
 
 class SourceError(TactileLocError):
@@ -60,11 +60,11 @@ class CalibrationError(TactileLocError):
 
 
 class MountError(TactileLocError):
-    """A sensor's mount cannot be found from these touches: too few, too similar, or contradictory."""
+    """A sensor's mount cannot be found, because the touches are too few, too similar, or contradict each other."""
 
 
 class GridError(TactileLocError):
-    """Object, sensor and options give no usable pose grid."""
+    """The object, the sensor and the options give no usable pose grid."""
 
 
 class RenderError(TactileLocError):
@@ -80,7 +80,7 @@ class OutputError(TactileLocError):
 
 
 class ResultError(TactileLocError):
-    """A result cannot be shown: no such file, damaged, or written by another version."""
+    """A result cannot be shown: its file is missing, damaged, or written by another version."""
 
 
 class StoreError(TactileLocError):
@@ -92,7 +92,7 @@ class TrainingError(TactileLocError):
 
 
 class WeightsError(TactileLocError):
-    """Weights of a network cannot be used: out of reach, damaged, or of another architecture."""
+    """Weights of a network cannot be used: they are missing, damaged, or of another architecture."""
 
 
 class PluginError(TactileLocError):
@@ -116,7 +116,7 @@ class MissingLibraryError(PluginError):
 
 
 def fold_line(text: str) -> str:
-    """Return a text as one line, with unprintable characters escaped and the middle of a very long text left out."""
+    """Return a text as one line. Unprintable characters are escaped, and a very long text loses its middle."""
     words = " ".join(text.split())
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
     half = MOST_LETTERS // 2
@@ -124,7 +124,7 @@ def fold_line(text: str) -> str:
 
 
 def quote(value: Any) -> str:
-    """Return a value's representation, abridged if it is long."""
+    """Return a value's representation, shortened if it is long."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = 200
     short.maxlist = short.maxdict = short.maxtuple = 8
@@ -133,7 +133,7 @@ def quote(value: Any) -> str:
 
 @contextmanager
 def name_source(source: object) -> Iterator[None]:
-    """Prefix errors of the block with `source`, such as a file, unless they mention it."""
+    """Add `source`, such as a file, at the start of errors from the block, unless they mention it already."""
     try:
         yield
     except TactileLocError as error:

@@ -1,28 +1,28 @@
-"""Formatting of SI values for people: millimetres, per cent, bytes, seconds."""
+"""Formatting of SI values for people: as millimetres, percentages, bytes and seconds."""
 
 from __future__ import annotations
 
 
 def format_mm(length_m: float) -> str:
-    """Write a length in metres as millimetres with three digits, without unit: 0.021, 1.94, 48.2."""
+    """Return a length, metres, as text in millimetres with up to three digits, without the unit: 0.021, 1.94, 48.2."""
     value = 1e3 * length_m
     return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
 
 
 def format_millimetres(length_m: float) -> str:
-    """Write a length in metres as millimetres with two digits and unit: 0.02 mm, 1.9 mm, 48 mm."""
+    """Return a length, metres, as text in millimetres with up to two digits and the unit: 0.02 mm, 1.9 mm, 48 mm."""
     value = 1e3 * length_m
     return f"{value:.2f} mm" if value < 1 else f"{value:.1f} mm" if value < 10 else f"{value:.0f} mm"
 
 
 def format_percent(share: float) -> str:
-    """Write a share (0 to 1): 99.7 %, 61 %, 2.8 %, < 0.1 %."""
+    """Return a share, 0 to 1, as a percentage: 99.7 %, 61 %, 2.8 %, < 0.1 %."""
     value = 100 * share
     return "< 0.1 %" if value < 0.1 else f"{value:.1f} %" if value < 10 or 99 < value < 99.95 else f"{value:.0f} %"
 
 
 def format_bytes(nbytes: int) -> str:
-    """Write a number of bytes: 3 B, 12.3 kB, 4.56 GB."""
+    """Return a number of bytes as text: 3 B, 12.3 kB, 4.56 GB."""
     for unit, size_b in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if nbytes >= size_b:
             return f"{nbytes / size_b:.3g} {unit}"
@@ -30,5 +30,5 @@ def format_bytes(nbytes: int) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """Write a duration: 12.3 ms, 4.5 s."""
+    """Return a duration, seconds, as text: 12.3 ms, 4.5 s."""
     return f"{seconds:.1f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"

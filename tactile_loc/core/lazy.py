@@ -14,8 +14,8 @@ from tactile_loc.core.deprecation import find_renamed
 def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of a module, from the names under its `if TYPE_CHECKING:`.
 
-    Type checkers read that block too, so each name and its module are written only once. Old names of renamed functions
-    are also found, with a warning.
+    Type checkers read the same block, so each name and its module are written only once. `__getattr__` also finds the
+    old names of renamed functions, and warns.
     """
     loader: Any = vars(sys.modules[module])["__spec__"].loader
     homes = _imports_for_type_checkers(loader.get_source(module))
@@ -29,7 +29,7 @@ def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[
 
 
 def _imports_for_type_checkers(source: str) -> dict[str, str]:
-    """Map names to the modules they are imported from, `from module import name as name`, under `if TYPE_CHECKING:`."""
+    """Map the names that are imported under `if TYPE_CHECKING:` to the modules from which they are imported."""
     blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
     body = next(block.body for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING")
     statements = (node for node in body if isinstance(node, ast.ImportFrom))

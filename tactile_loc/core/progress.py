@@ -1,4 +1,4 @@
-"""Progress of long work, which is not shown by default, and the durations of its stages."""
+"""The progress of long work, which is not shown by default, and the durations of its stages."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from contextlib import contextmanager
 
 
 class Progress:
-    """Progress that is not shown. The command line passes one that draws bars."""
+    """Progress that is not shown. The command line uses a subclass that draws bars."""
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a task of `total` steps; call the function yielded with the number of steps just done."""
+        """Open a task of `total` steps. Call the yielded function with the number of steps just done."""
         yield lambda steps: None
 
     def note(self, text: str) -> None:
-        """Show one line about the running task, such as a loss; the next line replaces it."""
+        """Show one line about the running task, such as a loss. The next call replaces the line."""
 
 
 class StageTimes:
-    """Durations of stages: `seconds` by name, in the order in which they first ran."""
+    """Durations of stages: `seconds` by name, in the order in which the stages first ran."""
 
     def __init__(self, seconds: dict[str, float] | None = None) -> None:
         self.seconds: dict[str, float] = {} if seconds is None else seconds
@@ -34,10 +34,10 @@ class StageTimes:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start_s
 
     def shared_among(self, count: int) -> StageTimes:
-        """Return new times, each divided by `count`: the share of one of several items processed together."""
+        """Return all times divided by `count`: the share of one item when `count` items were processed together."""
         return StageTimes({name: seconds / count for name, seconds in self.seconds.items()})
 
 
 def rank() -> int:
-    """Return this process's number among those that torchrun started together; 0 without torchrun."""
+    """Return this process's number among the processes that torchrun started together; 0 without torchrun."""
     return int(os.environ.get("RANK", "0"))

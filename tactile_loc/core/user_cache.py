@@ -8,5 +8,5 @@ from pathlib import Path
 
 def find_user_cache() -> Path:
     """Return `$XDG_CACHE_HOME`, else `~/.cache`. Raises RuntimeError if the user has no home."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # its specification says to ignore relative paths
+    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # the XDG specification says: ignore relative paths
     return cache if cache.is_absolute() else Path.home() / ".cache"

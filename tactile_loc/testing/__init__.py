@@ -10,11 +10,14 @@
     def test_property(component, check):
         check(component)
 
-A check takes the component and raises ContractError, which states the contract and how it was broken. The checks depend
-on the slot and the declared capabilities. A property is a check on drawn cases: frames, orders, symmetric copies, image
-sizes and mirror images. The cases are few and always the same. The message names a simple case that fails. Properties
-need hypothesis: pip install 'tactile-loc[testing]'. Train an encoder that needs training first, for instance on
-`tactile_loc.testing.problems.make_training_problem()`.
+A check takes the component. It raises ContractError if the component breaks the contract; the message states the
+contract and how it was broken. The checks depend on the slot and the declared capabilities.
+
+A property is a check on drawn cases: frames, orders, symmetric copies, image sizes and mirror images. The cases are few
+and always the same. The message names a simple case that fails. Properties need hypothesis:
+pip install 'tactile-loc[testing]'.
+
+If an encoder needs training, train it first, for instance on `tactile_loc.testing.problems.make_training_problem()`.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ __all__ = [
 
 
 def list_checks(component: Component) -> list[Check]:
-    """Return the checks (functions of one component) for the component's slot and declared capabilities.
+    """Return the checks, functions of one component, for the component's slot and declared capabilities.
 
     Raises TypeError if `component` is not a component, for instance a class instead of an instance.
     """
@@ -45,26 +48,27 @@ def list_checks(component: Component) -> list[Check]:
 
 
 def list_properties(component: Component) -> list[Check]:
-    """Return the properties (functions of one component) for the component's slot and declared capabilities.
+    """Return the properties, functions of one component, for the component's slot and declared capabilities.
 
-    A property raises MissingLibraryError without hypothesis. Raises TypeError if `component` is not a component.
+    A property raises MissingLibraryError if hypothesis is not installed. Raises TypeError if `component` is not a
+    component.
     """
     of_slot = _find_slot_module(component)
     return [] if of_slot is None else list(of_slot.properties(component.capabilities))
 
 
 def parametrize_with_checks(components: Iterable[Component]) -> Any:
-    """Return the pytest mark with a case for every component and check: arguments `component` and `check`."""
+    """Return a pytest mark with one case for every component and check: arguments `component` and `check`."""
     return _parametrize(components, list_checks)
 
 
 def parametrize_with_properties(components: Iterable[Component]) -> Any:
-    """Return the pytest mark with a case for every component and property: arguments `component` and `check`."""
+    """Return a pytest mark with one case for every component and property: arguments `component` and `check`."""
     return _parametrize(components, list_properties)
 
 
 def _find_slot_module(component: Component) -> Any:
-    """Return the module of the component's slot, or None for an unknown slot."""
+    """Return the checks' module for the component's slot, or None if the slot is unknown."""
     if not isinstance(component, Component):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
     return importlib.import_module(f"tactile_loc.testing.{component.slot}s") if component.slot in SLOTS else None

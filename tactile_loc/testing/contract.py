@@ -1,4 +1,4 @@
-"""Contract checks of every slot: they test the options and `describe`.
+"""Contract checks for the components of every slot. They test the options and `describe`.
 
 A check is a function of one component that raises ContractError.
 """
@@ -22,17 +22,17 @@ Check = Callable[[Any], None]
 
 
 class ContractError(AssertionError):
-    """A component broke a contract; the message states which, and how."""
+    """A component broke a contract. The message states the contract and how it was broken."""
 
 
 def require(holds: object, sentence: str) -> None:
-    """Raise ContractError with the sentence unless the condition holds."""
+    """Raise ContractError with `sentence` as its message unless the condition `holds`."""
     if not holds:
         raise ContractError(sentence)
 
 
 def require_equal(first: ArrayLike, again: ArrayLike, sentence: str) -> None:
-    """Raise ContractError unless two answers to the same question are equal, to the bit."""
+    """Raise ContractError unless two answers to the same question are exactly equal."""
     require(np.array_equal(first, again), f"{sentence}; otherwise declare deterministic=False")
 
 
@@ -52,7 +52,7 @@ def require_close(value: ArrayLike, truth: ArrayLike, tolerance: float, sentence
 
 
 class Untouched:
-    """Keeps copies of arrays, to find out later which arrays were written to."""
+    """Keeps copies of arrays, to find out later whether the arrays were changed."""
 
     def __init__(self, **arrays: Any) -> None:
         self._arrays = arrays
@@ -99,7 +99,7 @@ def check_options_are_described(component: Component) -> None:
 
 
 def check_describe_is_json(component: Component) -> None:
-    """`describe` returns the same JSON values every time, unchanged by a round trip."""
+    """`describe` returns the same JSON values every time, and these can be written and read without a change."""
     described = component.describe()
     try:
         text = json.dumps(described, sort_keys=True, allow_nan=False)
@@ -111,7 +111,7 @@ def check_describe_is_json(component: Component) -> None:
 
 
 def check_describe_names_every_option(component: Component) -> None:
-    """Another value of an option gives another description: otherwise the store returns stale results."""
+    """Another value of an option gives another description; otherwise the store would return outdated results."""
     for name, changed in _change_options(component.options):
         try:
             other = type(component)(changed).describe()
@@ -125,7 +125,7 @@ def check_describe_names_every_option(component: Component) -> None:
 
 
 def _change_options(options: Any) -> Iterator[tuple[str, Any]]:
-    """Yield (name, options with another value of it) for each option that is a number, a switch or a choice."""
+    """Yield the name, and options with another value of it, for each option that is a number, a switch or a choice."""
     for name, field in type(options).model_fields.items():
         if name in options.neutral():
             continue

@@ -1,4 +1,4 @@
-"""Checks for encoders: distances between vectors measure how similar poses are, at any press and image size."""
+"""Checks for encoders: similar poses must have similar embeddings, at any press depth and image size."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 
 def check_output(encoder: Encoder) -> None:
-    """`encode` returns (N, D) float32, finite, with the same D for any N, also for a shape without contact."""
+    """`encode` returns finite (N, D) float32 with the same D for any N, also for a shape without contact."""
     shapes = _draw_shapes()
     vectors = encoder.encode(shapes, PRESS_M, CAMERA)
     form = isinstance(vectors, np.ndarray) and vectors.ndim == 2 and len(vectors) == len(shapes)
@@ -63,7 +63,7 @@ def check_output(encoder: Encoder) -> None:
 
 
 def check_batch_is_singles(encoder: Encoder) -> None:
-    """Encoding shapes together gives the same as encoding them one by one."""
+    """Shapes that are encoded together get the same embeddings as one by one."""
     shapes = _draw_shapes()
     together = encoder.encode(shapes, PRESS_M, CAMERA)
     singly = np.concatenate([encoder.encode(s[None], PRESS_M, CAMERA) for s in shapes])
@@ -71,7 +71,7 @@ def check_batch_is_singles(encoder: Encoder) -> None:
 
 
 def check_shapes_untouched(encoder: Encoder) -> None:
-    """The contact shapes are not written to."""
+    """The contact shapes are not changed."""
     shapes = _draw_shapes()
     before = Untouched(depth_m=shapes)
     encoder.encode(shapes, PRESS_M, CAMERA)
@@ -79,7 +79,7 @@ def check_shapes_untouched(encoder: Encoder) -> None:
 
 
 def check_distances_order_poses(encoder: Encoder) -> None:
-    """The same shape is nearest, and a shape 0.5 mm away is nearer than a clearly different pose."""
+    """A shape is nearest to itself, and a shape 0.5 mm away is nearer than clearly different poses."""
     poses = make_contact_poses(make_block_scene())
     here, moved = _render(poses), _render(make_translation([0.0004, 0.0003, 0.0]) @ poses)
     bank = encoder.encode(here, PRESS_M, CAMERA)
@@ -88,7 +88,7 @@ def check_distances_order_poses(encoder: Encoder) -> None:
 
 
 def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
-    """A pixel at the press depth is not in contact, at any press: flat imprints look the same."""
+    """A pixel at the press depth is not in contact, so a flat imprint looks the same at any press depth."""
     imprint = np.stack([s < PRESS_M for s in _draw_shapes()])
     light, deep = (np.where(imprint, np.float32(0), np.float32(p)) for p in (0.6 * PRESS_M, PRESS_M))
     bank, queries = encoder.encode(deep, PRESS_M, CAMERA), encoder.encode(light, 0.6 * PRESS_M, CAMERA)
@@ -97,7 +97,10 @@ def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
 
 
 def check_light_press_finds_its_pose(encoder: Encoder) -> None:
-    """A light press finds its pose: in a bank cut at the same press if the encoder follows it, else in the full one."""
+    """A light press finds its pose in the bank.
+
+    The bank is cut at the same press depth if the encoder declares follows_press_depth, else at the maximal depth.
+    """
     light = 0.75 * PRESS_M
     press = light if encoder.capabilities.follows_press_depth else PRESS_M
     bank = encoder.encode(np.minimum(_draw_shapes(), np.float32(press)), press, CAMERA)
@@ -106,7 +109,7 @@ def check_light_press_finds_its_pose(encoder: Encoder) -> None:
 
 
 def check_image_size(encoder: Encoder) -> None:
-    """Shapes in another image size of the same sensor have embeddings of the same D, and find their pose."""
+    """Shapes in another image size of the same sensor have embeddings of the same length, and find their poses."""
     fine = CAMERA.resize(2 * CAMERA.width_px, 2 * CAMERA.height_px)
     bank = encoder.encode(_draw_shapes(), PRESS_M, CAMERA)
     queries = encoder.encode(_draw_shapes(fine), PRESS_M, fine)
@@ -127,7 +130,7 @@ def check_ignores_masked_pixels(encoder: Encoder) -> None:
 
 
 def check_unseen_pixels(encoder: Encoder) -> None:
-    """Unseen pixels change nothing; fully seen shapes have the plain embeddings and weights of one."""
+    """Unseen pixels change nothing, and fully seen shapes have the embeddings of `encode` and weights of one."""
     shapes = _draw_shapes()
     weights = _require_seen_as_plain(encoder, shapes, PRESS_M, CAMERA)
     require_close(weights, np.ones_like(weights), 1e-6, "fully seen shapes must have weights of one")
@@ -136,7 +139,7 @@ def check_unseen_pixels(encoder: Encoder) -> None:
 
 
 def check_seen_output(encoder: Encoder) -> None:
-    """`encode_seen` returns embeddings and weights of the same shape, weights from 0 to 1, and keeps its inputs."""
+    """`encode_seen` returns embeddings and weights of the same shape, weights from 0 to 1, and changes no input."""
     shapes = _draw_shapes()
     form = encoder.encode(shapes, PRESS_M, CAMERA).shape
     for seen in (_mask_left(shapes, 6), np.zeros(shapes.shape, bool)):
@@ -152,7 +155,7 @@ def check_seen_output(encoder: Encoder) -> None:
 
 
 def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
-    """A partly seen shape, as of a touch at the field's edge, has its best weighted score at its own pose."""
+    """A partly seen shape, such as a touch at the sensor's edge, has its best weighted score at its own pose."""
     shapes = _draw_shapes()
     bank = encoder.encode(shapes, PRESS_M, CAMERA)
     queries, weights = encoder.encode_seen(shapes, _mask_left(shapes, 6), PRESS_M, CAMERA)
@@ -161,13 +164,13 @@ def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
 
 
 def check_deterministic(encoder: Encoder) -> None:
-    """The same shapes have the same embeddings, to the bit."""
+    """The same shapes have exactly the same embeddings."""
     first, again = (encoder.encode(_draw_shapes(), PRESS_M, CAMERA) for _ in range(2))
     require_equal(first, again, "the same shapes must have the same embeddings")
 
 
 def check_learns_places(encoder: Encoder) -> None:
-    """Trained on the places of a whole object, the encoder embeds partly seen places."""
+    """An encoder that was trained on the places of a whole object embeds partly seen places."""
     problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the given encoder is unchanged
     learner.fit(problem)
     press_m = float(problem.key_presses_m[-1])
@@ -177,7 +180,7 @@ def check_learns_places(encoder: Encoder) -> None:
 
 
 def property_shape_order(encoder: Encoder) -> None:
-    """Shapes in another order have their embeddings in that order, to a thousandth of their spread."""
+    """If shapes are reordered, embeddings are reordered in the same way, to a thousandth of their spread."""
     shapes = _draw_shapes()
     plain = encoder.encode(shapes, PRESS_M, CAMERA)
 
@@ -189,7 +192,7 @@ def property_shape_order(encoder: Encoder) -> None:
 
 
 def property_image_size(encoder: Encoder) -> None:
-    """An image of two or three times the size, at any place, finds its pose in a bank of the usual image size."""
+    """An image of two or three times the size, at any position, finds its pose in a bank of the usual image size."""
 
     def claim(times: int, place: Place) -> None:
         fine = CAMERA.resize(times * CAMERA.width_px, times * CAMERA.height_px)
@@ -202,10 +205,10 @@ def property_image_size(encoder: Encoder) -> None:
 
 
 def property_mirror_image(encoder: Encoder) -> None:
-    """A light touch is nearer to the same part, 0.3 mm away, than to its mirror image at the same pose.
+    """A light touch is nearer to a touch of the same part, 0.3 mm away, than to its mirror image at the same pose.
 
-    At a light press only the block's features touch. The outline of the whole block is its own mirror image, and an
-    encoder may use outlines.
+    At a light press, only the block's features touch. A full press is not tested, because an encoder may use outlines,
+    and the outline of the whole block is its own mirror image.
     """
 
     def claim(place: Place) -> None:
@@ -229,7 +232,7 @@ def _draw_shapes(camera: SensorGeometry = CAMERA) -> Float32:
 
 
 def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMesh | None = None) -> Float32:
-    """Return contact depths (N, H, W) at full press, metres, of the block or a mesh at the block's contact poses."""
+    """Return contact depths (N, H, W), metres, at the maximal depth, of the block or a mesh at the block's poses."""
     there = make_translation([0.0, 0.0, camera.standoff_m - make_block_scene().geometry.standoff_m]) @ poses
     drawn = ReferenceRenderer().render(make_stepped_block() if mesh is None else mesh, there, camera)
     return compute_contact_depth(drawn, camera, camera.max_depth_m)
@@ -243,7 +246,10 @@ def _mask_left(shapes: Float32, parts: int) -> NDArray[np.bool_]:
 
 
 def _require_seen_as_plain(encoder: Encoder, shapes: Float32, press_m: float, camera: SensorGeometry) -> Float32:
-    """Return the weights of fully seen shapes (N, H, W), metres, which must have the plain embeddings."""
+    """Return the weights of fully seen shapes (N, H, W), metres.
+
+    Raises ContractError unless the shapes have the embeddings of `encode`.
+    """
     plain = encoder.encode(shapes, press_m, camera)
     whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), press_m, camera)
     _require_alike(whole, plain, plain, "fully seen shapes must have the plain embeddings")
@@ -256,7 +262,7 @@ def _require_unseen_ignored(
 ) -> tuple[Float32, Float32]:
     """Raise ContractError unless shapes (N, H, W), metres, have the same embeddings with `fill_m` at unseen pixels.
 
-    Return the weights of both.
+    Return the weights of the shapes and of the filled shapes.
     """
     filled = np.where(seen, shapes, np.float32(fill_m))
     (one, ones), (two, twos) = (encoder.encode_seen(some, seen, press_m, camera) for some in (shapes, filled))
@@ -275,7 +281,7 @@ def _require_order(found: np.ndarray, sentence: str) -> None:
 
 
 def _require_alike(value: Float32, truth: Float32, plain: Float32, sentence: str) -> None:
-    """Raise ContractError unless embeddings agree to a thousandth of the spread of `plain` ones."""
+    """Raise ContractError unless embeddings agree to a thousandth of the spread of `plain` embeddings."""
     require_close(value, truth, 1e-3 * _spread(plain), sentence)
 
 

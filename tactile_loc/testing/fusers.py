@@ -1,4 +1,4 @@
-"""Checks for fusers: probabilities, or contact only, multiply over the grid of the first touch."""
+"""Checks for fusers: probabilities must multiply over the grid of the first touch; some fusers use only contact."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from tactile_loc.testing.problems import (
 )
 from tactile_loc.testing.properties import RigidMotion, hold, motions, orders, whole
 
-TOLERANCE = 1e-9  # of probabilities
+TOLERANCE = 1e-9  # allowed error of probabilities
 T_BASE_FIRST = make_transform(rotation_about([1, 2, 3], 0.4), [0.3, -0.1, 0.2])
 T_BASE_SECOND = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21])
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a fuser of these capabilities. A fuser for single touches refuses several."""
+    """Return the checks for a fuser of these capabilities. A fuser may refuse several touches."""
     chosen: list[Check] = [check_flat_prior, check_prior_multiplies, check_certain_prior, check_impossible_prior,
                            check_order, check_no_contact_is_dropped, check_no_common_pose, check_base_frame,
                            check_posteriors_untouched]  # fmt: skip
@@ -46,7 +46,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 
 def check_contact_alone(fuser: Fuser) -> None:
-    """A fuser of contact only makes all poses of one touch's grid equally probable."""
+    """A fuser that uses only contact makes all poses of one touch's grid equally probable."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None])
     uniform = np.full(len(posterior.grid), 1 / len(posterior.grid))
@@ -54,7 +54,7 @@ def check_contact_alone(fuser: Fuser) -> None:
 
 
 def check_one_touch(fuser: Fuser) -> None:
-    """One touch without a prior is returned unchanged: normalised, over the same grid."""
+    """The posterior of one touch without a prior does not change: it is normalised, over the same grid."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None])
     require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
@@ -72,7 +72,7 @@ def check_flat_prior(fuser: Fuser) -> None:
 
 
 def check_prior_multiplies(fuser: Fuser) -> None:
-    """A prior gives log-weights of poses (N, 4, 4), and counts once."""
+    """The log-weights that a prior gives for poses (N, 4, 4) are added once."""
     posterior = _draw_posterior(make_small_grid())
 
     def prior(poses: Poses) -> NDArray[np.float64]:
@@ -85,7 +85,7 @@ def check_prior_multiplies(fuser: Fuser) -> None:
 
 
 def check_certain_prior(fuser: Fuser) -> None:
-    """A prior that allows only one pose makes it certain."""
+    """A prior that allows only one pose makes this pose certain."""
     posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf))
     _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
@@ -109,7 +109,7 @@ def check_order(fuser: Fuser) -> None:
 
 
 def check_sensor_poses(fuser: Fuser) -> None:
-    """Touches are compared in the base frame: a touch at another sensor pose resolves an ambiguity."""
+    """Touches are compared in the base frame, so a touch at another sensor pose can resolve an ambiguity."""
     here, there = make_small_grid(), _move_to_second(make_small_grid())
     open_ = PosePosterior(here, np.where(np.isin(np.arange(len(here)), [3, 11]), 0.0, -30.0))
     decides = PosePosterior(there, np.where(np.arange(len(here)) == 11, 0.0, -8.0))
@@ -120,7 +120,7 @@ def check_sensor_poses(fuser: Fuser) -> None:
 
 
 def check_no_contact_is_dropped(fuser: Fuser) -> None:
-    """A pose that is not near any pose of another sensor's grid has no contact there and is excluded."""
+    """A pose that is not near any pose of another sensor's grid has no contact with that sensor and is excluded."""
     here = make_small_grid()
     side = here.T_sensor_object[:, 0, 3] > 0.002
     far = here.metric.distance(here.T_sensor_object[:, None], here.T_sensor_object[side][None]).min(axis=1) > 0.0065
@@ -149,7 +149,7 @@ def check_base_frame(fuser: Fuser) -> None:
 
 
 def check_posteriors_untouched(fuser: Fuser) -> None:
-    """Neither posteriors nor grids are written to."""
+    """The posteriors and the grids are not changed."""
     posterior = _draw_posterior(make_small_grid())
     before = Untouched(log_p=posterior.log_p, T_sensor_object=posterior.grid.T_sensor_object)
     fuser.fuse([posterior], [np.eye(4)], lambda poses: -poses[:, 0, 3])
@@ -164,7 +164,7 @@ def check_deterministic(fuser: Fuser) -> None:
 
 
 def property_object_frame(fuser: Fuser) -> None:
-    """The object moved by X in its own frame, with poses T @ inv(X), has the same probabilities, to TOLERANCE."""
+    """An object moved by X in its own frame, with poses T @ inv(X), has the same probabilities, to TOLERANCE."""
     here = make_small_grid()
     sensors, grids = [T_BASE_FIRST, T_BASE_SECOND], [here, _move_to_second(here)]
     plain = _fuse_several(fuser, _draw_posteriors(grids), sensors)
@@ -179,12 +179,12 @@ def property_object_frame(fuser: Fuser) -> None:
 
 
 def property_base_frame(fuser: Fuser) -> None:
-    """All sensors moved together in the base frame give the same probabilities, to TOLERANCE."""
+    """If all sensors move together in the base frame, the probabilities stay the same, to TOLERANCE."""
     hold(lambda motion: _require_any_base(fuser, motion.T), motion=motions(most_mm=900))
 
 
 def property_touch_order(fuser: Fuser) -> None:
-    """Touches in another order give the same probability of each pose, to TOLERANCE.
+    """If touches are reordered, each pose keeps its probability, to TOLERANCE.
 
     Sensor poses are drawn. All grids hold the same poses in the base frame, so that any touch can be the first.
     """
@@ -201,9 +201,9 @@ def property_touch_order(fuser: Fuser) -> None:
 
 
 def property_symmetric_copies(fuser: Fuser) -> None:
-    """A grid of a symmetric part may hold any copy T @ S of a pose T, S one of its rotations.
+    """A grid may have any copy T @ S of a pose T, where S is a symmetry of the part.
 
-    Any copies in the second touch's grid give the same probabilities, to TOLERANCE.
+    All copies in the second touch's grid give the same probabilities, to TOLERANCE.
     """
     grid = make_small_grid(scene=Scene(make_prism(), CAMERAS["orthographic"], ReferenceRenderer()))
     elements, sensors = make_prism().symmetry.list_elements(), [T_BASE_FIRST, T_BASE_SECOND]
@@ -220,7 +220,7 @@ def property_symmetric_copies(fuser: Fuser) -> None:
 
 
 def _require_any_base(fuser: Fuser, T: Poses) -> None:
-    """Raise ContractError unless the answer is the same after moving all sensors by T (4, 4), metres."""
+    """Raise ContractError unless the answer stays the same if all sensors are moved by T (4, 4), metres."""
     here = make_small_grid()
     touches = [_draw_posterior(here, seed=1), _draw_posterior(_move_to_second(here), seed=2)]
     one = _fuse_several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
@@ -245,7 +245,7 @@ def _move_to_second(grid: PoseGrid) -> PoseGrid:
 def _fuse_several(
     fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]
 ) -> PosePosterior | None:
-    """Fuse several touches; return None if the fuser is for single touches."""
+    """Fuse several touches. Return None if the fuser refuses several touches."""
     try:
         return fuser.fuse(posteriors, T_base_sensor)
     except ConfigError:
@@ -253,7 +253,7 @@ def _fuse_several(
 
 
 def _require_both(one: PosePosterior | None, other: PosePosterior | None, sentence: str) -> None:
-    """Raise ContractError unless two answers agree; a fuser for single touches has none."""
+    """Raise ContractError unless two answers agree, or an answer is None."""
     if one is not None and other is not None:
         _require_equal(one, other.probabilities, sentence)
 

@@ -1,4 +1,4 @@
-"""Checks for grids: poses are rigid, have the requested spacing, and cover the poses drawn at random."""
+"""Checks for grids: poses must be rigid, have the requested spacing, and cover the poses drawn at random."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from tactile_loc.testing.properties import hold, one_of, shifts, whole
 
 CAMERA = CAMERAS["orthographic"]
 SPACING_M = 0.008
-DRAWN, SIGMAS = 6000, 4  # random poses, and the allowed error of their share, standard errors
-PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: press, rounding, share of equal pixels
-NEAR_M, MOST_TILT_DEG = 2.5e-3, 8.0  # between the first point of contact and the nearest place
-SAME_M = 1e-8  # nearer poses differ only by rounding
-SUBGROUPS = ("z6*x2", "z6", "z3", "x2", "z2")  # of the prism's rotations
-LEAST_APART = 0.15  # of the spacing; nearer poses, up to symmetry, must coincide
-LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # times the n-th part: directions on its border are kept twice
-LEAST_TOUCHING = 0.3  # share of the poses; bounding boxes overlap more often than objects touch
+DRAWN, SIGMAS = 6000, 4  # number of random poses, and the allowed error of their share, in standard errors
+PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: press depth, rounding, least share of equal pixels
+NEAR_M, MOST_TILT_DEG = 2.5e-3, 8.0  # limits between the first point of contact and the nearest place
+SAME_M = 1e-8  # poses that are nearer than this differ only by rounding
+SUBGROUPS = ("z6*x2", "z6", "z3", "x2", "z2")  # subgroups of the prism's rotations
+LEAST_APART = 0.15  # spacings; poses that are nearer than this, up to symmetry, must coincide
+LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # times the expected number; directions on a border are kept twice
+LEAST_TOUCHING = 0.3  # least share of the poses; bounding boxes overlap more often than objects touch
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -75,27 +75,30 @@ def check_poses_are_rigid(sampler: GridSampler) -> None:
 
 
 def check_spacing(sampler: GridSampler) -> None:
-    """Neighbours of the sample, brought to contact, have about the requested distance; core corrects the rest."""
+    """Neighbouring poses of the sample, brought to contact, have about the requested distance.
+
+    Core corrects the difference.
+    """
     spacing_m = float(_bring_to_contact(_sample(sampler)).neighbour_spacing().mean())
     right = 0.4 * SPACING_M <= spacing_m <= 2 * SPACING_M
     require(right, f"the mean spacing must be about {SPACING_M * 1e3:g} mm, not {spacing_m * 1e3:.2g} mm")
 
 
 def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
-    """A smaller spacing gives more poses: half the spacing at least twice as many, even along a line."""
+    """Half the spacing gives at least twice as many poses, even along a line."""
     coarse, fine = (len(_sample(sampler, k * SPACING_M)) for k in (1.0, 0.5))
     require(fine >= 2 * coarse, f"half the spacing must give at least twice the {coarse} poses, not {fine}")
 
 
 def check_poses_reach_contact(sampler: GridSampler) -> None:
-    """Moved along z only, enough of the poses touch the sensing rectangle."""
+    """Enough of the poses touch the sensing rectangle after a move along z only."""
     for what, poses in _list_kinds(sampler, 200):
         share = float(bring_to_contact(make_block().mesh, poses, CAMERA)[1].mean())
         require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
 
 
 def check_covers_random_poses(sampler: GridSampler) -> None:
-    """The grid covers the poses that `random` draws: each is near a grid pose."""
+    """The grid covers the poses that `random` draws: each drawn pose is near a grid pose."""
     grid = _bring_to_contact(_sample(sampler))
     drawn = _bring_to_contact(_draw_random(sampler, 200)).T_sensor_object
     spacings = np.quantile(grid.nearest(drawn)[0], [0.5, 0.95]) / SPACING_M
@@ -105,7 +108,7 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
 
 
 def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
-    """`random` draws a rod's poses uniformly: where the rod spans more, it draws the grid's share of poses."""
+    """`random` draws a rod's poses uniformly: for yaws at which the rod is wide, it draws the grid's share of poses."""
     obj = make_rod()
     grid = _bring_to_contact(sampler.sample(obj, CAMERA, SPACING_M), obj)
     drawn = _bring_to_contact(sampler.random(obj, CAMERA, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
@@ -120,13 +123,13 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
 
 
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
-    """A generator of the same seed draws the same poses; all randomness comes from it."""
+    """A generator with the same seed draws the same poses, because all randomness comes from the generator."""
     same = np.array_equal(_draw_random(sampler, 20), _draw_random(sampler, 20))
     require(same, "random must draw from the given generator only")
 
 
 def check_random_poses_differ(sampler: GridSampler) -> None:
-    """Drawn poses differ from each other and from those of another seed."""
+    """Drawn poses differ from each other and from the poses of another seed."""
     poses = _draw_random(sampler, 20)
     distances = PoseMetric(make_block()).distance(poses[:, None], poses[None]) + np.eye(20)
     require((distances > 0).all(), "random must draw different poses, from a continuous set")
@@ -135,7 +138,7 @@ def check_random_poses_differ(sampler: GridSampler) -> None:
 
 
 def check_object_untouched(sampler: GridSampler) -> None:
-    """The object's mesh is not written to."""
+    """The object's mesh is not changed."""
     mesh = copy_mesh(make_block().mesh)
     obj = dataclasses.replace(make_block(), mesh=mesh)
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces)
@@ -148,7 +151,7 @@ def check_object_untouched(sampler: GridSampler) -> None:
 
 
 def check_scale(sampler: GridSampler) -> None:
-    """Twice the object, sensor and spacing has as many poses, twice as far apart: no length is built in."""
+    """Twice the object, sensor and spacing gives as many poses, because no length is built in."""
     _require_any_scale(sampler, 2.0)
 
 
@@ -158,7 +161,7 @@ def check_deterministic(sampler: GridSampler) -> None:
 
 
 def check_places_are_as_drawn(sampler: GridSampler) -> None:
-    """A place's patch is a parallel projection of the object around it, in the frame of the place."""
+    """A place's patch is a parallel projection of the object around the place, in the frame of the place."""
     places = sampler.places(make_block(), Progress())
     require(is_rigid(places.T_place_object), "the poses of places must be rigid: proper rotations, finite")
     some = np.linspace(0, len(places) - 1, 12).astype(int)
@@ -192,9 +195,9 @@ def check_places_are_in_random_poses(sampler: GridSampler) -> None:
 
 
 def property_object_origin(sampler: GridSampler) -> None:
-    """The mesh shifted by x in its own frame has the poses T @ inv(x), once in contact, to 10 nm.
+    """If the mesh is shifted by x in its own frame, its poses in contact are T @ inv(x), to 10 nm.
 
-    It is not rotated, since an axis of the object's frame may name the face that touches.
+    The mesh is not rotated, because an axis of the object frame may name the face that touches.
     """
     plain = _bring_to_contact(_sample(sampler)).T_sensor_object
 
@@ -208,9 +211,10 @@ def property_object_origin(sampler: GridSampler) -> None:
 
 
 def property_symmetric_copies(sampler: GridSampler) -> None:
-    """Touching poses of a symmetric part either coincide up to symmetry, and core drops one, or are clearly apart.
+    """Two touching poses of a symmetric part either coincide up to symmetry, or are clearly apart.
 
-    They are at least LEAST_APART of the spacing apart: different poses that are nearer would be searched twice.
+    Core drops one of two poses that coincide. Other poses must be at least LEAST_APART of the spacing apart, because
+    nearer poses would be searched twice.
     """
 
     def claim(symmetry: str, spacing_tenths_mm: int) -> None:
@@ -226,12 +230,12 @@ def property_symmetric_copies(sampler: GridSampler) -> None:
 
 
 def property_scale(sampler: GridSampler) -> None:
-    """The number of poses does not depend on scale, to 5 %: object, sensor and spacing at 0.5 to 3 times the size."""
+    """The number of poses stays the same, to 5 %, if object, sensor and spacing are scaled by 0.5 to 3."""
     hold(lambda percent: _require_any_scale(sampler, percent / 100), percent=whole(50, 300))
 
 
 def property_place_origin(sampler: GridSampler) -> None:
-    """The mesh shifted by x in its own frame has the places T @ inv(x), to 10 nm, with the same patches."""
+    """If the mesh is shifted by x in its own frame, its places are T @ inv(x), to 10 nm, with the same patches."""
     plain = sampler.places(make_block(), Progress())
 
     def claim(shift_mm: tuple[int, int, int]) -> None:
@@ -245,7 +249,7 @@ def property_place_origin(sampler: GridSampler) -> None:
 
 
 def property_symmetric_places(sampler: GridSampler) -> None:
-    """With n rotations declared, a part has about an n-th of the places, times LEAST_PLACES to MOST_PLACES."""
+    """If n rotations are declared, the number of places is divided by n, times LEAST_PLACES to MOST_PLACES."""
     count = len(sampler.places(_declare_symmetry("none"), Progress()))
 
     def claim(symmetry: str) -> None:
@@ -265,12 +269,12 @@ def _require_any_scale(sampler: GridSampler, scale: float) -> None:
 
 
 def _declare_symmetry(symmetry: str) -> ObjectModel:
-    """Return the prism, with some of its rotations declared."""
+    """Return the prism with some of its rotations declared as its symmetry."""
     return dataclasses.replace(make_prism(), symmetry=SymmetryGroup.parse(symmetry, make_prism().mesh.centroid_m))
 
 
 def _list_kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
-    """Return the poses that a sampler lists, if it lists poses, and `count` poses that it draws."""
+    """Return the poses from `sample`, if the sampler lists poses, and `count` poses from `random`, with these names."""
     listed = [] if sampler.capabilities.places else [("sample", _sample(sampler))]
     return [*listed, ("random", _draw_random(sampler, count))]
 
@@ -284,7 +288,7 @@ def _draw_random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
 
 
 def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
-    """Bring poses of an object (by default the block) to contact, and keep the touching poses."""
+    """Bring poses of an object, by default the block, to contact. Return the poses that touch."""
     obj = make_block() if obj is None else obj
     contact, touching = bring_to_contact(obj.mesh, poses, CAMERA)
     require(touching.sum() > 1, "several poses must be able to touch the sensor")

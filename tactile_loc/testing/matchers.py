@@ -1,4 +1,4 @@
-"""Checks for matchers: a score is minus half the squared distance, in any order of rows and queries."""
+"""Checks for matchers: a score must be minus half the squared distance, in any order of rows and queries."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tactile_loc.testing.contract import (
 from tactile_loc.testing.properties import hold, orders, signed, whole
 
 ROWS, QUERIES, DIMENSION = 1200, 4, 12
-FEWER_ROWS = 300  # for properties, which build an index for each case
-TOLERANCE = 1e-4  # of squared lengths near one
+FEWER_ROWS = 300  # rows of the bank for properties, which build an index for each case
+TOLERANCE = 1e-4  # allowed error of scores, for squared lengths near one
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -42,7 +42,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 
 def check_output(matcher: Matcher) -> None:
-    """`scores` returns (M, N) float32 without NaN; all are finite unless the matcher is declared top_k_only."""
+    """`scores` returns (M, N) float32 without NaN, and all finite unless the matcher declares top_k_only."""
     scores = _score(matcher, _draw_bank(), _draw_queries())
     require_array(scores, (QUERIES, ROWS), np.float32, "the scores")
     bad = np.isnan(scores) | np.isposinf(scores)
@@ -66,14 +66,14 @@ def check_best_row_is_found(matcher: Matcher) -> None:
 
 
 def check_row_order(matcher: Matcher) -> None:
-    """Column i belongs to row i: another order of the rows gives the same order of the columns."""
+    """Column i of the scores belongs to row i of the bank, in any order of the rows."""
     order = np.random.default_rng(3).permutation(ROWS)
     plain, shuffled = (_score(matcher, bank, _draw_queries()) for bank in (_draw_bank(), _draw_bank()[order]))
     _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
 
 
 def check_query_order(matcher: Matcher) -> None:
-    """Row j of the scores belongs to query j, and one query's scores do not depend on the others."""
+    """Row j of the scores belongs to query j, and a query's scores do not depend on the other queries."""
     together = _score(matcher, _draw_bank(), _draw_queries())
     singly = np.concatenate([matcher.scores(q[None]) for q in _draw_queries()[::-1]])[::-1]
     sentence = "one query's scores must not depend on the others"
@@ -82,7 +82,7 @@ def check_query_order(matcher: Matcher) -> None:
 
 
 def check_index_replaces(matcher: Matcher) -> None:
-    """A second `index` replaces the bank of the first."""
+    """A second call of `index` replaces the bank of the first call."""
     matcher.index(_draw_bank(seed=7))
     matcher.scores(_draw_queries())
     again = _score(matcher, _draw_bank()[:50], _draw_queries())
@@ -92,7 +92,7 @@ def check_index_replaces(matcher: Matcher) -> None:
 
 
 def check_single_row(matcher: Matcher) -> None:
-    """A bank of one row works, and the row's own score is zero."""
+    """A bank of one row works, and the row's score with itself is zero."""
     row = _draw_bank()[:1]
     scores = _score(matcher, row, row)
     require_array(scores, (1, 1), np.float32, "the score of one query with one row")
@@ -100,13 +100,13 @@ def check_single_row(matcher: Matcher) -> None:
 
 
 def check_weights(matcher: Matcher) -> None:
-    """A weighted score is -1/2 sum w (query - row)^2, and the best row is found; weights of one change nothing."""
+    """A weighted score is -1/2 sum w (query - row)^2. The best row is found, and weights of one change nothing."""
     require(takes_weights(matcher), f"scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
     bank, queries = _draw_bank(), _draw_queries()
     plain = _score_weighted(matcher, bank, queries, np.ones_like(queries))
     _require_alike(plain, _compute_truth(bank, queries), "weights of one must give the plain scores")
     weights = _draw_weights()
-    queries[weights == 0] += 3  # numbers of weight zero may be anything
+    queries[weights == 0] += 3  # numbers with weight zero may have any value
     before = Untouched(queries=queries, weights=weights)
     found, truth = _score_weighted(matcher, bank, queries, weights), _compute_truth(bank, queries, weights)
     before.require()
@@ -125,13 +125,13 @@ def check_bank_and_queries_untouched(matcher: Matcher) -> None:
 
 
 def check_deterministic(matcher: Matcher) -> None:
-    """The same bank and queries give the same scores, also when the index is built anew."""
+    """The same bank and queries give the same scores, even if the index is built again."""
     first, again = (_score(matcher, _draw_bank(), _draw_queries()) for _ in range(2))
     require_equal(first, again, "the same bank and queries must give the same scores")
 
 
 def property_row_order(matcher: Matcher) -> None:
-    """A bank in another order has scores in that order, for the rows that the matcher compares both times."""
+    """If the rows of the bank are reordered, the scores are reordered in the same way, for rows compared both times."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(seed: int) -> None:
@@ -143,7 +143,7 @@ def property_row_order(matcher: Matcher) -> None:
 
 
 def property_query_order(matcher: Matcher) -> None:
-    """Queries in another order have scores in that order, to rounding."""
+    """If the queries are reordered, the scores are reordered in the same way, except for rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(order: list[int]) -> None:
@@ -153,7 +153,7 @@ def property_query_order(matcher: Matcher) -> None:
 
 
 def property_equal_rows(matcher: Matcher) -> None:
-    """Equal rows, as of symmetric poses, have equal scores, to rounding: the order of the bank favours none."""
+    """Equal rows, such as those of symmetric poses, have equal scores, except for rounding."""
 
     def claim(row: int, twin: int) -> None:
         bank = _make_dense()
@@ -166,7 +166,7 @@ def property_equal_rows(matcher: Matcher) -> None:
 
 
 def property_turned_space(matcher: Matcher) -> None:
-    """Bank and queries that are rotated together have the same scores, to rounding."""
+    """If the bank and the queries are rotated together, the scores stay the same, except for rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(seed: int) -> None:
@@ -178,7 +178,7 @@ def property_turned_space(matcher: Matcher) -> None:
 
 
 def property_scale(matcher: Matcher) -> None:
-    """Bank and queries 2**k times as large have scores 4**k times as large, to rounding: no length is built in."""
+    """If the bank and the queries are 2**k times as large, scores are 4**k times as large, except for rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(k: int) -> None:
@@ -190,7 +190,7 @@ def property_scale(matcher: Matcher) -> None:
 
 
 def property_unknown_numbers(matcher: Matcher) -> None:
-    """A query's numbers of weight zero change no score, to rounding, however wrong they are."""
+    """A query's numbers with weight zero may be wrong: they change no score, except for rounding."""
     weights = _draw_weights()
     plain = _score_weighted(matcher, _make_dense(), _draw_queries(), weights)
 
@@ -207,7 +207,7 @@ def _make_dense() -> Float32:
 
 
 def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
-    """Raise ContractError unless scores agree for the rows compared both times, and there are such rows."""
+    """Raise ContractError unless there are rows with a finite score and truth, and the two agree for these rows."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)
     require_close(scores[both], truth[both], TOLERANCE, sentence)
@@ -219,7 +219,7 @@ def _score(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:
 
 
 def _draw_bank(seed: int = 0) -> Float32:
-    """Return rows (N, D) of different lengths near one."""
+    """Return rows (N, D) with different lengths near one."""
     rng = np.random.default_rng(seed)
     return (rng.normal(size=(ROWS, DIMENSION)) / np.sqrt(DIMENSION)).astype(np.float32)
 
@@ -231,7 +231,7 @@ def _draw_queries() -> Float32:
 
 
 def _draw_weights() -> Float32:
-    """Return weights (M, D) of the queries: a third are zero, a third are one, the others in between."""
+    """Return weights (M, D) of the queries. A third are zero, a third are one, and the others are in between."""
     drawn = np.random.default_rng(5).uniform(-1, 2, size=(QUERIES, DIMENSION))
     return np.clip(drawn, 0, 1).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Scenes and touches with known truth for the checks: small analytic surfaces, small cameras, an independent renderer.
+"""Scenes and touches with known true poses for the checks, from small surfaces, small cameras and their own renderer.
 
 The main object is a block with different features. Candidates are near its true pose.
 """
@@ -36,16 +36,19 @@ _BOX_FACES = np.array([
     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
 ])  # fmt: skip
 _ROUNDING = 1e-9
-RAYS = 256  # intersected at once
+RAYS = 256  # number of rays intersected at once
 
 
 class ReferenceRenderer(Renderer):
-    """Intersects every ray with every triangle, in closed form and double precision. Use it for small meshes."""
+    """A renderer that intersects every ray with every triangle, in closed form and double precision.
+
+    Use it for small meshes.
+    """
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+        """Return camera depths z (N, H, W), metres, at pixel centres for poses (N, 4, 4).
 
-        Triangles entirely beyond the contact band are left out; rays that miss the others have depth inf.
+        Triangles entirely beyond the contact band are left out. A ray that meets no other triangle has the depth inf.
         """
         depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
         for picture, T in zip(depth, T_sensor_object, strict=True):
@@ -56,7 +59,7 @@ class ReferenceRenderer(Renderer):
 
 
 def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
-    """Return depths (H * W,) of the nearest triangles. Batches of RAYS rays keep the products in the cache."""
+    """Return depths (H * W,) of the nearest triangles. Each batch of RAYS rays has products that fit in the cache."""
     rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
     low, high = _measure_outlines(triangles_m, geometry.is_pinhole)
     products = _multiply_edges(triangles_m, geometry.is_pinhole)
@@ -68,7 +71,10 @@ def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
 
 
 def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
-    """Return bounds (F, 2) of the rays that can hit each triangle; infinite for one that reaches behind a pinhole."""
+    """Return lower and upper bounds (F, 2) of the rays that can hit each triangle.
+
+    The bounds of a triangle that reaches behind a pinhole are infinite.
+    """
     seen, z = triangles_m[..., :2], triangles_m[..., 2:]
     if is_pinhole:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,9 +95,9 @@ def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
 
 
 def _intersect(rays: Array, products: list[Array], is_pinhole: bool) -> Array:
-    """Return depths (K,) of rays (K, 2), by Cramer's rule (Moeller and Trumbore) with quotients of triple products.
+    """Return depths (K,) of rays (K, 2), by Cramer's rule with quotients of triple products (Moeller and Trumbore).
 
-    A ray is (x/z, y/z) of a pinhole, or (x, y) of a parallel projection. `products` are those of `_multiply_edges`.
+    A ray is (x/z, y/z) for a pinhole, or (x, y) for a parallel projection. `products` are from `_multiply_edges`.
     """
     x, y = rays.T
     if is_pinhole:
@@ -114,7 +120,7 @@ def make_box(low_m: tuple[float, float, float], high_m: tuple[float, float, floa
 
 
 def make_cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> TriangleMesh:
-    """Return a closed prism about the z axis, metres, whose `sides` faces approximate the cylinder from inside."""
+    """Return a closed prism about the z axis, metres. Its `sides` side faces are inside the cylinder."""
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
     rims = [np.column_stack([ring, np.full(sides, z)]) for z in z_m]
@@ -132,27 +138,27 @@ def move_mesh(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleM
 
 
 def transform_mesh(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
-    """Return the mesh with its points p at T p, T (4, 4), metres."""
+    """Return the mesh transformed by T (4, 4), metres."""
     return TriangleMesh(transform_points(T, mesh.vertices_m), mesh.faces)
 
 
 def mirror_mesh(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mirror image of a mesh, x to -x; outward normals stay outward."""
+    """Return the mirror image of a mesh, which has -x in place of x. Outward normals stay outward."""
     return TriangleMesh(mesh.vertices_m * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1].copy())
 
 
 def copy_mesh(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with its own memory, for checks of writing."""
+    """Return a copy of the mesh with its own memory, for checks that inputs are not changed."""
     return TriangleMesh(mesh.vertices_m.copy(), mesh.faces.copy())
 
 
 def scale_mesh(mesh: TriangleMesh, factor: float) -> TriangleMesh:
-    """Return the mesh scaled by a factor, about the origin."""
+    """Return the mesh scaled by a factor about the origin."""
     return TriangleMesh(mesh.vertices_m * factor, mesh.faces)
 
 
 def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
-    """Return several surfaces as one mesh; they may intersect."""
+    """Return several surfaces as one mesh. The surfaces may intersect."""
     starts = np.cumsum([0, *(len(m.vertices_m) for m in meshes[:-1])])
     faces = [m.faces + start for m, start in zip(meshes, starts, strict=True)]
     return TriangleMesh(np.concatenate([m.vertices_m for m in meshes]), np.concatenate(faces))
@@ -160,9 +166,9 @@ def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
 
 @lru_cache(maxsize=1)
 def make_stepped_block() -> TriangleMesh:
-    """Return a block of 16 x 10 x 6 mm without symmetry: its underside (towards -z) has a boss, a ramp and a post.
+    """Return a block of 16 x 10 x 6 mm without symmetry. Its underside (towards -z) has a boss, a ramp and a post.
 
-    Each feature touches at another press depth: from 0 (boss) to 1.2 mm (body).
+    Each feature touches at a different press depth, from 0 (boss) to 1.2 mm (body).
     """
     body = make_box((-0.008, -0.005, 0.0012), (0.008, 0.005, 0.006))
     boss = make_box((-0.007, -0.004, 0.0), (-0.002, 0.001, 0.002))
@@ -179,7 +185,7 @@ def _make_ramp() -> TriangleMesh:
 
 @lru_cache(maxsize=1)
 def make_ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
-    """Return a sphere about the origin, metres: an octahedron whose faces are divided in four `rounds` times."""
+    """Return a sphere about the origin, metres. It is an octahedron whose faces are divided in four `rounds` times."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     signs = np.array([[x, y, z] for x in (0, 3) for y in (0, 3) for z in (0, 3)])
     triangles = corners[signs + np.arange(3)]
@@ -199,13 +205,13 @@ def make_plate(half_m: float = 0.1) -> TriangleMesh:
 
 
 def make_overhang() -> TriangleMesh:
-    """Return a foot, 0.3 mm thick, 1.2 mm in front of a plate: off its axis, a pinhole camera sees behind it."""
+    """Return a foot, 0.3 mm thick, 1.2 mm in front of a plate. From beside, a pinhole camera sees behind the foot."""
     foot = make_box((0.005, -0.006, 0.0), (0.009, 0.006, 0.0003))
     return join_meshes(foot, make_box((-0.002, -0.008, 0.0015), (0.012, 0.008, 0.004)))
 
 
-# CAMERAS are square and centred, so that a quarter turn maps the image to itself; LOPSIDED_CAMERAS have no symmetry.
-# All see about 25 mm of the surface and have a maximal depth of 2 mm.
+# CAMERAS are square and centred, so that a quarter turn maps the image to itself. LOPSIDED_CAMERAS have no symmetry.
+# All cameras see about 25 mm of the surface and have a maximal depth of 2 mm.
 CAMERAS = {
     "orthographic": SensorGeometry("orthographic", 64, 64, 2500.0, 2500.0, 32.0, 32.0, 0.010, 0.002),
     "pinhole": SensorGeometry("pinhole", 64, 64, 62.5, 62.5, 32.0, 32.0, 0.025, 0.002),
@@ -215,7 +221,7 @@ LOPSIDED_CAMERAS = {
     "pinhole": SensorGeometry("pinhole", 80, 56, 65.0, 50.0, 37.3, 30.1, 0.021, 0.002),
 }
 
-POSE = (0.0012, -0.0009, np.radians(25.0))  # of the pressed block: x, y in metres and yaw
+POSE = (0.0012, -0.0009, np.radians(25.0))  # the pressed block's x, y, metres, and yaw
 OFFSETS = ((0.0008, -0.0006, 0.0), (-0.0007, 0.0, np.radians(4.0)), (0.0, 0.0009, np.radians(-5.0)))
 
 
@@ -229,13 +235,13 @@ class PressedBlock:
     truth: NDArray[np.float64]
 
     def make_candidate(self, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Candidate:
-        """Return the truth moved by (x, y, yaw), metres and radians, and brought to contact."""
+        """Return the true pose moved by (x, y, yaw), metres and radians, and brought to contact, as a candidate."""
         x, y, yaw = offset
         moved = make_transform(self.truth[:3, :3] @ rotation_about([0, 0, 1], yaw), self.truth[:3, 3] + [x, y, 0.0])
         return Candidate(self.scene.bring_to_contact(moved[None])[0][0], index=0, log_p=0.0)
 
     def measure_error_m(self, pose: Candidate | RefinedPose) -> float:
-        """Return the root mean square distance of the block's surface from the true pose, metres."""
+        """Return the root mean square distance, metres, of the block's surface points from their true positions."""
         return float(PoseMetric(self.scene.object).distance(pose.T_sensor_object, self.truth))
 
 
@@ -252,25 +258,25 @@ def make_plain_object(name: str, mesh: TriangleMesh) -> ObjectModel:
 
 @lru_cache(maxsize=1)
 def make_prism() -> ObjectModel:
-    """Return a six-sided prism, 10 mm across corners and 8 mm long, with its twelve rotations: `z6*x2`."""
+    """Return a six-sided prism, 10 mm across corners and 8 mm long, with its twelve rotations `z6*x2`."""
     mesh = make_cylinder(0.005, (-0.004, 0.004), sides=6)
     return ObjectModel("prism", mesh, SymmetryGroup.parse("z6*x2", mesh.centroid_m))
 
 
 @lru_cache(maxsize=1)
 def make_mirrored_block() -> ObjectModel:
-    """Return the mirror image of the block, which no rotation maps to the block."""
+    """Return the mirror image of the block. No rotation maps it to the block."""
     return make_plain_object("mirrored block", mirror_mesh(make_stepped_block()))
 
 
 @lru_cache(maxsize=1)
 def make_rod() -> ObjectModel:
-    """Return a rod of 60 x 8 x 6 mm, declared without symmetry; its span over a sensor depends on its yaw."""
+    """Return a rod of 60 x 8 x 6 mm, declared without symmetry. Its width over a sensor depends on its yaw."""
     return make_plain_object("rod", make_box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003)))
 
 
 def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
-    """Return the sensor with all its lengths scaled by a factor; the image keeps its size in pixels."""
+    """Return the sensor with all its lengths scaled by a factor. The image keeps its size in pixels."""
     k = 1.0 if geometry.is_pinhole else scale
     return dataclasses.replace(
         geometry, fx=geometry.fx / k, fy=geometry.fy / k,
@@ -280,7 +286,7 @@ def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
 
 @lru_cache(maxsize=8)
 def make_block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
-    """Return the scene of the block and one of the CAMERAS, scaled by a factor, drawn by the reference renderer."""
+    """Return a scene with the block, one of the CAMERAS, both scaled by a factor, and the reference renderer."""
     return Scene(make_block(scale), scale_sensor(CAMERAS[camera], scale), ReferenceRenderer())
 
 
@@ -291,7 +297,10 @@ def press_block(camera: str = "orthographic", scale: float = 1.0, press: float =
 
 
 def press_prism(camera: str = "orthographic") -> PressedBlock:
-    """Return the prism pressed at POSE, one end down; its twelve symmetric poses explain the touch equally well."""
+    """Return the prism pressed at POSE, with one end down.
+
+    Its twelve symmetric poses explain the touch equally well.
+    """
     return _press(Scene(make_prism(), CAMERAS[camera], ReferenceRenderer()), make_planar_pose(*POSE), 1.0)
 
 
@@ -302,7 +311,7 @@ def _press(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> 
 
 
 def make_planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
-    """Return a pose (4, 4) with the features towards the sensor: x, y in metres, yaw in radians, z zero."""
+    """Return the pose (4, 4), metres, at x, y and yaw, with z = 0. The features of the block face the sensor."""
     return make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, y_m, 0.0])
 
 
@@ -320,7 +329,7 @@ def replace_depth(touch: Touch, depth_m: NDArray[np.float32]) -> Touch:
 
 
 def make_contact_poses(scene: Scene, count: int = 6) -> Poses:
-    """Return clearly different contact poses (count, 4, 4), metres, on a circle, with different yaws."""
+    """Return clearly different contact poses (count, 4, 4), metres, which are on a circle and have different yaws."""
     angles = 2 * np.pi * np.arange(count) / count
     poses = [make_planar_pose(0.003 * np.cos(a), 0.003 * np.sin(a), 1.7 * a) for a in angles]
     return scene.bring_to_contact(np.stack(poses))[0]
@@ -336,7 +345,7 @@ def make_small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) 
 
 
 def make_training_problem(seed: int = 0) -> TrainingProblem:
-    """Return a tiny problem to train an encoder on before it is checked, with the checks' object and camera."""
+    """Return a tiny problem for training an encoder before its checks, with the checks' object and camera."""
     scene = Scene(make_block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     grid = make_small_grid(seed=seed, scene=scene)
     shapes = scene.render_grid_depths(grid.T_sensor_object)
@@ -345,9 +354,9 @@ def make_training_problem(seed: int = 0) -> TrainingProblem:
 
 
 def make_place_training_problem(symmetry: str = "none") -> PlaceProblem:
-    """Return a tiny training problem of an object's places, with the checks' object and camera.
+    """Return a tiny training problem with an object's places, for the checks' object and camera.
 
-    The declared symmetry need not be the object's.
+    The declared `symmetry` need not be that of the object.
     """
     obj = make_block()
     obj = dataclasses.replace(obj, symmetry=SymmetryGroup.parse(symmetry, obj.mesh.centroid_m))

@@ -1,4 +1,4 @@
-"""Draws the cases for testing properties, by hypothesis: motions, places, orders, whole numbers.
+"""Random cases for testing properties, drawn by hypothesis: motions, places, orders and whole numbers.
 
 The cases are few and always the same, so a property never fails by chance. A case that breaks a property is simplified,
 and the ContractError names it.
@@ -20,16 +20,16 @@ from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
-EXAMPLES = 5  # of each property; the first is the simplest
-SPARE_BITS = 3  # additional bits of a number, which make all its values about equally likely
+EXAMPLES = 5  # number of cases for each property; the first case is the simplest
+SPARE_BITS = 3  # additional bits of a number, so that all of its values are about equally likely
 AXES = tuple(axis for axis in product((0, 1, -2), repeat=3) if any(axis))
 
-Strategy = Any  # hypothesis's SearchStrategy: it is imported when a property is tried
+Strategy = Any  # hypothesis's SearchStrategy; hypothesis is imported only when a property is tried
 
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """A motion X: a rotation about an axis (3,), degrees, then a shift (3,), mm."""
+    """A motion: a rotation by `turn_deg` about an axis (3,), then a shift (3,), mm."""
 
     axis: tuple[int, int, int]
     turn_deg: int
@@ -43,7 +43,7 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class Place:
-    """A pose of the block, or the offset of a candidate: x, y in tenths of a mm, yaw and tilt in degrees."""
+    """A pose of the block, or the offset of a candidate: x and y in tenths of a mm, yaw and tilt in degrees."""
 
     x_tenths_mm: int
     y_tenths_mm: int
@@ -57,17 +57,17 @@ class Place:
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """The pose (4, 4), metres: yaw, then the tilt about a horizontal axis; z is zero."""
+        """The pose (4, 4), metres: the yaw, then the tilt about a horizontal axis, at z = 0."""
         x, y, yaw = self.slide
         tilt = rotation_about([1.0, 0.5, 0.0], math.radians(self.tilt_deg))
         return make_transform(tilt @ rotation_about([0, 0, 1], yaw), [x, y, 0.0])
 
 
 def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy) -> None:
-    """Try a claim, a function that raises ContractError unless it holds, on drawn values of its arguments.
+    """Try a claim, a function that raises ContractError if it does not hold, on drawn values of its arguments.
 
-    Raises ContractError, which names simplified values that break the claim, and MissingLibraryError without
-    hypothesis. Only the phases of drawing and simplifying are used, if hypothesis's profile has them.
+    Raises ContractError if values break the claim; its message names simplified values. Raises MissingLibraryError if
+    hypothesis is not installed. Only hypothesis's phases `generate` and `shrink` are used, if its profile has them.
     """
     hypothesis = require_hypothesis()
 
@@ -90,7 +90,7 @@ def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy
 
 
 def whole(least: int, most: int) -> Strategy:
-    """Draw a whole number between two, both included; the least is the simplest.
+    """Draw a whole number from `least` to `most`. The least number is the simplest.
 
     The number is made of bits, because hypothesis mixes constants of imported code into its own whole numbers. These
     constants would differ between runs, and hypothesis would create a folder for them.
@@ -107,17 +107,17 @@ def whole(least: int, most: int) -> Strategy:
 
 
 def signed(most: int) -> Strategy:
-    """Draw a whole number from -most to most; 0 is the simplest."""
+    """Draw a whole number from -most to most. 0 is the simplest."""
     return whole(0, 2 * most).map(lambda number: (number + 1) // 2 * (-1) ** number)
 
 
 def one_of(values: Sequence[Any]) -> Strategy:
-    """Draw one of the values; the first is the simplest."""
+    """Draw one of the values. The first value is the simplest."""
     return whole(0, len(values) - 1).map(values.__getitem__)
 
 
 def orders(count: int) -> Strategy:
-    """Draw an order of the numbers 0 to count - 1; the reverse is the simplest."""
+    """Draw an order of the numbers 0 to count - 1. The reverse order is the simplest."""
 
     def order(number: int) -> list[int]:
         left, drawn = list(range(count))[::-1], []
@@ -130,26 +130,26 @@ def orders(count: int) -> Strategy:
 
 
 def shifts(least_mm: int = 20, most_mm: int = 150) -> Strategy:
-    """Draw a shift, three whole numbers of mm, each of either sign and between the limits."""
+    """Draw a shift: three whole numbers of mm of either sign, whose sizes are between the limits."""
     sizes = range(least_mm, most_mm + 1)
     return require_hypothesis().strategies.tuples(*[one_of([*sizes, *(-size for size in sizes)])] * 3)
 
 
 def motions(least_deg: int = 15, most_mm: int = 150) -> Strategy:
-    """Draw a RigidMotion that rotates by at least `least_deg`, and shifts by at most `most_mm` along each axis."""
+    """Draw a RigidMotion with a rotation of at least `least_deg` and a shift of at most `most_mm` along each axis."""
     builds = require_hypothesis().strategies.builds
     return builds(RigidMotion, axis=one_of(AXES), turn_deg=whole(least_deg, 180), shift_mm=shifts(0, most_mm))
 
 
 def places(most_tenths_mm: int = 30, most_tilt_deg: int = 0) -> Strategy:
-    """Draw a Place of any yaw, within these limits of offset along each axis and of tilt."""
+    """Draw a Place with any yaw, and with at most these offsets along each axis and this tilt."""
     x, y = (signed(most_tenths_mm) for _ in range(2))
     yaw, tilt = whole(0, 359), whole(0, most_tilt_deg)
     return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=yaw, tilt_deg=tilt)
 
 
 def slides() -> Strategy:
-    """Draw a Place as the offset of a candidate: at most 0.8 mm along each axis, and 5 degrees."""
+    """Draw a Place as the offset of a candidate: at most 0.8 mm along each axis, and a yaw of at most 5 degrees."""
     x, y = (signed(8) for _ in range(2))
     return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=signed(5))
 

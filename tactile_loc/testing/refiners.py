@@ -1,4 +1,4 @@
-"""Checks for refiners: the truth stays, offsets shrink, and frame, scale and empty pixels do not matter."""
+"""Checks for refiners: the true pose must stay, offsets must shrink, and frames and scales must not matter."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from tactile_loc.testing.problems import (
 from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, slides, whole
 
 TOLERANCE_PX = 0.25  # allowed difference between equivalent problems, pixels of the sensing surface
-LEFT_OVER = 0.8  # share to which offsets of 0.7 to 1 mm must shrink on average
-ROUNDING_PX = 0.02  # allowed difference between equal problems: rounding can change a pixel's contact
-OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0.1))  # far from the object's, metres
-LEAST_CHIRAL = 0.05  # imprint IoU by which a part fits its touch better than its mirror image does; 0.09 for the block
+LEFT_OVER = 0.8  # offsets of 0.7 to 1 mm must shrink to at most this share on average
+ROUNDING_PX = 0.02  # allowed difference between equal problems, pixels; rounding can change a pixel's contact
+OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0.1))  # far from the object frame
+LEAST_CHIRAL = 0.05  # least difference of imprint IoU between a part and its mirror image; 0.09 for the block
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -54,20 +54,20 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 
 def check_output(refiner: Refiner) -> None:
-    """`refine` returns a RefinedPose: rigid float64, contact_iou 0 to 1, converged a bool, iterations an integer."""
+    """`refine` returns a RefinedPose: a rigid float64 pose, contact_iou from 0 to 1, a bool and an integer."""
     for problem, offset in product(_list_problems(), OFFSETS):
         _require_sound(_refine(refiner, problem, offset))
 
 
 def check_truth_stays(refiner: Refiner) -> None:
-    """A candidate at the true pose stays there."""
+    """A candidate at the true pose stays at this pose."""
     for problem in _list_problems():
         error_px = problem.measure_error_m(_refine(refiner, problem)) / problem.touch.geometry.pixel_pitch_m
         require(error_px <= TOLERANCE_PX, f"the true pose must stay; it moved by {error_px:.2g} pixels")
 
 
 def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
-    """Touch, candidate and mesh are not written to, and the result has its own memory."""
+    """The touch, the candidate and the mesh are not changed, and the result has its own memory."""
     problem = press_block()
     candidate, mesh = problem.make_candidate(OFFSETS[0]), copy_mesh(problem.scene.object.mesh)
     scene = dataclasses.replace(problem.scene, object=dataclasses.replace(problem.scene.object, mesh=mesh))
@@ -82,7 +82,7 @@ def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
 
 
 def check_quarter_turn(refiner: Refiner) -> None:
-    """Rotating the sensor under touch and candidate rotates the answer: no direction of the image is special."""
+    """If the touch and the candidate are rotated on the sensor by a quarter turn, the answer is rotated too."""
     turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
     sentence = "a rotated sensor must give the rotated answer"
     for problem in _list_problems():
@@ -96,7 +96,7 @@ def check_quarter_turn(refiner: Refiner) -> None:
 
 
 def check_scale(refiner: Refiner) -> None:
-    """Twice the object on twice the sensor gives twice the translation: no length is built in."""
+    """Twice the object on twice the sensor gives twice the translation, because no length is built in."""
     for camera in CAMERAS:
         small, large = press_block(camera), press_block(camera, scale=2.0)
         for x, y, yaw in OFFSETS:
@@ -106,7 +106,7 @@ def check_scale(refiner: Refiner) -> None:
 
 
 def check_object_frame(refiner: Refiner) -> None:
-    """The object's own frame is arbitrary: mesh and candidate in another frame give the same answer."""
+    """The mesh and the candidate in another object frame give the same answer."""
     for problem, offset in product(_list_problems(), OFFSETS):
         _require_any_frame(refiner, problem, offset, OTHER_FRAME)
 
@@ -136,7 +136,7 @@ def check_nearly_empty_contact(refiner: Refiner) -> None:
 
 
 def check_degenerate_contact(refiner: Refiner) -> None:
-    """A contact that constrains few directions gives a sound result: lines, planes, single pixels."""
+    """A contact that determines few directions (a line, a plane, single pixels) gives a sound result."""
     problem = press_block()
     rows, columns = np.indices(problem.touch.geometry.shape)
     contacts = {
@@ -155,7 +155,7 @@ def check_degenerate_contact(refiner: Refiner) -> None:
 
 
 def check_candidate_without_contact(refiner: Refiner) -> None:
-    """A candidate far from the sensor gives a sound result that does not claim to explain the touch."""
+    """A candidate far from the sensor gives a sound result, with contact_iou 0 if the pose stays far away."""
     problem = press_block()
     result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     _require_sound(result)
@@ -164,7 +164,7 @@ def check_candidate_without_contact(refiner: Refiner) -> None:
 
 
 def check_failure_is_said(refiner: Refiner) -> None:
-    """A candidate that stays far from the sensor has not converged."""
+    """A candidate that stays far from the sensor gives converged=False."""
     problem = press_block()
     result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     claims = result.converged and result.contact_iou == 0
@@ -172,7 +172,7 @@ def check_failure_is_said(refiner: Refiner) -> None:
 
 
 def check_many_are_one_by_one(refiner: Refiner) -> None:
-    """`refine_many` returns the results of `refine`, in the candidates' order; an empty list for no candidates."""
+    """`refine_many` returns the results of `refine` in the candidates' order, or an empty list without candidates."""
     for problem in _list_problems():
         candidates = [problem.make_candidate(offset) for offset in (*OFFSETS, (0.0, 0.0, 0.0))]
         candidates.append(_move_candidate(problem))
@@ -194,24 +194,27 @@ def check_many_are_one_by_one(refiner: Refiner) -> None:
 
 
 def check_deterministic(refiner: Refiner) -> None:
-    """The same touch and candidate give the same pose, to the bit."""
+    """The same touch and candidate give exactly the same pose."""
     problem = press_block()
     first, again = (_refine(refiner, problem, OFFSETS[1]) for _ in range(2))
     require_equal(first.T_sensor_object, again.T_sensor_object, "the same touch and candidate must give the same pose")
 
 
 def check_offsets_shrink(refiner: Refiner) -> None:
-    """Candidates 0.7 to 1 mm off, at a full press, end nearer to the truth on average."""
+    """On average, candidates 0.7 to 1 mm from the true pose come nearer to it, at the maximal depth."""
     _require_shrinking(refiner, _list_problems(), "a full press")
 
 
 def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
-    """The same at a press of 40 %, which shows less of the object: candidates are cut at the touch's press depth."""
+    """On average, candidates come nearer to the true pose if the press depth is 40 % of the maximal depth, too.
+
+    Such a press shows less of the object. Candidates are cut at the touch's press depth.
+    """
     _require_shrinking(refiner, [press_block(camera, press=0.4) for camera in CAMERAS], "a light press")
 
 
 def property_object_frame(refiner: Refiner) -> None:
-    """With the mesh moved by X in its own frame, and candidates T @ inv(X), answer @ X is the same, to TOLERANCE_PX."""
+    """If the mesh moves by X in its own frame, candidates T @ inv(X) give the same answer @ X, to TOLERANCE_PX."""
 
     def claim(motion: RigidMotion, off: Place, camera: str) -> None:
         _require_any_frame(refiner, press_block(camera), off.slide, motion.T)
@@ -220,7 +223,7 @@ def property_object_frame(refiner: Refiner) -> None:
 
 
 def property_symmetric_copies(refiner: Refiner) -> None:
-    """A symmetric part's candidate T @ S, S one of its rotations, has the answer of T, @ S, to TOLERANCE_PX."""
+    """For a part with a symmetry S, the candidate T @ S gives the answer of T, times S, to TOLERANCE_PX."""
 
     def claim(element: int, off: Place, camera: str) -> None:
         problem, S = press_prism(camera), make_prism().symmetry.list_elements()[element]
@@ -233,9 +236,9 @@ def property_symmetric_copies(refiner: Refiner) -> None:
 
 
 def property_mirrored_part(refiner: Refiner) -> None:
-    """The part's mirror image, from any yaw, gets a rigid pose, and explains the touch worse than the part does.
+    """The part's mirror image, started at any yaw, gets a rigid pose and explains the touch worse than the part does.
 
-    Its imprint IoU is lower by LEAST_CHIRAL: the contacts of the two may overlap, but their depths disagree.
+    Its imprint IoU is lower by at least LEAST_CHIRAL, because its depths differ even where the contacts overlap.
     """
 
     def claim(yaw_deg: int, camera: str) -> None:
@@ -258,7 +261,7 @@ def _draw_cameras() -> Strategy:
 
 
 def _require_any_frame(refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float], X: Poses) -> None:
-    """Raise ContractError unless the answer is the same for the object moved by X (4, 4), metres, in its own frame."""
+    """Raise ContractError unless the answer stays the same for the object moved by X (4, 4), metres, in its frame."""
     moved = make_plain_object("moved block", transform_mesh(problem.scene.object.mesh, X))
     candidate = problem.make_candidate(offset)
     there = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ invert(X))
@@ -267,7 +270,7 @@ def _require_any_frame(refiner: Refiner, problem: PressedBlock, offset: tuple[fl
 
 
 def _refine_rotated(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_rad: float) -> RefinedPose:
-    """Refine the scene's object from the true pose, rotated by a yaw about its centroid, which is at its true place."""
+    """Refine the scene's object from the true pose, after a rotation by a yaw about its centroid."""
     R = problem.truth[:3, :3] @ rotation_about([0, 0, 1], yaw_rad)
     centroid_m = problem.truth[:3, :3] @ problem.scene.object.mesh.centroid_m + problem.truth[:3, 3]
     start = make_transform(R, centroid_m - R @ scene.object.mesh.centroid_m)
@@ -279,7 +282,7 @@ def _list_problems() -> list[PressedBlock]:
 
 
 def _move_candidate(problem: PressedBlock) -> Candidate:
-    """Return a candidate that is 0.2 m from the sensor in both directions."""
+    """Return a candidate that is 0.2 m beside the sensor along x and along y."""
     away = problem.truth.copy()
     away[:2, 3] += 0.2
     return Candidate(away, 0, 0.0)

@@ -1,4 +1,4 @@
-"""Checks for renderers: depths follow from geometry, and pictures move with the object."""
+"""Checks for renderers: depths must follow from the geometry, and pictures must move with the object."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from tactile_loc.testing.problems import (
 from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, orders, places, whole
 
 BLOCK = make_stepped_block()
-TOLERANCE_M = 3e-5  # for a pixel: half a cell of a height map, on a slope
+TOLERANCE_M = 3e-5  # allowed error of a pixel; half a cell of a height map, on a slope
 MEAN_TOLERANCE_M = 8e-6
 Depths = NDArray[np.floating]
 
 STRAY = 0.02  # share of pixels that may differ, because their centres lie at an edge
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])  # x to -x
-YAWS_RAD = np.arange(24) * (np.pi / 12)  # at which a mirror image is compared with the part
-LEAST_CHIRAL = 0.05  # share of pixels that differ at each yaw; at least 8 % for the block
+YAWS_RAD = np.arange(24) * (np.pi / 12)  # yaws at which a mirror image is compared with the part
+LEAST_CHIRAL = 0.05  # least share of pixels that must differ at each yaw; for the block, it is at least 8 %
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -62,7 +62,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 
 def check_output(renderer: Renderer) -> None:
-    """`render` returns (N, H, W) float32 without NaN for any N; pixels without surface lie beyond the contact band."""
+    """`render` returns (N, H, W) float32 without NaN for any N. Pixels without surface are beyond the contact band."""
     for camera in LOPSIDED_CAMERAS.values():
         T = _bring_block(camera)
         for count in (0, 1, 3):
@@ -75,7 +75,7 @@ def check_output(renderer: Renderer) -> None:
 
 
 def check_sphere(renderer: Renderer) -> None:
-    """A sphere has its analytic depth, in the contact band and at pixel centres."""
+    """A sphere has its analytic depth at pixel centres, within the contact band."""
     for camera in LOPSIDED_CAMERAS.values():
         centre = np.array([0.0013, -0.0021, camera.standoff_m + 0.008])
         depth = renderer.render(make_ball(), make_transform(np.eye(3), centre)[None], camera)[0]
@@ -93,7 +93,7 @@ def check_plane(renderer: Renderer) -> None:
 
 
 def check_hidden_surfaces(renderer: Renderer) -> None:
-    """A pixel shows the nearest surface along its ray: the block looks as the reference renderer draws it."""
+    """A pixel shows the nearest surface along its ray, so the block looks like that of the reference renderer."""
     for camera in LOPSIDED_CAMERAS.values():
         T = _bring_block(camera)
         depth, truth = (r.render(BLOCK, T, camera) for r in (renderer, ReferenceRenderer()))
@@ -110,7 +110,7 @@ def check_batch_is_singles(renderer: Renderer) -> None:
 
 
 def check_apart_is_together(renderer: Renderer) -> None:
-    """`render_apart`, for poses that share no rotation, draws the same as `render`."""
+    """`render_apart`, which is for poses with different rotations, draws the same as `render`."""
     for camera in LOPSIDED_CAMERAS.values():
         T = _bring_block(camera)
         apart, together = (draw(BLOCK, T, camera) for draw in (renderer.render_apart, renderer.render))
@@ -118,7 +118,7 @@ def check_apart_is_together(renderer: Renderer) -> None:
 
 
 def check_mesh_and_poses_untouched(renderer: Renderer) -> None:
-    """Neither the mesh nor the poses are written to."""
+    """The mesh and the poses are not changed."""
     camera, mesh = CAMERAS["orthographic"], copy_mesh(BLOCK)
     T = _bring_block(camera)
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces, T_sensor_object=T)
@@ -127,7 +127,7 @@ def check_mesh_and_poses_untouched(renderer: Renderer) -> None:
 
 
 def check_shift_moves_the_picture(renderer: Renderer) -> None:
-    """If an object moves by whole pixels, its orthographic picture moves by as much: x to the right, y down."""
+    """If an object moves by whole pixels, its orthographic picture moves by as many pixels: x to the right, y down."""
     camera = LOPSIDED_CAMERAS["orthographic"]
     right, down = 4, 3
     poses = _bring_block(camera)
@@ -147,7 +147,7 @@ def check_quarter_turn_turns_the_picture(renderer: Renderer) -> None:
 
 
 def check_scale(renderer: Renderer) -> None:
-    """Twice the object on twice the sensor has twice the depths: no length is built in."""
+    """Twice the object on twice the sensor has twice the depths, because no length is built in."""
     for camera in LOPSIDED_CAMERAS.values():
         poses = _bring_block(camera)
         double = poses.copy()
@@ -158,7 +158,7 @@ def check_scale(renderer: Renderer) -> None:
 
 
 def check_deterministic(renderer: Renderer) -> None:
-    """The same poses give the same depths, to the bit."""
+    """The same poses give exactly the same depths."""
     camera = LOPSIDED_CAMERAS["pinhole"]
     T = _bring_block(camera)
     first, again = (renderer.render(BLOCK, T, camera) for _ in range(2))
@@ -166,8 +166,8 @@ def check_deterministic(renderer: Renderer) -> None:
 
 
 def check_undercuts(renderer: Renderer) -> None:
-    """Off the axis, a pinhole camera sees what lies behind an overhang."""
-    camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # sees 90 degrees
+    """From beside, a pinhole camera sees the surface behind an overhang."""
+    camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # its field of view is 90 degrees
     T = bring_to_contact(make_overhang(), make_planar_pose(0.0, 0.0, 0.0)[None], camera)[0]
     depth, truth = (r.render(make_overhang(), T, camera) for r in (renderer, ReferenceRenderer()))
     sentence = "the surface behind an overhang must be seen; otherwise declare exact_undercuts=False"
@@ -175,7 +175,7 @@ def check_undercuts(renderer: Renderer) -> None:
 
 
 def property_object_frame(renderer: Renderer) -> None:
-    """The mesh moved by X in its own frame, at T_sensor_object @ inv(X), looks the same, except pixels at edges."""
+    """A mesh moved by X in its own frame, at T_sensor_object @ inv(X), looks the same, except for pixels at edges."""
 
     def claim(motion: RigidMotion, place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
@@ -188,7 +188,7 @@ def property_object_frame(renderer: Renderer) -> None:
 
 
 def property_mirror_image(renderer: Renderer) -> None:
-    """The mirrored part at the mirrored pose gives the mirrored picture, and at no yaw the part's own picture.
+    """The mirrored part at the mirrored pose gives the mirrored picture, and looks like the part itself at no yaw.
 
     Pixels at edges may differ. The block is chiral: it differs from its mirror image in at least one pixel in twenty.
     """
@@ -209,7 +209,7 @@ def property_mirror_image(renderer: Renderer) -> None:
 
 
 def property_symmetric_copies(renderer: Renderer) -> None:
-    """A symmetric part at T and at T @ S, S one of its rotations, looks the same, except pixels at edges."""
+    """A part with a symmetry S looks the same at T and at T @ S, except for pixels at edges."""
 
     def claim(element: int, place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
@@ -224,7 +224,7 @@ def property_symmetric_copies(renderer: Renderer) -> None:
 
 
 def property_pose_order(renderer: Renderer) -> None:
-    """Poses in another order give the same pictures in that order, except pixels at edges, also by `render_apart`."""
+    """If poses are reordered, pictures are reordered in the same way, also by `render_apart`, except at edges."""
     camera = LOPSIDED_CAMERAS["pinhole"]
     T = _bring_block(camera)
 
@@ -237,7 +237,7 @@ def property_pose_order(renderer: Renderer) -> None:
 
 
 def property_image_size(renderer: Renderer) -> None:
-    """A picture k times as large, k odd, has the small one's pixels in the middles of its own, except at edges."""
+    """Every k-th pixel of a picture k times as large (k odd) equals a pixel of the small picture, except at edges."""
 
     def claim(times: int, place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
@@ -256,7 +256,7 @@ def _draw_camera_names() -> Strategy:
 
 
 def _rotate_mirror_images(T: Poses, camera: SensorGeometry) -> Poses:
-    """Return contact poses (K, 4, 4) of the mirrored block at YAWS_RAD, its centroid over that of the block at T."""
+    """Return contact poses (K, 4, 4) of the mirrored block at YAWS_RAD. Its centroid is at that of the block at T."""
     mesh = mirror_mesh(BLOCK)
     R = rotation_about([0, 0, 1], YAWS_RAD) @ T[0, :3, :3]
     centroid_m = T[0, :3, :3] @ BLOCK.centroid_m + T[0, :3, 3]
@@ -264,19 +264,19 @@ def _rotate_mirror_images(T: Poses, camera: SensorGeometry) -> Poses:
 
 
 def _make_poses() -> Poses:
-    """Return poses (3, 4, 4) of the block: two with the same rotation, one tilted."""
+    """Return poses (3, 4, 4) of the block: two with the same rotation, and one tilted pose."""
     tilted = make_planar_pose(-0.001, 0.0015, 2.0)
     tilted[:3, :3] = rotation_about([1, 0.5, 0], 0.12) @ tilted[:3, :3]
     return np.stack([make_planar_pose(0.0006, -0.0011, 0.3), make_planar_pose(-0.0023, 0.0004, 0.3), tilted])
 
 
 def _bring_block(camera: SensorGeometry, poses: Poses | None = None) -> Poses:
-    """Bring poses (N, 4, 4) of the block, by default those of `_make_poses`, to contact."""
+    """Bring poses (N, 4, 4) of the block to contact. The default is the poses of `_make_poses`."""
     return bring_to_contact(BLOCK, _make_poses() if poses is None else poses, camera)[0]
 
 
 def _make_rays(camera: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return origins and directions (H, W, 3) of the rays through pixel centres; a unit step is 1 m of depth."""
+    """Return origins and directions (H, W, 3) of the rays through pixel centres. Each direction has z = 1."""
     x, y = np.meshgrid(*camera.pixel_slopes)
     zero, one = np.zeros_like(x), np.ones_like(x)
     if camera.is_pinhole:
@@ -292,7 +292,7 @@ def _intersect_sphere(camera: SensorGeometry, centre_m: NDArray[np.float64], rad
 
 
 def _compare(depth: Float32, truth: NDArray[np.float64], camera: SensorGeometry, sentence: str) -> None:
-    """Compare a smooth surface's depths (H, W) with the true ones, in the contact band and outside."""
+    """Compare a smooth surface's depths (H, W) with the true depths, inside and outside the contact band."""
     end = camera.standoff_m + camera.max_depth_m
     inside = (truth >= camera.standoff_m) & (truth < end - TOLERANCE_M)
     outside = truth > end + TOLERANCE_M
@@ -304,7 +304,7 @@ def _compare(depth: Float32, truth: NDArray[np.float64], camera: SensorGeometry,
 
 
 def _same(depth: Depths, truth: Depths, camera: SensorGeometry, sentence: str, stray: float = STRAY) -> None:
-    """Compare the contact depths (N, H, W) of two pictures; a share `stray` of the pixels may differ."""
+    """Compare the contact depths (N, H, W) of two pictures. A share `stray` of the pixels may differ."""
     differ = _share_unlike(depth, truth, camera)
     require(differ <= stray, f"{sentence}; {100 * differ:.1f} % of the pixels differ, allowed {100 * stray:g} %")
 

@@ -1,4 +1,4 @@
-"""Runs the contract checks of a component without a test runner, and returns the result of each."""
+"""Functions that run the contract checks of a component without a test runner."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """Whether the component fulfils the requirement."""
+        """True if the component fulfils the requirement."""
         return not self.problem
 
 
 def run_checks(component: Component, properties: bool = False) -> list[CheckResult]:
-    """Run all checks that apply to the component, in order, and then its properties if `properties` is true.
+    """Run all checks that apply to the component, in order. If `properties` is true, then run its properties.
 
-    An encoder that needs training is first trained on `make_training_problem()`. If this fails, it is the only result.
-    A check that raises any other exception than ContractError has failed, too; the result names the exception. Raises
-    TypeError if `component` is not a component, and MissingLibraryError for properties without hypothesis.
+    An encoder that needs training is first trained on `make_training_problem()`. If the training fails, its result is
+    the only one. A check that raises another exception than ContractError has failed too; the result names the
+    exception. Raises TypeError if `component` is not a component. Raises MissingLibraryError if `properties` is true
+    and hypothesis is not installed.
     """
     return list(iter_checks(component, properties))
 
@@ -56,14 +57,14 @@ def iter_checks(component: Component, properties: bool = False) -> Iterator[Chec
 
 
 def train(encoder: Encoder) -> None:
-    """An encoder that needs training learns from a tiny simulated problem."""
+    """An encoder that needs training can be trained on a tiny simulated problem."""
     from tactile_loc.testing.problems import make_training_problem
 
     encoder.fit(make_training_problem())
 
 
 def _select_checks(component: Component, properties: bool) -> list[Check]:
-    """Return the checks that apply; only those of every slot if the capabilities are not declared."""
+    """Return the checks that apply. If the capabilities are not declared, these are only the checks of every slot."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
         return contract.checks(Capabilities())
     return [*list_checks(component), *(list_properties(component) if properties else [])]
@@ -77,7 +78,7 @@ def _run_check(check: Callable[..., None], run: Callable[[], None]) -> CheckResu
 
 
 def _describe_problem(run: Callable[[], None]) -> str:
-    """Return the problem in one line, or an empty string."""
+    """Run a check. Return the problem in one line, or an empty string if there is none."""
     try:
         run()
     except ContractError as error:

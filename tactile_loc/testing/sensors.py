@@ -1,4 +1,4 @@
-"""Checks for sensors: the geometry is constant, and observations become contact shapes or are refused."""
+"""Checks for sensors: the geometry must be constant, and each observation is converted or refused."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def check_geometry(sensor: SensorModel) -> None:
 
 
 def check_contact_shape(sensor: SensorModel) -> None:
-    """`contact_shape` returns float32 metres in the geometry's image size, from 0 to a press depth in range."""
+    """`contact_shape` returns float32 depths, metres, in the geometry's image size, from 0 to a valid press depth."""
     _, shape = observe(sensor)
     require(isinstance(shape, ContactShape), f"contact_shape must return a ContactShape, not {type(shape).__name__}")
     depth, geometry = shape.depth_m, sensor.geometry
@@ -58,7 +58,7 @@ def check_contact_shape(sensor: SensorModel) -> None:
 
 
 def check_depths_are_kept(sensor: SensorModel) -> None:
-    """If the observation is depths, those below the press depth are kept; the other pixels have no contact."""
+    """If the sensor takes depths, depths below the press depth are kept, and the other pixels have no contact."""
     _require_kept(sensor, make_dome(sensor.geometry))
 
 
@@ -71,7 +71,7 @@ def check_observation_untouched(sensor: SensorModel) -> None:
 
 
 def check_refuses_nonsense(sensor: SensorModel) -> None:
-    """An observation of the wrong size, shape or type raises TouchError, which the user reads."""
+    """An observation of the wrong size, shape or type raises TouchError, whose message the user reads."""
     image = observe(sensor)[0]
     wrong = {
         "an image of another size": np.concatenate([image, image[:3]]),
@@ -98,7 +98,7 @@ def check_deterministic(sensor: SensorModel) -> None:
 
 
 def property_imprint_stays(sensor: SensorModel) -> None:
-    """An asymmetric imprint keeps its pixels, and its depths to 0.1 um, at any place and press: nothing is mirrored.
+    """An asymmetric imprint at any position and press keeps its pixels, and its depths to 0.1 um; it is not mirrored.
 
     This is tested with depths in metres, because the true contact shape of an image is unknown here.
     """
@@ -110,7 +110,7 @@ def property_imprint_stays(sensor: SensorModel) -> None:
 
 
 def property_image_size(sensor: SensorModel) -> None:
-    """A magnified observation, each pixel repeated, is refused by TouchError or read as the original, to 1 um.
+    """An observation with repeated pixels is refused by TouchError, or read like the original, to 1 um.
 
     A sensor may accept images of its camera's own size, but must not crop images of another size.
     """
@@ -127,16 +127,17 @@ def property_image_size(sensor: SensorModel) -> None:
 
 
 def make_dome(geometry: SensorGeometry) -> NDArray[np.float64]:
-    """Return depths (H, W) in metres of a round imprint; NaN, no contact, in the image's corners."""
+    """Return depths (H, W), metres, of a round imprint. The image's corners are NaN: no contact."""
     v, u = (np.linspace(-1.2, 1.2, n) for n in geometry.shape)
     depth = 0.8 * geometry.max_depth_m * (u[None, :] ** 2 + v[:, None] ** 2)
     return np.where(depth < 0.75 * geometry.max_depth_m, depth, np.nan)
 
 
 def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArray[np.float64]:
-    """Return depths (H, W) in metres of a wedge at `column` and `row`, percent of width and height; NaN elsewhere.
+    """Return depths (H, W), metres, of a wedge at `column` and `row`, in percent of width and height; NaN elsewhere.
 
-    It is asymmetric: deepest at its left, and wider than high. `press` is its depth, percent of the maximal depth.
+    The wedge is asymmetric: it is deepest at its left, and wider than high. `press` is its depth, in percent of the
+    maximal depth.
     """
     v, u = (100 * (np.arange(n) + 0.5) / n for n in geometry.shape)
     u, v = u[None, :] - column, v[:, None] - row
@@ -145,7 +146,7 @@ def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> N
 
 
 def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
-    """Return an observation that the sensor accepts, depths or else an RGB image, and its contact shape."""
+    """Return an observation that the sensor accepts, which is depths or an RGB image, and its contact shape."""
     depth = make_dome(sensor.geometry)
     try:
         return depth, sensor.contact_shape(depth.copy())
@@ -156,7 +157,7 @@ def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
 
 
 def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
-    """Raise ContractError unless the sensor keeps depths (H, W), metres, or accepts only images."""
+    """Raise ContractError unless the sensor keeps depths (H, W), metres, or refuses depths."""
     try:
         shape = sensor.contact_shape(depth_m.copy())
     except TouchError:  # the true contact shape of an image is unknown here

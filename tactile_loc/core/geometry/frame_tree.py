@@ -15,14 +15,14 @@ from tactile_loc.core.geometry.rigid import invert
 
 Transform = NDArray[np.float64]
 
-JUMP_NS = 1_000_000_000  # a clock that goes back farther was reset; smaller steps back mean messages out of order
+JUMP_NS = 1_000_000_000  # a clock that goes back farther was reset; smaller steps back are messages out of order
 
 
 @dataclass(eq=False)
 class Edge:
-    """A child's frame in its parent's: `T_parent_child` (4, 4), metres, at increasing stamps, ns.
+    """The transforms `T_parent_child` (4, 4), metres, of a child frame in its parent frame, at increasing stamps, ns.
 
-    A `fixed` edge has one transform for all times. `jump_ns` is where the clock was set back, if it was.
+    A `fixed` edge has one transform for all times. If the clock was set back, `jump_ns` is the stamp after that.
     """
 
     parent: str
@@ -44,7 +44,7 @@ class Edge:
         self.T_parent_child.insert(place, T)
 
     def look_up(self, stamp_ns: int) -> Transform:
-        """Return T_parent_child (4, 4), metres, interpolated at a time. Raises FrameError if it is unknown."""
+        """Return T_parent_child (4, 4), metres, interpolated at a time. Raises FrameError if it is unknown then."""
         if self.fixed:
             return self.T_parent_child[0]
         if self.jump_ns is not None:
@@ -71,10 +71,10 @@ class Edge:
 
 @keep_old_names(lookup="look_up")
 class FrameTree:
-    """Frames by name; each has one parent, except those at the top."""
+    """A tree of named frames. Each frame has one parent, except a frame at the top."""
 
     def __init__(self) -> None:
-        self._edges: dict[str, Edge] = {}  # by child
+        self._edges: dict[str, Edge] = {}  # the edge to its parent, by child
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,9 +82,9 @@ class FrameTree:
         return tuple(sorted({name for edge in self._edges.values() for name in (edge.parent, edge.child)}))
 
     def add(self, parent: str, child: str, stamp_ns: int, T_parent_child: Transform, fixed: bool = False) -> None:
-        """Add the transform (4, 4), metres, of `child` in `parent` at a time, or for all times if it is `fixed`.
+        """Add the transform (4, 4), metres, of `child` in `parent` at a time, or for all times if `fixed` is True.
 
-        Raises FrameError when the child already has another parent.
+        Raises FrameError if the child already has another parent.
         """
         edge = self._edges.setdefault(child, Edge(parent, child, fixed))
         if edge.parent != parent:
@@ -92,7 +92,7 @@ class FrameTree:
         edge.add(stamp_ns, T_parent_child)
 
     def require(self, *names: str) -> None:
-        """Raise FrameError, listing the known frames, unless there are frames with these names."""
+        """Raise FrameError, which lists the known frames, unless there are frames with all these names."""
         for name in names:
             if name not in self.names:
                 known = ", ".join(self.names) or "none"
@@ -101,7 +101,7 @@ class FrameTree:
     def look_up(self, target: str, source: str, stamp_ns: int) -> Transform:
         """Return T_target_source (4, 4), metres, at a time in ns, interpolated between stamps.
 
-        Raises FrameError for an unknown or unconnected frame, or a time that is not covered.
+        Raises FrameError if a frame is unknown, the frames are not connected, or a transform is unknown at that time.
         """
         self.require(target, source)
         up_target, up_source = self._list_ancestors(target), self._list_ancestors(source)
@@ -129,10 +129,10 @@ class FrameTree:
 
 
 def interpolate(T_first: Transform, T_second: Transform, share: float) -> Transform:
-    """Return the transform (4, 4), metres, between two others: 0 the first, 1 the second."""
+    """Interpolate between two transforms (4, 4), metres. A `share` of 0 returns the first, 1 the second."""
     return move(T_first, share * compute_pose_errors(T_second, T_first))
 
 
 def format_seconds(stamp_ns: int) -> str:
-    """Write a time in seconds, with unit."""
+    """Return a time, ns, as text in seconds, with the unit."""
     return f"{stamp_ns / 1e9:.3f} s"

@@ -1,8 +1,8 @@
 """Hand-eye calibration of a sensor on a robot's flange, from touches of one part at rest: F_i X S_i = Y.
 
-F_i = T_base_flange is known, and S_i = T_sensor_object is measured by each touch; X = T_flange_sensor and
-Y = T_base_object are unknown. A closed form gives the start (Shah, "Solving the robot-world/hand-eye calibration
-problem using the Kronecker product", 2013). Weighted Gauss-Newton steps on twists follow. A twist or an error is x, y,
+F_i = T_base_flange is known, and each touch measures S_i = T_sensor_object. X = T_flange_sensor and Y = T_base_object
+are unknown. A closed form gives the first estimate (Shah, "Solving the robot-world/hand-eye calibration problem using
+the Kronecker product", 2013). Weighted Gauss-Newton steps on twists refine this estimate. A twist or an error is x, y,
 z (m), then a rotation vector (rad).
 """
 
@@ -26,22 +26,22 @@ from tactile_loc.core.geometry.rigid import (
 
 Floats = NDArray[np.float64]
 
-MEDIAN_6 = 5.348  # of a chi-squared variable with six degrees of freedom
-TRUSTED = 22.5  # its 99.9 % quantile: a touch that is farther off contradicts the others
-STEPS, STILL = 50, 1e-10  # largest number of Gauss-Newton steps; length of the last one, in UNIT
-UNIT = np.array([1e-3] * 3 + [1e-2] * 3)  # 1 mm, and the rotation that moves a point at 100 mm by it
-KNOWN = np.array([3e-3] * 3 + [0.3] * 3)  # m and rad: a touch with larger errors determines nothing
-LEAST_INFORMATION = 1e-8  # of a twist in UNIT: an undetermined direction is known to 10 m
+MEDIAN_6 = 5.348  # median of a chi-squared variable with six degrees of freedom
+TRUSTED = 22.5  # 99.9 % quantile of the same variable; a touch with a larger value contradicts the others
+STEPS, STILL = 50, 1e-10  # largest number of Gauss-Newton steps; a shorter step, in UNIT, is the last one
+UNIT = np.array([1e-3] * 3 + [1e-2] * 3)  # 1 mm, and the rotation (rad) that moves a point at 100 mm by 1 mm
+KNOWN = np.array([3e-3] * 3 + [0.3] * 3)  # m and rad; a touch with larger errors determines nothing
+LEAST_INFORMATION = 1e-8  # least information about a twist in UNIT; it corresponds to 10 m
 ALIKE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class HandEyeFit:
-    """X and Y (4, 4), metres, that explain N touches, and the error of each touch: `chi2` (N,), unitless.
+    """The X and Y (4, 4), metres, that explain N touches best. `chi2` (N,), unitless, are the touches' squared errors.
 
-    `information` (6, 6) is that of a twist of X, along the sensor's axes at the sensor frame's origin. It comes from
-    the touches' covariances. The residuals have `freedom` degrees of freedom. `variance` is their squared ratio to the
-    covariances: 1 if these are right.
+    `information` (6, 6) is the information about a twist of X, along the sensor's axes at the origin of its frame. It
+    comes from the touches' covariances. The residuals have `freedom` degrees of freedom. `variance` is the ratio of the
+    squared residuals to the size that the covariances predict: 1 if the covariances are right.
     """
 
     T_flange_sensor: Floats
@@ -66,13 +66,13 @@ def predict(T_base_flange: Poses, T_flange_sensor: Poses, T_base_object: Poses) 
 
 
 def compute_pose_errors(T: Poses, T_measured: Poses) -> Floats:
-    """Return the errors (..., 6) of poses T against measured ones, ordered as in `RefinedPose.covariance`."""
+    """Return the errors (..., 6) of poses T against measured poses, ordered as in `RefinedPose.covariance`."""
     rotation = compute_rotation_vectors(T[..., :3, :3] @ np.swapaxes(T_measured[..., :3, :3], -1, -2))
     return np.concatenate([T[..., :3, 3] - T_measured[..., :3, 3], rotation], axis=-1)
 
 
 def move(T: Poses, errors: Floats) -> Poses:
-    """Return poses (..., 4, 4), metres, that differ from T by `errors` (..., 6); inverse of `compute_pose_errors`."""
+    """Return poses (..., 4, 4), metres, that differ from T by `errors` (..., 6), as `compute_pose_errors` returns."""
     from scipy.spatial.transform import Rotation
 
     rotation: Any = Rotation.from_rotvec(errors[..., 3:].reshape(-1, 3)).as_matrix()
@@ -89,16 +89,16 @@ def compute_rotation_vectors(R: Floats) -> Floats:
 
 
 def solve_closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Poses, Poses]:
-    """Return X and Y (..., 4, 4), metres, from at least three touches (..., N, 4, 4): exact without errors.
+    """Return X and Y (..., 4, 4), metres, from at least three touches (..., N, 4, 4). Without errors, they are exact.
 
-    The rotations maximise sum_i trace(R_Y^T R_Fi R_X R_Si) over matrices of one length. The solution is a pair of
-    singular vectors, which are projected to rotations. The translations solve linear least squares. Directions that
-    the touches do not determine are arbitrary.
+    The rotations maximise sum_i trace(R_Y^T R_Fi R_X R_Si) over matrices of one norm. The solution is a pair of
+    singular vectors, which are projected to rotations. The translations solve a linear least-squares problem. In
+    directions that the touches do not determine, X and Y are arbitrary.
     """
     R_F, R_S = T_base_flange[..., :3, :3], T_sensor_object[..., :3, :3]
     kronecker = np.einsum("...nij,...nlk->...ikjl", R_F, R_S).reshape(*R_F.shape[:-3], 9, 9)  # of F X S, row by row
     _, _, right = np.linalg.svd(kronecker)
-    M = right[..., 0, :].reshape(*right.shape[:-2], 3, 3)  # its sign is arbitrary
+    M = right[..., 0, :].reshape(*right.shape[:-2], 3, 3)  # the sign of M is arbitrary
     R_X = _average_rotations((M * np.sign(np.linalg.det(M))[..., None, None])[..., None, :, :])
     R_Y = _average_rotations(R_F @ R_X[..., None, :, :] @ R_S)
     t_X, t_Y = _solve_translations(T_base_flange, R_X, T_sensor_object[..., :3, 3])
@@ -127,10 +127,11 @@ def fit_hand_eye(
     T_base_flange: Poses, T_sensor_object: Poses, covariances: Floats, T_flange_sensor: Floats, T_base_object: Floats,
     robust: bool = False,
 ) -> HandEyeFit:  # fmt: skip
-    """Fit X and Y to N touches (N, 4, 4), metres, with `covariances` (N, 6, 6) as in RefinedPose, from a first guess.
+    """Fit X and Y to N touches, starting from first estimates (4, 4), metres.
 
-    With `robust`, touches that contradict the others lose weight, w = 1 / (1 + chi2 / c)^2 (Geman and McClure). Then
-    `information` does not fit the residuals.
+    The poses of the touches (N, 4, 4) are in metres, with `covariances` (N, 6, 6) as in RefinedPose. If `robust` is
+    True, touches that contradict the others get lower weights, w = 1 / (1 + chi2 / c)^2 (Geman and McClure). Then
+    `information` includes these weights, but `variance` does not.
     """
     weights_of = _weigh if robust else np.ones_like
     X, Y = T_flange_sensor, T_base_object
@@ -151,7 +152,7 @@ def fit_hand_eye(
 
 
 def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Build the equations H (N, 12, 12), g (N, 12) of twists of X and Y in UNIT, along their axes; and chi2 (N,)."""
+    """Return the equations H (N, 12, 12), g (N, 12) for twists of X and Y, in UNIT, along their axes; and chi2 (N,)."""
     P = predict(F, X, Y)
     e, J = compute_pose_errors(P, S), np.zeros((len(F), 6, 12))
     J[:, :3, :3] = J[:, 3:, 3:6] = -np.eye(3)
@@ -163,7 +164,7 @@ def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats)
 
 
 def estimate_typical_variance(chi2: Floats) -> float:
-    """Return the typical squared ratio of residuals to their expected size; at least 1."""
+    """Return the typical squared ratio of residuals to their expected size, but at least 1."""
     return max(1.0, float(np.median(chi2)) / MEDIAN_6)
 
 
@@ -177,7 +178,10 @@ def _damp(H: Floats) -> Floats:
 
 
 def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -> tuple[int, float]:
-    """Estimate the residuals' degrees of freedom and variance factor, counting only what touches determine."""
+    """Return the residuals' degrees of freedom and variance factor.
+
+    Only directions with errors below KNOWN count.
+    """
     told = np.linalg.eigvalsh(covariances / KNOWN / KNOWN[:, None]) < 1.0
     found = np.linalg.eigvalsh(information) > np.min(UNIT / KNOWN) ** 2
     freedom = max(1, int(told.sum() - found.sum()))
@@ -185,10 +189,10 @@ def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -
 
 
 def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
-    """Return the rotations between flange poses (N, 4, 4), rad, about three axes, the greatest first.
+    """Return how far flange poses (N, 4, 4) are rotated about three axes: angles (3,), rad, and the axes (3, 3).
 
-    They are root mean squares (3,) over all pairs. The axes (3, 3), one per row, are unit vectors in the flange's
-    frame. If the second value is near zero, all rotations are about the first axis.
+    An angle is the root mean square over all pairs of poses; the greatest angle is first. The axes, one per row, are
+    unit vectors in the flange frame. If the second angle is near zero, all rotations are about the first axis.
     """
     R = T_base_flange[:, :3, :3]
     first, second = np.triu_indices(len(R), 1)
@@ -200,11 +204,11 @@ def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
 def screws_agree(
     T_first: Poses, T_second: Poses, T_first_other: Poses, T_second_other: Poses, angle_rad: float, slide_m: float
 ) -> NDArray[np.bool_]:
-    """Whether (...) two motions have the same angle and slide along their axes, as A and B of A X = X B do.
+    """Return whether (...) two motions have the same angle and slide along their axes, as A and B of A X = X B do.
 
-    A = inv(T_second) @ T_first are motions of flanges, B = T_second_other @ inv(T_first_other) of objects that sensors
-    see, (..., 4, 4). Angles may differ by `angle_rad`, slides by `slide_m` metres. Motions of nearly no rotation have
-    no axis, so only their angles are compared.
+    A = inv(T_second) @ T_first (..., 4, 4) are motions of flanges. B = T_second_other @ inv(T_first_other) (..., 4, 4)
+    are motions of objects in sensor frames. Angles may differ by `angle_rad`, slides by `slide_m` metres. A motion
+    almost without rotation has no axis, so only the angles of such motions are compared.
     """
     A, B = invert(T_second) @ T_first, T_second_other @ invert(T_first_other)
     alike = np.abs(rotation_angle(A[..., :3, :3]) - rotation_angle(B[..., :3, :3])) < angle_rad
@@ -213,6 +217,9 @@ def screws_agree(
 
 
 def _measure_slide(T: Poses) -> tuple[Floats, Floats]:
-    """Return the slide of motions (..., 4, 4) along their axes, metres, times the sine of their angle; and the sine."""
+    """Return the slides (...), metres, of motions (..., 4, 4) along their axes, times the sines of their angles.
+
+    Also return these sines (...).
+    """
     axis = axis_times_sine(T[..., :3, :3])
     return (axis * T[..., :3, 3]).sum(axis=-1), np.linalg.norm(axis, axis=-1)

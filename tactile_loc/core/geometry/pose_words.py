@@ -1,4 +1,4 @@
-"""A pose and its standard deviations, written in millimetres and degrees."""
+"""Texts for a pose and its standard deviations, in millimetres and degrees."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from tactile_loc.core.geometry.rigid import axis_angle
 
 @dataclass(frozen=True)
 class PoseWords:
-    """A pose and its standard deviations: places in mm, without unit, rotations in degrees; "" if unknown."""
+    """Texts for a pose and its standard deviations: positions in mm, without the unit, and rotations in degrees.
+
+    Unknown standard deviations are "".
+    """
 
     place: str
     turn: str
@@ -23,7 +26,7 @@ class PoseWords:
 
 
 def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
-    """Write a pose (4, 4), metres, and standard deviations (6,), metres and radians, along and about the axes."""
+    """Return texts for a pose (4, 4), metres, and its standard deviations (6,), metres, then radians, if known."""
     angle_deg, axis = axis_angle(T[:3, :3])
     known = join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})"
     if std is None:
@@ -32,5 +35,5 @@ def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = 
 
 
 def join_numbers(values: Iterable[float], digits: int) -> str:
-    """Write numbers with `digits` digits after the point: 1.20, -0.31, 4.00."""
+    """Return numbers as text, with `digits` digits after the point: 1.20, -0.31, 4.00."""
     return ", ".join(f"{value:.{digits}f}" for value in values)

@@ -74,14 +74,14 @@ def cross_matrix(v: Array) -> Array:
 
 
 def move_covariance(covariance: Array, shift_m: Array) -> Array:
-    """Return a pose's covariances (..., 6, 6), m, then rad, moved to points at `shift_m` (..., 3), metres."""
+    """Move a pose's covariances (..., 6, 6), m, then rad, to reference points at `shift_m` (..., 3), metres."""
     moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
     moved[..., :3, 3:] = -cross_matrix(shift_m)  # w x shift
     return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
 
 
 def rotate_covariance(covariance: Array, R: Array) -> Array:
-    """Return a pose's covariance (6, 6), m, then rad, along other axes; R (3, 3) maps vectors to those axes."""
+    """Return a pose's covariance (6, 6), m, then rad, along other axes. R (3, 3) maps vectors to the other axes."""
     both = np.kron(np.eye(2), R)
     return np.asarray(both @ covariance @ both.T)
 
@@ -107,7 +107,7 @@ def quaternion_to_rotation(q: ArrayLike) -> Array:
 
 
 def axis_angle(R: Array) -> tuple[float, Array]:
-    """Return a rotation (3, 3) as an angle in degrees, 0 to 180, and its unit axis (3,); z for no rotation."""
+    """Return the angle, degrees, 0 to 180, and the unit axis (3,) of a rotation (3, 3). No rotation has the axis z."""
     from scipy.spatial.transform import Rotation
 
     vector = Rotation.from_matrix(R).as_rotvec()
@@ -116,7 +116,7 @@ def axis_angle(R: Array) -> tuple[float, Array]:
 
 
 def format_pose(T: NDArray[np.float64]) -> list[str]:
-    """Write a pose (4, 4), metres: x, y, z in mm, the rotation in degrees, and its axis."""
+    """Return texts for a pose (4, 4), metres: x, y, z in mm, the rotation angle in degrees, and its axis."""
     angle_deg, axis = axis_angle(T[:3, :3])
     return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
 
@@ -136,7 +136,7 @@ def draw_rotations(count: int, rng: np.random.Generator) -> Array:
 
 
 def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
-    """Whether all transforms T (..., 4, 4) have a proper rotation, finite metres and the last row 0 0 0 1."""
+    """Return whether all T (..., 4, 4) have a proper rotation, a finite translation and the last row 0 0 0 1."""
     R = T[..., :3, :3]
     orthogonal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
     last_row = np.allclose(T[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=tolerance)
@@ -144,7 +144,7 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
 
 
 def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
-    """Return one rigid transform (4, 4) as float64. Raises `error`, naming it as `what`."""
+    """Return a rigid transform (4, 4) as float64. Raises `error`, with `what` as its name, if it is not rigid."""
     found = _convert_numbers(T)
     if found is None or found.shape != (4, 4) or not is_rigid(found):
         raise error(f"{what} is not a rigid transform; give (4, 4), in metres, with last row 0 0 0 1 and no reflection")
@@ -152,7 +152,10 @@ def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = Config
 
 
 def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
-    """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, naming it as `what`."""
+    """Return the covariance (6, 6) of a pose's error as float64.
+
+    Raises `error`, with `what` as its name, if the values are not a covariance.
+    """
     found = _convert_numbers(values)
     if found is None or found.shape != (6, 6) or not _is_covariance(found):
         raise error(

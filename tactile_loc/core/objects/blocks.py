@@ -1,4 +1,4 @@
-"""Points or triangles in blocks of neighbours, each in a sphere, so that whole blocks out of reach can be skipped."""
+"""Points or triangles in blocks of neighbours. A sphere bounds each block, so that far blocks can be skipped."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.objects.mesh import TriangleMesh
 
-TRIANGLES = 24  # per block
+TRIANGLES = 24  # largest number of triangles per block
 
 
 class Blocks(NamedTuple):
-    """Items of C corners each, in blocks of neighbours, in any unit.
+    """N items with C corners each, in B blocks of neighbours, in any unit of length.
 
-    `corners` (N, C, 3) are the corners of the items whose numbers are `order` (N,). Block b has items from starts[b] to
-    starts[b + 1], inside the sphere about centres[b] (B, 3) with radius radii[b] (B,).
+    `corners` (N, C, 3) are sorted by blocks. `order` (N,) are the items' original numbers. Block b has the items from
+    starts[b] to starts[b + 1]. They are inside a sphere with centre centres[b] (3,) and radius radii[b].
     """
 
     corners: NDArray[np.float64]
@@ -28,7 +28,10 @@ class Blocks(NamedTuple):
 
 
 def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
-    """Split items with corners (N, C, 3), at the middle of their longest side, into blocks of at most `most`."""
+    """Split items with corners (N, C, 3) into blocks of at most `most` items.
+
+    A larger block is split in two halves along its longest side.
+    """
     middles = corners.mean(axis=1)
     waiting, parts = [np.arange(len(corners))], []
     while waiting:
@@ -50,16 +53,17 @@ def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
 
 @lru_cache(maxsize=16)
 def make_triangle_blocks(mesh: TriangleMesh) -> Blocks:
-    """Return the triangles of a mesh in blocks of TRIANGLES, built at first use; metres."""
+    """Return the triangles of a mesh, metres, in blocks of at most TRIANGLES. They are built at the first use."""
     return make_blocks(mesh.triangles_m, TRIANGLES)
 
 
 class NearestTriangles(NamedTuple):
     """Arrays for compiled code, in one unit of length.
 
-    `corners` (F, 3), `sides` (F, 2, 3) from them to the other corners, and unit `normals` (F, 3). Cells of side `cell`
-    start at the corner `low` (3,); `nearest` (X, Y, Z) are the numbers of their nearest triangles, -1 beyond reach. The
-    triangles that share an edge with triangle f are `beside` (R,) from ends[f] to ends[f + 1].
+    The F triangles have first `corners` (F, 3), `sides` (F, 2, 3) from there to the other corners, and unit `normals`
+    (F, 3). Cells of side `cell` start at the corner `low` (3,). `nearest` (X, Y, Z) is the number of the triangle
+    nearest to each cell, or -1 beyond reach. The triangles that share an edge with triangle f are those in `beside`
+    (R,) from ends[f] to ends[f + 1].
     """
 
     corners: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The known object: its surface, its symmetry, and points on it."""
+"""The known object: its surface, its symmetry, and points on its surface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SMALLEST_M, LARGEST_M = 1e-3, 1.0
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
-    """A surface: `vertices_m` (V, 3) float64 in metres of the object frame, `faces` (F, 3) int indices."""
+    """A surface of triangles: `vertices_m` (V, 3), metres, in the object frame, and `faces` (F, 3) of indices."""
 
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -45,7 +45,7 @@ class TriangleMesh:
 
     @cached_property
     def hull_corners_m(self) -> NDArray[np.float64]:
-        """The corners (V, 3) of the surface's convex hull, metres; all its vertices when it is flat."""
+        """The corners (V, 3) of the surface's convex hull, metres; all vertices if the surface is flat."""
         from scipy.spatial import ConvexHull, QhullError
 
         try:
@@ -62,7 +62,7 @@ class TriangleMesh:
     def covariance_m2(self) -> NDArray[np.float64]:
         """Covariance (3, 3) of the surface's points in square metres, exact.
 
-        Over a triangle with corners v the mean of p p^T is (sum v v^T + (sum v)(sum v)^T) / 12.
+        Over a triangle with corners v, the mean of p p^T is (sum v v^T + (sum v)(sum v)^T) / 12.
         """
         v = self.triangles_m - self.centroid_m
         s = v.sum(axis=1)
@@ -70,7 +70,7 @@ class TriangleMesh:
         return np.einsum("f,fij->ij", self.face_areas, moments) / (12.0 * self.face_areas.sum())
 
     def sample(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw points (count, 3) in metres uniformly over the surface."""
+        """Draw points (count, 3), metres, uniformly over the surface."""
         faces = rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
         a, b, c = np.moveaxis(self.triangles_m[faces], 1, 0)
         r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
@@ -85,9 +85,9 @@ class TriangleMesh:
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A known object: a surface in metres, the rotations that map it onto itself, and notes from loading it.
+    """A known object: its surface, metres, the rotations that map the surface onto itself, and notes from loading.
 
-    Raises ObjectError for a surface that is empty, not finite, without extent or of an impossible size.
+    Raises ObjectError if the surface is empty, not finite, without extent or of an impossible size.
     """
 
     name: str
@@ -100,12 +100,12 @@ class ObjectModel:
         check_surface(self.mesh, self.name)
 
     def describe(self) -> dict[str, object]:
-        """Return what identifies the object (surface digest, symmetry), as JSON values."""
+        """Return what identifies the object, as JSON values: the digest of its surface, and its symmetry."""
         return {"mesh": self.mesh.digest, "symmetry": str(self.symmetry), "centre_m": self.symmetry.centre_m.tolist()}
 
 
 def check_surface(mesh: TriangleMesh, name: str) -> None:
-    """Raise ObjectError unless the surface, in metres, can be that of a graspable object."""
+    """Raise ObjectError unless the surface, in metres, is valid and from 1 mm to 1 m long."""
     if len(mesh.faces) == 0 or len(mesh.vertices_m) == 0:
         raise ObjectError(f"{name} is an empty mesh: it has no faces; export it again as a surface mesh")
     if not np.isfinite(mesh.vertices_m).all():

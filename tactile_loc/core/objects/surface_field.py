@@ -1,9 +1,9 @@
-"""Nearest points of an object's surface, found with the nearest triangle of each cell of a box around it.
+"""Nearest points of an object's surface, found with the nearest triangle of each cell of a box around the object.
 
-The field is built once per object, by a wave that carries triangles outwards from the cells that they cross. Then a
-nearest point is found in constant time for any mesh. It is exact if a point and its cell's centre have the same nearest
-triangle. Beside an edge, the two may differ by less than a cell. So the search continues to nearer triangles that share
-an edge.
+The field is built once per object. A wave carries triangles outwards from the cells that the triangles cross. The time
+to find a nearest point does not depend on the size of the mesh. The search starts with the triangle that is nearest to
+the centre of the given point's cell. Near an edge between triangles, another triangle can be nearer to the point
+itself. The search therefore continues to nearer triangles that share an edge.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -29,7 +29,7 @@ SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0
 @keep_old_names(in_unit="to_unit", closest="find_closest", mean_gaps="measure_gaps")
 @dataclass(frozen=True, eq=False)
 class SurfaceField:
-    """The nearest points of a mesh, up to `reach_m` metres from it."""
+    """The nearest surface points of a mesh, for points up to `reach_m` metres from the mesh."""
 
     triangles: NearestTriangles
     reach_m: float
@@ -49,15 +49,17 @@ class SurfaceField:
         return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners)), reach_m)
 
     def to_unit(self, per_m: float) -> NearestTriangles:
-        """Return the arrays for compiled code in another unit of length, of which a metre has `per_m`."""
+        """Return the arrays for compiled code in another unit of length. A metre has `per_m` of these units."""
         of = self.triangles
         return of._replace(
             corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m
         )  # fmt: skip
 
     def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return the surface points (N, 3), metres, nearest to points (N, 3) in the object's frame, and their
-        triangles (N,); NaN and -1 beyond reach."""
+        """Return the surface points (N, 3), metres, nearest to points (N, 3), metres, in the object frame.
+
+        Also return the numbers of their triangles (N,). Beyond `reach_m`, a point is NaN and its triangle is -1.
+        """
         found, which = np.full((len(points_m), 3), np.nan), np.full(len(points_m), -1)
         look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
         return found, which
@@ -76,27 +78,27 @@ class SurfaceField:
 
 
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Return the triangles that share an edge with each of the triangles (F, 3, 3), and where their lists end."""
+    """Return the neighbours that share an edge with each triangle (F, 3, 3), joined, and where each list ends."""
     from scipy.sparse import csr_matrix
 
     which = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].ravel()
     of = np.repeat(np.arange(len(corners)), 3)
     touches = csr_matrix((np.ones(len(of), np.int8), (of, which)), shape=(len(corners), int(which.max()) + 1))
     shared = (touches @ touches.T).tocsr()
-    shared.data[shared.data != 2] = 0  # number of common corners; a triangle has three with itself
+    shared.data[shared.data != 2] = 0  # the number of common corners; a triangle shares three with itself
     shared.eliminate_zeros()
     return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
 
 
 @lru_cache(maxsize=64)  # as many as the objects of a library that are searched together
 def build_surface_field(mesh: TriangleMesh) -> SurfaceField:
-    """Return the field of a mesh, built at first use."""
+    """Return the field of a mesh. It is built at its first use."""
     return SurfaceField.of(mesh)
 
 
 @njit
 def look_up(points, triangles, found, which):
-    """Fill nearest points (N, 3) and their triangles (N,)."""
+    """Fill `found` (N, 3) with the surface points nearest to `points` (N, 3), and `which` (N,) with their triangles."""
     for i in range(len(points)):
         f = find_triangle_near(points[i], triangles)
         which[i] = f
@@ -108,7 +110,7 @@ def look_up(points, triangles, found, which):
 
 @njit
 def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
-    """Fill the mean distances (K,) of the moves (K, 4, 4) from first to last."""
+    """Fill `gaps` (K,) with the mean distances of the points, moved by T (K, 4, 4), for moves from first to last."""
     x = np.empty(3)
     for k in range(first, last):
         total = 0.0
@@ -125,7 +127,7 @@ def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
 
 @njit
 def find_triangle_near(x, triangles):
-    """Return the triangle nearest to the cell of x (3,); -1 beyond reach."""
+    """Return the number of the triangle nearest to the cell of x (3,), or -1 beyond reach."""
     i = math.floor((x[0] - triangles.low[0]) / triangles.cell)
     j = math.floor((x[1] - triangles.low[1]) / triangles.cell)
     k = math.floor((x[2] - triangles.low[2]) / triangles.cell)
@@ -137,8 +139,10 @@ def find_triangle_near(x, triangles):
 
 @njit
 def find_downhill(x, f, triangles):
-    """Return the triangle nearest to x (3,) on a path of ever nearer triangles from f, over shared edges, and its
-    squared distance."""
+    """Return the triangle nearest to x (3,), and its squared distance.
+
+    The search starts at triangle f, and goes over shared edges as long as the triangles become nearer.
+    """
     least = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
     while True:
         best = f
@@ -146,7 +150,7 @@ def find_downhill(x, f, triangles):
             other = triangles.beside[number]
             a, n = triangles.corners[other], triangles.normals[other]
             off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
-            if off * off < least:  # otherwise even its plane is farther
+            if off * off < least:  # otherwise even the plane of the triangle is farther
                 d = _measure_squared_distance(x, a, triangles.sides[other])
                 if d < least:
                     least, best = d, other
@@ -157,7 +161,7 @@ def find_downhill(x, f, triangles):
 
 @njit
 def find_closest_on_triangle(x, a, sides):
-    """Return the point nearest to x (3,) of the triangle from corner a (3,) with `sides` (2, 3).
+    """Return the point nearest to x (3,) of the triangle with corner a (3,) and `sides` (2, 3) from there.
 
     See Ericson, Real-Time Collision Detection, 5.1.5.
     """
@@ -191,7 +195,7 @@ def find_closest_on_triangle(x, a, sides):
 
 @njit
 def carry(corners, sides, normals, low, cell, reach, nearest):
-    """Fill the nearest triangles (X, Y, Z): first in the cells that triangles cross, then outwards cell by cell."""
+    """Fill `nearest` (X, Y, Z) with triangles, first in the cells that triangles cross, then outwards cell by cell."""
     X, Y, Z = nearest.shape
     squared = np.empty((X, Y, Z), np.float32)
     for i in range(X):
@@ -232,7 +236,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest):
 
 @njit
 def _mark_crossed(corners, sides, normals, low, cell, nearest, squared):
-    """Assign each triangle to the cells within two cell sides of it; return how many cells have a triangle."""
+    """Assign each triangle to the cells within two cell sides of it. Return how many cells have a triangle."""
     x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
     near = 2.0 * cell
     for f in range(len(corners)):

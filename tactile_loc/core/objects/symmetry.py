@@ -1,4 +1,4 @@
-"""Rotational symmetry groups of objects: parsed from text, closed under multiplication, listed and factored out."""
+"""Rotational symmetry groups of objects, which are read from text, and tests for poses that are equal by symmetry."""
 
 from __future__ import annotations
 
@@ -15,24 +15,27 @@ from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
 MAX_ORDER = 120
-"""Largest order of a finite group: twice that of the icosahedron's, and that of a 60-sided prism."""
+"""Largest order of a finite group: that of a 60-sided prism, and twice that of the icosahedron's rotations."""
 
 _TERM = re.compile(r"(?:([xyz])|axis\(([^()]*)\))(\d+|inf)")
 _SAME_RAD = 1e-2  # tolerance for rounded axes; different elements of a group are 0.05 rad apart
 _TIE = 1e-9
-_REFERENCE_ROTVEC = (0.3721, -0.8147, 1.1369)  # generic: on no symmetry plane of usual objects
+_REFERENCE_ROTVEC = (0.3721, -0.8147, 1.1369)  # not on a symmetry plane of any usual object
 
 
 @dataclass(frozen=True)
 class SymmetryTerm:
-    """One generator: rotations by 2 pi / `order` (math.inf: any angle) about `axis`, 3 numbers in the object frame."""
+    """One generator: the rotations by multiples of 2 pi / `order` about `axis` (3,), in the object frame.
+
+    An order of math.inf means rotations by any angle.
+    """
 
     axis: tuple[float, float, float]
     order: float
 
     @property
     def unit_axis(self) -> NDArray[np.float64]:
-        """The axis (3,) at unit length."""
+        """The axis (3,) as a unit vector."""
         axis = np.array(self.axis, dtype=np.float64)
         return axis / np.linalg.norm(axis)
 
@@ -46,7 +49,7 @@ class SymmetryTerm:
 
 
 def name_axis(axis: ArrayLike) -> str:
-    """Return 'x', 'y' or 'z' for a positive coordinate axis, else 'axis(a,b,c)' with nine digits, for an axis (3,)."""
+    """Return the name of an axis (3,): x, y or z for a positive coordinate axis, else axis(a,b,c) with nine digits."""
     a = np.asarray(axis, dtype=np.float64)
     for letter, unit in zip("xyz", np.eye(3), strict=True):
         if np.array_equal(a, unit):
@@ -55,9 +58,9 @@ def name_axis(axis: ArrayLike) -> str:
 
 
 def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.float64] | None:
-    """Return all products (K, 3, 3) of the (3, 3) generators, identity first; None if there are over MAX_ORDER."""
+    """Return all products (K, 3, 3) of generators (3, 3), the identity first; None if there are over MAX_ORDER."""
     found = [np.eye(3)]
-    for rotation in found:  # grows during the loop
+    for rotation in found:  # the list grows during the loop
         for generator in generators:
             product = rotation @ generator
             traces = np.einsum("kij,ij->k", np.stack(found), product)
@@ -73,9 +76,10 @@ def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.flo
 class SymmetryGroup:
     """The proper rotations about `centre_m` (3,) in the object frame that map an object onto itself.
 
-    The group is {R_axis(any angle)} x `rotations` if `continuous_axis` (3,) is set, else `rotations` (K, 3, 3); the
-    identity comes first. Raises SymmetryError if the terms generate more than MAX_ORDER rotations, or would make the
-    object a sphere, which is not supported.
+    Without a `continuous_axis` (3,), the group's elements are `rotations` (K, 3, 3), the identity first. With a
+    continuous axis, the elements are the products of `rotations` and all rotations about this axis. Raises
+    SymmetryError if the terms generate more than MAX_ORDER rotations, or would make the object a sphere, which is not
+    supported.
     """
 
     centre_m: NDArray[np.float64]
@@ -104,8 +108,9 @@ class SymmetryGroup:
     def parse(cls, text: str, centre_m: ArrayLike) -> SymmetryGroup:
         """Read `none`, or terms joined by `*`, each an axis (x, y, z or axis(a,b,c)) and an order (2, 3, ... or inf).
 
-        `z6`: six rotations about z; `zinf*x2`: a cylinder; `x2*y2`: a box. `centre_m` (3,) is a point on every axis, in
-        the object frame. Raises SymmetryError for text that is not such a product, or a product that is not a group.
+        Examples: `z6` has six rotations about z, `zinf*x2` is a cylinder, `x2*y2` is a box. `centre_m` (3,), metres, in
+        the object frame, is the point where all axes meet. Raises SymmetryError if the text cannot be read, or if the
+        terms do not generate a supported group.
         """
         cleaned = re.sub(r"\s+", "", text).lower()
         terms = () if cleaned == "none" else tuple(_parse_term(term, text) for term in cleaned.split("*"))
@@ -116,31 +121,32 @@ class SymmetryGroup:
 
     @property
     def order(self) -> float:
-        """The number of rotations: an int, or math.inf with a continuous axis."""
+        """The number of rotations: an int, or math.inf if there is a continuous axis."""
         return len(self.rotations) if self.continuous_axis is None else math.inf
 
     @property
     def is_trivial(self) -> bool:
-        """Whether the identity is the only element."""
+        """True if the identity is the only element."""
         return self.order == 1
 
     def list_elements(self, max_step_rad: float = math.radians(10.0)) -> NDArray[np.float64]:
-        """Return all elements as T_object_object (K, 4, 4), metres, identity first.
+        """Return all elements as transforms T_object_object (K, 4, 4), metres, the identity first.
 
-        A continuous axis is sampled at an even number of equal steps of at most `max_step_rad`, so that half turns are
-        included. Raises SymmetryError if `max_step_rad` is not positive.
+        A continuous axis is sampled at equal steps of at most `max_step_rad`. Their number is even, so that half turns
+        are included. Raises SymmetryError if `max_step_rad` is not positive.
         """
         R = self._sample_rotations(max_step_rad)
         return make_transform(R, self.centre_m - R @ self.centre_m)
 
     def is_representative(self, R: NDArray[np.float64], step_rad: float | None = None) -> NDArray[np.bool_]:
-        """Mark (N,) the rotations R_sensor_object (N, 3, 3) that represent their equivalents {R S : S in group}.
+        """Return which rotations R_sensor_object (N, 3, 3) represent their equivalents {R S : S in group}, as (N,).
 
-        The representative is the equivalent nearest to a fixed generic rotation (a Dirichlet domain). Exact ties, a set
-        of measure zero, all count, so that no pose is lost. With a continuous axis, `step_rad`, the spacing of the
-        rotations, is required: R counts if it is within half a step, along its orbit, of the nearest equivalent, so an
-        orbit sampled evenly at `step_rad` keeps one. Use it only for sets that are closed under the group, such as a
-        grid over all of SO(3); compare other sets with `find_canonical`. Raises SymmetryError without `step_rad`.
+        The representative is the equivalent nearest to a fixed rotation (a Dirichlet domain). If several are equally
+        near, all of them count, so that no pose is lost. Use this method only for sets that contain all equivalents of
+        each rotation, such as a grid over all of SO(3). Compare other sets with `find_canonical`.
+
+        For a continuous axis, give `step_rad`, the spacing of the rotations about this axis. A rotation then counts if
+        it is within half a step of the nearest equivalent. Raises SymmetryError if `step_rad` is needed but not given.
         """
         nearness, angle_rad = self._measure_nearness(R)
         is_nearest = nearness[:, 0] >= nearness.max(axis=1) - _TIE
@@ -152,9 +158,10 @@ class SymmetryGroup:
         return is_nearest & (angle_rad[:, 0] > -half_step_rad) & (angle_rad[:, 0] <= half_step_rad)
 
     def find_canonical(self, R: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return for each R_sensor_object (N, 3, 3) the equivalent (N, 3, 3) nearest to the fixed generic rotation.
+        """Return, for each R_sensor_object (N, 3, 3), the equivalent rotation (N, 3, 3) nearest to a fixed rotation.
 
-        Two poses are equivalent if and only if these rotations and the positions of the group's centre agree.
+        Two poses are equivalent if and only if the returned rotations are equal and the positions of the group's centre
+        are equal.
         """
         nearness, angle_rad = self._measure_nearness(R)
         best = nearness.argmax(axis=1)
@@ -180,7 +187,10 @@ class SymmetryGroup:
     def _measure_nearness(
         self, R: NDArray[np.float64], R_ref: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return max over the continuous angle of tr(R_ref^T R S_k R_axis(angle)), (N, K), and that angle (N, K)."""
+        """Return the largest tr(R_ref^T R S_k R_axis(angle)) over angles about the continuous axis, (N, K).
+
+        Also return the angles (N, K) at which it occurs.
+        """
         if R_ref is None:
             R_ref = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
         A = R_ref.T @ np.asarray(R, dtype=np.float64)
@@ -220,12 +230,12 @@ def _parse_axis(match: re.Match[str]) -> tuple[float, float, float] | None:
 
 
 def _list_flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the identity and, if a term is one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3)."""
+    """Return the identity and, if a term has one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3)."""
     rotations = [np.eye(3)]
     for term in terms:
         along = float(term.unit_axis @ axis)
         if abs(along) > math.cos(_SAME_RAD):
-            continue  # it is about the continuous axis itself
+            continue  # the term is about the continuous axis itself
         if term.order != 2 or abs(along) > _SAME_RAD:
             raise SymmetryError(
                 f"the symmetry '{'*'.join(map(str, terms))}' would make the object a sphere, which is not supported; "

@@ -1,4 +1,4 @@
-"""Detection of the rotations that map an object's surface onto itself, and verification of declared ones."""
+"""Detection of the rotations that map an object's surface onto itself, and verification of declared rotations."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _logger = logging.getLogger(__name__)
 RESOLUTION_M = 5e-5
 """The smallest deviation that a tactile sensor sees, on a patch about half a millimetre wide."""
 
-_IGNORED = 1e-3  # fraction of the few points that may be farther off; the many points tell whether they are a feature
+_IGNORED = 1e-3  # share of the few points that may deviate more; the many points show if it is a feature
 _EQUAL_MOMENTS = 0.06
 _VERIFY_STEP_RAD = math.radians(16.0)
 _VERIFY_EVALUATIONS = 40_000
-_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # no finite group has its multiples
+_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # its multiples are not rotations of any finite group
 _SCAN_ORDERS = (2, 3, 5, 7)
-_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # among equivalent half turns, x is named before y, and y before z
+_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half-turn axes, x is preferred to y, and y to z
 
 
 def detect_symmetry(
@@ -33,11 +33,12 @@ def detect_symmetry(
 ) -> SymmetryGroup:
     """Return the rotations about the surface's centroid that map the surface of a mesh onto itself.
 
-    `vertices_m` (V, 3), `faces` (F, 3). A rotation counts unless some patch of the rotated surface, at least half a
-    millimetre wide, is farther than `tolerance_m` from the surface: a pocket breaks a plate's symmetry, however large
-    the plate is. On tessellated curves, the error of the facets is also allowed. Axes of up to 60-fold symmetry and
-    continuous ones are found. A sphere is reported as a cylinder, with a warning. `seed` draws the surface points used,
-    0.4 mm apart, at most 40,000. Raises ObjectError for a mesh without a surface.
+    The mesh has `vertices_m` (V, 3), metres, and `faces` (F, 3). A rotation does not count if a patch of the rotated
+    surface, at least half a millimetre wide, is farther than `tolerance_m` from the surface. A pocket therefore breaks
+    the symmetry of a plate of any size. On tessellated curves, the error of the facets is also allowed. Axes with up to
+    60-fold symmetry and continuous axes are found. A sphere is reported as a cylinder, with a warning. `seed` is for
+    drawing the surface points, which are about 0.4 mm apart. There are at most 40,000 points. Raises ObjectError if the
+    mesh has no surface.
     """
     probe = SurfaceProbe(vertices_m, faces, seed)
     search = _Search(probe, tolerance_m)
@@ -57,9 +58,9 @@ def require_symmetry(
 ) -> None:
     """Raise SymmetryError if the surface of a mesh differs from itself by more than `tolerance_m` under the group.
 
-    `vertices_m` (V, 3), `faces` (F, 3). The default tolerance is `SurfaceProbe.declared_tolerance_m`, which is more
-    than in detection, because the user knows the symmetry of a scan better. The error names the rotation, the deviation
-    and its place.
+    The mesh has `vertices_m` (V, 3), metres, and `faces` (F, 3). The default tolerance is
+    `SurfaceProbe.declared_tolerance_m`. It is larger than in detection, so that the symmetry of an inexact scan can be
+    declared. The error names the rotation, the deviation and the position of the deviation.
     """
     probe = SurfaceProbe(vertices_m, faces)
     tolerance_m = probe.declared_tolerance_m() if tolerance_m is None else tolerance_m
@@ -73,17 +74,17 @@ def require_symmetry(
         )
 
 
-Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # distance, after rotation (3, 3), at point (3,)
+Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # distance, rotation (3, 3), point (3,)
 
 
 def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation over a group's elements, metres, and its place in the object frame."""
+    """Return the largest deviation of the surface, metres, under a group's rotations."""
     both = (worst(probe, group, tolerance_m) for worst in (_find_worst_of_few, _find_worst_patch))
     return max(both, key=lambda deviation: deviation[0])
 
 
 def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation of a few points under all elements, ignoring a thousandth of the points."""
+    """Return the largest deviation of a few points under all elements, ignoring the worst thousandth of the points."""
     elements = group.list_elements(_VERIFY_STEP_RAD)[1:]
     few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
@@ -97,7 +98,10 @@ def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: f
 
 
 def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation of many points under the generators: they move any feature that an element moves."""
+    """Return the largest deviation of many points under the generators.
+
+    The generators are enough: if an element moves a feature of the surface, then so does a generator.
+    """
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
     for R in _list_generators(group):
         mapped_m = _map_points(probe.many.points_m, R, group.centre_m - probe.centre_m)
@@ -110,12 +114,12 @@ def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: fl
 def _map_points(
     points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Rotate points (N, 3) by R (3, 3) about a centre (3,); metres."""
+    """Rotate points (N, 3), metres, by R (3, 3) about a centre (3,), metres."""
     return (points_m - centre_m) @ R.T + centre_m
 
 
 def _list_generators(group: SymmetryGroup) -> NDArray[np.float64]:
-    """List a group's generators (K, 3, 3) and their inverses; a continuous axis is represented by one rotation."""
+    """Return a group's generators (K, 3, 3) and their inverses. One rotation represents a continuous axis."""
     forward = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
     both = [R for one in forward for R in ((one,) if np.allclose(one, one.T) else (one, one.T))]
     return np.array(both).reshape(-1, 3, 3)
@@ -126,14 +130,14 @@ def _count_kept(count: int) -> int:
 
 
 class _Search:
-    """Looks for symmetry axes through the centroid of a surface, given the tolerance."""
+    """A search for symmetry axes through the centroid of a surface, with a given tolerance."""
 
     def __init__(self, probe: SurfaceProbe, tolerance_m: float) -> None:
         self._probe = probe
         self._tolerance_m = tolerance_m
 
     def group(self, candidates: Iterable[tuple[NDArray[np.float64], float]]) -> SymmetryGroup:
-        """Return the group of the candidates (axis, order) that are compatible with earlier ones, high orders first."""
+        """Return the group of those candidates (axis, order) that are compatible, with the highest orders preferred."""
         group = SymmetryGroup(self._probe.centre_m)
         for term in sorted((self._find_term(*candidate) for candidate in candidates), key=_rank_term):
             if math.isinf(group.order):
@@ -150,11 +154,11 @@ class _Search:
         return group
 
     def is_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
-        """Whether a rotation maps the surface onto itself, within the tolerance."""
+        """Return whether a rotation maps the surface onto itself, within the tolerance."""
         return self._is_nearly_symmetry(axis, angle_rad) and self._has_no_feature(axis, angle_rad)
 
     def _is_nearly_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
-        """Whether a rotation maps a few points of the surface onto it, except a thousandth of them."""
+        """Return whether a rotation maps a few points of the surface onto the surface, except a thousandth of them."""
         R, few, half_m = rotation_about(axis, angle_rad), self._probe.few, 0.5 * self._tolerance_m
         first = few.first(150)
         deviation_m = self._probe.deviation_m(first.points_m @ R.T, first.open_m, half_m, candidates=24)
@@ -165,7 +169,7 @@ class _Search:
         return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
 
     def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
-        """Whether no patch of the surface, rotated either way, is beyond the tolerance."""
+        """Return whether no patch of the surface, rotated in either direction, is beyond the tolerance."""
         many = self._probe.many
         for sign in (1.0, -1.0)[: 1 if angle_rad == math.pi else 2]:
             rotated_m = many.points_m @ rotation_about(axis, sign * angle_rad).T
@@ -174,7 +178,7 @@ class _Search:
         return True
 
     def order_about(self, axis: NDArray[np.float64], multiple_of: int = 1) -> float:
-        """Return the order of the symmetry about an axis (3,): math.inf, up to 60, or 1 for none."""
+        """Return the order of the symmetry about an axis (3,): math.inf, 2 to 60, or 1 without symmetry."""
         angles_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
         if all(self._is_nearly_symmetry(axis, a) for a in angles_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
             return math.inf
@@ -188,18 +192,18 @@ class _Search:
         return 1
 
     def _has_nearly_order(self, axis: NDArray[np.float64], order: int) -> bool:
-        # a screw thread passes for small angles, so every multiple is tested, the half turn first
+        # a screw thread passes the test for small angles, so every multiple is tested, the half turn first
         return all(self._is_nearly_symmetry(axis, 2.0 * math.pi * k / order) for k in range(order // 2, 0, -1))
 
     def terms_about(self, axis: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
-        """Return the terms about an axis (3,) with a distinct moment, and about one perpendicular to it."""
+        """Return the terms about an axis (3,) with a distinct moment, and about a perpendicular axis."""
         order = self.order_about(axis)
         terms = [(axis, order)] if order > 1 else []
         flip = self._flip(axis, order)
         return terms if flip is None else [*terms, (flip, 2.0)]
 
     def terms_anywhere(self, extra: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
-        """Return the terms of a surface with three equal moments; `extra` (E, 3) directions are tested first."""
+        """Return the terms of a surface with three equal moments. The directions `extra` (E, 3) are tested first."""
         few = self._probe.few
         if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
             _logger.warning("the object is a sphere, whose symmetry is not supported; it is treated as a cylinder")
@@ -208,7 +212,7 @@ class _Search:
         points_m = few.points_m[:200]
         for scanned in _SCAN_ORDERS:
             if scanned > 3 and any(order > 2 for _, order in terms):
-                break  # half turns and third turns generate all groups but the cyclic and dihedral ones
+                break  # half turns and third turns generate all groups except cyclic and dihedral groups
             for axis in np.concatenate(
                 [extra, np.eye(3), self._scan(_sample_hemisphere(1000), scanned, points_m[:50], 14)]
             ):
@@ -224,7 +228,7 @@ class _Search:
         return terms
 
     def _flip(self, axis: NDArray[np.float64], order: float) -> NDArray[np.float64] | None:
-        """Return an axis (3,) of a half turn perpendicular to one of the given order; None without one."""
+        """Return the axis (3,) of a half-turn symmetry that is perpendicular to `axis`, or None if there is none."""
         u = _find_perpendicular(axis)
         if math.isinf(order):
             return u if self.is_symmetry(u, math.pi) else None
@@ -240,7 +244,7 @@ class _Search:
         return None
 
     def _choose_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return points (200, 3): half anywhere, half where half turns about arbitrary `axes` (K, 3) move them most."""
+        """Return points (200, 3): half anywhere, half where half turns about `axes` (K, 3) leave the surface most."""
         points_m = self._probe.few.points_m[:1500]
         rotated_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
         distance_m = self._probe.distance_m(rotated_m).reshape(len(axes), -1).max(axis=0)
@@ -249,7 +253,7 @@ class _Search:
     def _scan(
         self, directions: NDArray[np.float64], order: int, points_m: NDArray[np.float64], count: int
     ) -> NDArray[np.float64]:
-        """Return up to `count` directions (K, 3), some way apart, about which a rotation of an order fits best."""
+        """Return up to `count` clearly different `directions` (K, 3) about which a symmetry of an order fits best."""
         rotated_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
         distance_m = self._probe.distance_m(rotated_m, candidates=1)
         scores = np.square(distance_m).reshape(len(directions), -1).mean(axis=1)
@@ -263,9 +267,10 @@ class _Search:
     def _polish(
         self, axis: NDArray[np.float64], angle_rad: float, points_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the axis (3,), tilted so that a rotation about it fits the surface best: Gauss-Newton, point to plane.
+        """Return the axis (3,), tilted so that a rotation about it fits the surface best.
 
-        A tilt by epsilon changes S into exp(epsilon) S exp(-epsilon), which moves q = S p by ((1 - S) epsilon) x q.
+        Gauss-Newton steps reduce the point-to-plane distances. A tilt by epsilon changes the rotation S into
+        exp(epsilon) S exp(-epsilon), which moves q = S p by ((1 - S) epsilon) x q.
         """
         for _ in range(10):
             R = rotation_about(axis, angle_rad)
@@ -282,7 +287,7 @@ class _Search:
         return axis
 
     def _find_term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
-        """Return a term, about a coordinate axis if that is within a fifth of the tolerance."""
+        """Return the term. If a coordinate axis is within a fifth of the tolerance of `axis`, use that axis instead."""
         axis = axis / np.linalg.norm(axis)
         main = int(np.argmax(np.abs(axis).round(6)))
         axis = axis * np.sign(axis[main])
@@ -306,7 +311,7 @@ def _rank_term(term: SymmetryTerm) -> tuple[float, bool, str]:
 
 
 def _find_perpendicular(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a unit vector (3,) perpendicular to an axis, near a coordinate axis if possible."""
+    """Return a unit vector (3,) that is perpendicular to an axis, and near a coordinate axis if possible."""
     unit = np.eye(3)[np.argmin(np.abs(axis).round(2))]
     u = unit - (unit @ axis) * axis
     return u / np.linalg.norm(u)

@@ -1,4 +1,4 @@
-"""A mesh's surface for symmetry detection: moments, samples, errors of its facets, and distances to it."""
+"""The surface of a mesh for symmetry detection: its moments, samples, errors of its facets, and distances to it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from tactile_loc.core.errors import ObjectError
 
 _DENSE_COUNT = 40_000
 _POINT_COUNT = 3_000
-_PITCH_M, _MOST_CHECKED = 4e-4, 40_000  # of the points that find local features
-_PATCH = 1.5  # pitches: two deviating points this near are a patch that a sensor sees; a single one is a speck
-_FACETS = 1.5  # error of facets, as a multiple of the sagitta: larger on a doubly curved surface than on a cylinder
-_EVENLY = (0.7548776662466927, 0.5698402909980532)  # multiples fill a square evenly: 1 / p, 1 / p^2, p^3 = p + 1
+_PITCH_M, _MOST_CHECKED = 4e-4, 40_000  # distance and largest number of the points that find local features
+_PATCH = 1.5  # pitches; a sensor sees two deviating points that are nearer than this, but not a single point
+_FACETS = 1.5  # error of facets, as a multiple of the sagitta; it is larger on doubly curved surfaces than on cylinders
+_EVENLY = (0.7548776662466927, 0.5698402909980532)  # its multiples fill a square: 1 / p, 1 / p^2, p^3 = p + 1
 _FEW = 500  # most points for which the closest search is fast enough
-_NEAR = 24  # samples around a point whose facets count: about a millimetre
-_SMOOTH_RAD = math.radians(25.0)  # a smaller bend belongs to a curve of at least 15 facets per turn, not to an edge
+_NEAR = 24  # number of samples around a point whose facets count; they are within about a millimetre
+_SMOOTH_RAD = math.radians(25.0)  # a smaller bend belongs to a curve with at least 15 facets per turn, not to an edge
 _CURVE_EDGES = 12  # fewer such bends are draft angles and chamfers, not a tessellated curve
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSample:
-    """Points (N, 3) of a surface, about its centroid, and the facets' errors there (N,); metres."""
+    """Points (N, 3), metres, of a surface, relative to its centroid, and the facets' errors there (N,), metres."""
 
     points_m: NDArray[np.float64]
     open_m: NDArray[np.float64]
@@ -41,8 +41,8 @@ class SurfaceSample:
 class SurfaceProbe:
     """Measures distances of points from a mesh's surface, and of a rotated surface from itself.
 
-    All coordinates are about the area centroid `centre_m` (3,) of the surface, in metres. Results depend on the
-    surface, and hardly on its triangulation. Raises ObjectError for a mesh without area or with non-finite vertices.
+    All coordinates are in metres, relative to the surface's centroid `centre_m` (3,). Results depend on the surface,
+    and hardly on its triangulation. Raises ObjectError if the mesh has no area or vertices that are not finite.
     """
 
     def __init__(self, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], seed: int = 0) -> None:
@@ -75,10 +75,10 @@ class SurfaceProbe:
         return (corner_part + 9.0 * mean_part) / (12.0 * self._area.sum())
 
     def declared_tolerance_m(self) -> float:
-        """Return how far a surface may differ from itself under a declared symmetry: 0.5 % of its length.
+        """Return by how much, metres, the surface may differ from itself under a declared symmetry.
 
-        Length is twice the largest distance from the centroid. For a slender or flat object, the tolerance is 1 % of
-        its smallest width (twice the standard deviation), if that is less.
+        This is 0.5 % of the object's length, which is twice the largest distance from the centroid. For a slender or
+        flat object, it is 1 % of the smallest width, if that is less. The width is twice the standard deviation.
         """
         length_m = 2.0 * self.radius_m
         width_m = 2.0 * math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2())[0]), 0.0))
@@ -87,9 +87,9 @@ class SurfaceProbe:
     def plane_residuals(
         self, points_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return heights (N,) of points (N, 3) above the nearest face, its normals (N, 3), and whether straight above.
+        """Return heights (N,) of points (N, 3) above their nearest faces, and the normals (N, 3) of these faces.
 
-        A point that is not straight above its nearest face is nearest to one of its edges.
+        Also return which points (N,) are directly above their faces. All other points are nearest to an edge of a face.
         """
         squared_m2, face, _ = self._find_nearest_face(points_m, 4)
         normals = self._normals[face]
@@ -97,19 +97,19 @@ class SurfaceProbe:
         return height_m, normals, height_m**2 >= 0.99 * squared_m2
 
     def distance_m(self, points_m: NDArray[np.float64], candidates: int = 4) -> NDArray[np.float64]:
-        """Return the distances (N,) of points (N, 3) to the faces of the nearest samples, `candidates` per point.
+        """Return the distances (N,) of points (N, 3) to the faces of the `candidates` samples nearest to each point.
 
-        They may be too large if triangles are slivers.
+        Distances can be too large if triangles are long and thin.
         """
         return np.sqrt(self._find_nearest_face(points_m, candidates)[0])
 
     def deviation_m(
         self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], exact_above_m: float, candidates: int = 256
     ) -> NDArray[np.float64]:
-        """Return how far (N,) points (N, 3) are from the surface, minus the facets' errors there.
+        """Return the distances (N,) of points (N, 3) from the surface, minus the facets' errors there.
 
-        `open_m` (N,) are the facets' errors where the points came from. Deviations above `exact_above_m` are measured
-        again with the faces of more samples, up to `candidates`; with very many only if the points are few.
+        `open_m` (N,) are the facets' errors where the points were sampled. Deviations above `exact_above_m` are
+        measured again with the faces of more samples, up to `candidates`. For many points, fewer samples are used.
         """
         deviation_m = self._measure_beyond_facets(points_m, open_m, 1)
         for more, most in ((4, len(points_m)), (_NEAR, len(points_m)), (256, _FEW)):
@@ -121,10 +121,11 @@ class SurfaceProbe:
     def patch_deviation_m(
         self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], above_m: float
     ) -> tuple[float, int]:
-        """Return the largest deviation of two neighbours in the sample `many`, moved to points (N, 3), and its index.
+        """Return the largest deviation that two neighbouring points share, and the index of one of these points.
 
-        A single deviating point is smaller than a sensor sees. Only deviations above `above_m` count; the result is
-        (0.0, 0) without neighbours. Other arguments are as for `deviation_m`.
+        The points (N, 3) are those of the sample `many`, moved. A sensor does not see a single deviating point, because
+        it is too small. Only deviations above `above_m` count. If no two neighbours deviate, the result is (0.0, 0).
+        `open_m` is as for `deviation_m`.
         """
         deviation_m = self.deviation_m(points_m, open_m, above_m)
         far = np.flatnonzero(deviation_m > above_m)
@@ -144,7 +145,10 @@ class SurfaceProbe:
     def _find_nearest_face(
         self, points_m: NDArray[np.float64], count: int
     ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
-        """Return squared distances (N,) to the nearest face, its index (N,), and the nearest samples' faces (N, C)."""
+        """Return the squared distance (N,) of each point (N, 3) to its nearest face, and the index (N,) of this face.
+
+        Also return the compared faces (N, C), which are those of the C samples nearest to each point.
+        """
         faces = self._dense_face[self._tree.query(points_m, k=count)[1]].reshape(-1)
         repeated_m = np.repeat(points_m, count, axis=0)
         squared_m2 = _measure_squared_distance(repeated_m, self._corners[faces], self._normals[faces])
@@ -156,7 +160,10 @@ class SurfaceProbe:
     def _sample(
         self, count: int, rng: np.random.Generator, at_least: int
     ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Return points (N, 3) spread over the area and their faces (N,), at least `at_least` (0 or 1) per face."""
+        """Return points (N, 3), spread evenly over the surface, and their faces (N,).
+
+        Each face has at least `at_least` points, 0 or 1.
+        """
         steps = (np.arange(count) + rng.random(count)) / count
         cumulated = np.cumsum(self._area)
         face = np.searchsorted(cumulated, steps * cumulated[-1]).clip(max=len(cumulated) - 1)
@@ -168,10 +175,10 @@ class SurfaceProbe:
         return np.einsum("nc,nci->ni", weights, self._corners[face]), face
 
     def _estimate_open_m(self) -> NDArray[np.float64]:
-        """Estimate how far (F,) each face may be from the curve that it approximates.
+        """Return an estimate (F,) of the distance between each face and the curved surface that it approximates.
 
-        That is a multiple of the facets' sagitta, (width / 2) tan(bend / 4), at bends between faces. It is at most 1 %
-        of the object's length. Bends wider than all but a few are edges of the object itself.
+        The distance is a multiple of the facets' sagitta, (width / 2) tan(bend / 4), at bends between faces. It is at
+        most 1 % of the object's length. The few bends with the largest sagitta are taken for edges of the object.
         """
         first, second, length_m = _find_shared_edges(self._corners, 1e-7 * self.radius_m)
         cosine = np.abs(np.einsum("ei,ei->e", self._normals[first], self._normals[second]))
@@ -187,7 +194,7 @@ class SurfaceProbe:
 
 
 def _require_triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the corners (F, 3, 3) of the triangles, or raise ObjectError for a mesh without a surface."""
+    """Return the corners (F, 3, 3) of the triangles. Raises ObjectError if the mesh has no surface."""
     vertices_m, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(faces)
     if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise ObjectError(f"a mesh has vertices {vertices_m.shape} and faces {faces.shape}; give (V, 3) and (F, 3)")
@@ -204,7 +211,7 @@ def _require_triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]
 def _find_shared_edges(
     corners: NDArray[np.float64], merge_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the two faces (E,), (E,) at each edge shared by just two, and the edges' lengths (E,)."""
+    """Return the first and second face, (E,) each, and the length (E,) of each edge that exactly two faces share."""
     cells = np.round(corners.reshape(-1, 3) / merge_m).astype(np.int64)
     hashed = (cells * np.array([1, 1_000_003, 998_244_353_000_003], dtype=np.int64)).sum(axis=1)
     vertex = np.unique(hashed, return_inverse=True)[1].reshape(-1, 3)

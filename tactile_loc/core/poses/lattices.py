@@ -1,4 +1,4 @@
-"""Square lattices of translations, and the range of places of an object over the sensing rectangle."""
+"""Square lattices of translations, and the range of translations that keep an object over the sensing rectangle."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ Float = NDArray[np.float64]
 SMALLEST_SPACING_M = 1e-6
 
 PLASTIC = 1.32471795724474602596  # the real root of x^3 = x + 1
-SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # multiples, modulo 1, fill a square: Roberts' R2 sequence
+SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # its multiples, modulo 1, fill the unit square: Roberts' R2 sequence
 
 
 def compute_lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
-    """Return the numbers (..., 2) of points of `make_plane_lattice` along x and y, from low to high (..., 2), metres.
+    """Return how many points (..., 2) `make_plane_lattice` has along x and y, between low and high (..., 2), metres.
 
-    Each point stands for a square of side `pitch_m`: the fewest squares that cover the range, at least one.
-    Raises GridError when the pitch is not a positive number.
+    Each point is the middle of a square of side `pitch_m`. The squares cover the range, with as few points as possible
+    but at least one. Raises GridError if the pitch is not a positive number.
     """
     _require_pitch(pitch_m)
-    # rounding must not add a point to a range of a whole number of pitches
+    # rounding must not add a point if the range is a whole number of pitches
     squares = np.ceil((np.asarray(high_m, float) - np.asarray(low_m, float)) / pitch_m - 1e-9)
     return np.asarray(np.maximum(squares, 1).astype(np.int64))
 
 
 def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
-    """Return the points (K, 2) of a square lattice of pitch `pitch_m`, centred between low (2,) and high (2,).
+    """Return the points (K, 2), metres, of a square lattice, centred between low (2,) and high (2,), metres.
 
-    Metres; x varies slowest. No place in the range is farther than half a pitch from a point along either axis. The
-    points lie inside the range. An empty range (high below low), or one shorter than a pitch, gets one point in its
-    middle. Raises GridError when the pitch is not a positive number.
+    `pitch_m` is the distance between neighbours. x varies slowest. All points lie inside the range. Along each axis, no
+    position in the range is farther than half a pitch from a point. A range that is shorter than a pitch or empty (high
+    below low) gets one point in its middle. Raises GridError if the pitch is not a positive number.
     """
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
     x, y = (
@@ -44,10 +44,11 @@ def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
 
 
 def make_shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
-    """Return the points (K, 2), within range, of the square lattice shifted by the `number`-th of SHIFTS.
+    """Return the points (K, 2), metres, of a shifted square lattice between low (2,) and high (2,), metres.
 
-    Metres. Successive numbers fill each other's gaps evenly. Number 0 has a point in the middle of the range from low
-    (2,) to high (2,). A range without a point gets its middle. Raises GridError as `make_plane_lattice` does.
+    The shift is `number` times SHIFTS, modulo 1, in pitches. Lattices with successive numbers fill each other's gaps
+    evenly. Lattice 0 has a point in the middle of the range. If there is no point in the range along an axis, the
+    middle of the range is used. Raises GridError if the pitch is not a positive number.
     """
     _require_pitch(pitch_m)
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
@@ -62,7 +63,7 @@ def make_shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: in
 
 
 def require_spacing(spacing_m: float) -> None:
-    """Raise GridError unless a grid can have this spacing, metres: at least a micrometre."""
+    """Raise GridError unless a grid's spacing, metres, is finite and at least a micrometre."""
     if not SMALLEST_SPACING_M <= spacing_m < np.inf:
         raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give at least 0.001 mm")
 
@@ -73,10 +74,10 @@ def _require_pitch(pitch_m: float) -> None:
 
 
 def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
-    """Return low (2,) and high (2,) of t_xy for which the bounding box of points + t overlaps the rectangle.
+    """Return the least and the greatest x, y translation (..., 2), metres, that lets points overlap the rectangle.
 
-    Metres, sensor frame. `points_m` (V, 3) or (..., V, 3) are already rotated (R p); the results are (..., 2). The
-    rectangle is (x0, x1, y0, y1). At low and high, box and rectangle just touch.
+    `points_m` (..., V, 3), metres, are already rotated into the axes of the sensor frame. Between the two translations,
+    the bounding box of the points overlaps the rectangle (x0, x1, y0, y1), metres.
     """
     points = np.asarray(points_m, float)[..., :2]
     x0, x1, y0, y1 = rectangle_m

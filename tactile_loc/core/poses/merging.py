@@ -1,4 +1,4 @@
-"""Merging of modes: poses that are within a radius of a likelier pose, up to the object's symmetry."""
+"""The merging of modes that are within a radius of a likelier mode, up to the object's symmetry."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from tactile_loc.core.poses.metric import PoseMetric
 
 
 def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: int | None = None) -> NDArray[np.int64]:
-    """Return for each of poses (K, 4, 4), the likeliest first, the index (K,) of the pose that it merges with.
+    """Return, for each pose (K, 4, 4), metres, the index (K,) of the pose that it merges with.
 
-    A kept pose has its own index. A pose within its radius, metres, a number or (K,), of kept poses merges with the
-    likeliest of them. After `most` kept poses, the others get -1.
+    The poses are sorted, the likeliest first. A pose merges with the likeliest kept pose that is nearer than
+    `radius_m`, metres, which is one number or one for each pose (K,). A pose without such a neighbour is kept, and has
+    its own index. At most `most` poses are kept; further poses without a neighbour get -1.
     """
     radii_m = np.broadcast_to(radius_m, len(T_object))
     merged = np.full(len(T_object), -1)

@@ -1,8 +1,8 @@
-"""Pose sets and the metric between poses: a pose is `T_sensor_object`, a distance is metres of surface.
+"""Pose grids, and the metric between poses: the root mean square distance, metres, of the object's surface points.
 
-The mean squared distance between an object's surface points at two poses is exactly a Euclidean distance in R^12.
-With centroid c and covariance C = L L^T of the surface, phi(T) = [R L, R c + t] gives
-||phi(T1) - phi(T2)||^2 = mean_p ||T1 p - T2 p||^2, so a KD-tree over phi answers "nearest pose" exactly.
+The mean squared distance between an object's surface points at two poses is exactly a squared Euclidean distance in
+R^12. With centroid c and covariance C = L L^T of the surface, phi(T) = [R L, R c + t] gives
+||phi(T1) - phi(T2)||^2 = mean_p ||T1 p - T2 p||^2. A KD-tree over phi therefore finds nearest poses exactly.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 
 SPACING_SAMPLE = 1000
-LEAF = 32  # points: a tenth faster than 16
+LEAF = 32  # points in a leaf of a search tree; a tenth faster than 16
 
 
 @dataclass(frozen=True, eq=False)
 class PoseMetric:
-    """Root mean square distance, in metres, between an object's surface at two poses."""
+    """The root mean square distance, metres, between an object's surface points at two poses."""
 
     object: ObjectModel
 
@@ -35,7 +35,7 @@ class PoseMetric:
         return vectors * np.sqrt(np.clip(values, 0.0, None))
 
     def embed(self, T_sensor_object: Poses) -> NDArray[np.float64]:
-        """Map poses (N, 4, 4) to points phi (N, 12) in metres; Euclidean distance there is the metric."""
+        """Map poses (N, 4, 4) to points phi (N, 12), metres. The Euclidean distance of two points is the metric."""
         R, t = np.ascontiguousarray(T_sensor_object[..., :3, :3]), T_sensor_object[..., :3, 3]
         rotated = (R.reshape(-1, 3) @ self._lever).reshape(*R.shape[:-2], 9)  # one large product is faster
         return np.concatenate([rotated, R @ self.object.mesh.centroid_m + t], axis=-1)
@@ -43,11 +43,13 @@ class PoseMetric:
     def embed_orbits(self, T_sensor_object: Poses) -> NDArray[np.float64]:
         """Map poses (N, 4, 4) to points (K, N, D), metres, one row for each of K equivalents by symmetry.
 
-        The distance up to symmetry is the least over K between these and the first row of other poses. Without a
-        continuous axis, these are phi (D = 12) of all equivalents. With one, all rotations about it are one point
-        (D = 6): the least squared distance over them is that between [r R a, R c + t]. Here a is the unit axis, c the
-        centroid and r^2 = (trace C + a^T C a) / 2. This is exact, because C is the same in all directions across the
-        axis.
+        To compare two poses up to symmetry, take the first point of one pose and all K points of the other. The least
+        Euclidean distance between them is the distance of the poses.
+
+        Without a continuous axis of symmetry, the points are phi (D = 12) of all equivalents. With a continuous axis,
+        all rotations about it have one point (D = 6), [r R a, R c + t]. Here a is the unit axis, c the centroid, C the
+        surface's covariance and r^2 = (trace C + a^T C a) / 2. The distance of two such points is exactly the least
+        over these rotations, because C is isotropic perpendicular to the axis.
         """
         symmetry = self.object.symmetry
         if symmetry.continuous_axis is None:
@@ -60,11 +62,11 @@ class PoseMetric:
         return np.stack([np.concatenate(pair, axis=-1) for pair in columns])
 
     def distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-        """Return the distance (...,), metres, between poses (..., 4, 4), without symmetry."""
+        """Return the distances (...), metres, between poses T1 and T2 (..., 4, 4), ignoring symmetry."""
         return np.linalg.norm(self.embed(T1) - self.embed(T2), axis=-1)
 
     def equivalents(self, T_sensor_object: Poses, step_m: float) -> Poses:
-        """Return the poses (K, N, 4, 4) that look the same as T (N, 4, 4) by symmetry.
+        """Return the K poses (K, N, 4, 4) that look the same as each pose (N, 4, 4) by symmetry.
 
         For a continuous symmetry, neighbouring equivalents are at most `step_m` metres apart.
         """
@@ -84,7 +86,7 @@ class PoseMetric:
         return np.asarray(same[far.argmin(axis=0), np.arange(len(T_near))])
 
     def symmetric_distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-        """Return the distance (N,), metres, between poses (N, 4, 4): exactly the least over the symmetry group."""
+        """Return the exact distances (N,), metres, between poses T1 and T2 (N, 4, 4), up to symmetry."""
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
 
@@ -107,7 +109,7 @@ class PoseGrid:
         return len(self.T_sensor_object)
 
     def raise_level(self, height_m: float) -> PoseGrid:
-        """Return the grid with all poses `height_m` metres farther along z; the search trees are shared."""
+        """Return the grid with all poses moved `height_m` metres along z. Both grids share their search trees."""
         if height_m == 0.0:
             return self
         T = self.T_sensor_object.copy()
@@ -125,7 +127,7 @@ class PoseGrid:
 
     @cached_property
     def phi(self) -> NDArray[np.float64]:
-        """The grid in the metric's space, (N, 12) metres."""
+        """The points (N, 12), metres, of the grid's poses in the metric's space."""
         return self.metric.embed(self.T_sensor_object)
 
     @cached_property
@@ -149,9 +151,10 @@ class PoseGrid:
     def nearest(
         self, T_sensor_object: Poses, within_m: float = np.inf
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return distance (M,), metres, and index (M,) of the grid pose nearest to poses (M, 4, 4), up to symmetry.
+        """Return the distance (M,), metres, and the index (M,) of the grid pose nearest to each pose (M, 4, 4).
 
-        If none is nearer than `within_m` metres, the distance is inf and the index -1. A bound makes the search faster.
+        Distances are up to symmetry. If no grid pose is nearer than `within_m` metres, the distance is inf and the
+        index is -1. A small `within_m` makes the search faster.
         """
         points = self._move_to_level(self.metric.embed_orbits(T_sensor_object))
         distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
@@ -162,9 +165,9 @@ class PoseGrid:
 
     @cached_property
     def spacing_m(self) -> float:
-        """Mean distance, metres, between neighbouring poses, up to symmetry; inf for a single pose.
+        """The mean distance, metres, between neighbouring poses, up to symmetry; inf for a single pose.
 
-        For a large grid, it is measured on some poses, evenly spread over its order.
+        In a large grid, it is measured on SPACING_SAMPLE poses at equal steps of the index.
         """
         if self._level is not None:
             return self._level[0].spacing_m
@@ -178,7 +181,10 @@ class PoseGrid:
         return np.asarray(measure_distances(self._orbit_tree.data, same).min(axis=1))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-        """Return each pose's distance (N,), metres, to its nearest other pose (of `subset` indices, or of all)."""
+        """Return the distance (N,), metres, between each pose and the nearest other pose of the grid.
+
+        Symmetry is ignored. If `subset` (N,) is given, only the poses with these indices get a distance.
+        """
         points = self.phi if subset is None else self.phi[subset]
         distances: NDArray[np.float64] = self._tree.query(self._move_to_level(points), k=2)[0]
         return distances[:, 1]
@@ -197,7 +203,11 @@ def measure_distances(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray
 
 
 def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> NDArray[np.bool_]:
-    """Mark (N,) which poses (N, 4, 4) to keep, so that no two of them are within `radius_m` metres, up to symmetry."""
+    """Return which poses (N, 4, 4) to keep (N,), so that no two kept poses are equal by symmetry.
+
+    Poses within `radius_m` metres of each other, up to symmetry, count as equal. If the object has no symmetry, all
+    poses are kept.
+    """
     keep = np.ones(len(T_sensor_object), bool)
     if len(keep) == 0 or metric.object.symmetry.is_trivial:
         return keep

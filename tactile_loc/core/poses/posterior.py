@@ -1,4 +1,4 @@
-"""The answer: a distribution over the poses of a grid, kept in log space."""
+"""The posterior: a distribution over the poses of a grid, as log-probabilities."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ MOST_CLUSTERED = 2000
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One distinct hypothesis: the most probable pose of a cluster and the probability of all its poses.
+    """A cluster of grid poses around a peak, its most probable pose.
 
-    `index` is the grid index of the peak, `members` (K,) the grid indices, `T_sensor_object` (4, 4) in metres.
+    `index` is the grid index of the peak, and `T_sensor_object` (4, 4), metres, is its pose. `members` (K,) are the
+    grid indices of all poses of the cluster. `probability` is the sum of their probabilities.
     """
 
     index: int
@@ -32,13 +33,14 @@ class Mode:
 @keep_old_names(tempered="temper")
 @dataclass(frozen=True, eq=False)
 class PosePosterior:
-    """Log-probabilities `log_p` (N,) over a grid's poses; -inf where a pose is excluded.
+    """Log-probabilities `log_p` (N,) of a grid's poses. An excluded pose has -inf.
 
-    `log_train` (N,) is the distribution P_train of the poses that the probabilities were fitted to, up to a constant;
-    None if it was uniform. Fusers divide by it. `touches` is the number of touches behind the posterior. `elsewhere`,
-    below 1, is the probability that the true pose is near none of the grid's poses, because a search found only likely
-    ones. On creation, the probabilities are normalised to sum to one together with `elsewhere`. Raises GridError when
-    no pose has any probability, a value is NaN, or `log_train` is not finite.
+    The probabilities were fitted to simulated touches. `log_train` (N,) is the logarithm, up to a constant, of the
+    distribution P_train of these touches' poses. None means that it was uniform. Fusers divide by P_train. `touches` is
+    the number of touches behind the posterior. `elsewhere`, below 1, is the probability that the true pose is near none
+    of the grid's poses. It can be above 0 if a search found the poses, because a search finds only likely poses. On
+    creation, the probabilities are normalised so that they and `elsewhere` sum to one. Raises GridError if no pose has
+    any probability, a value is NaN, `log_train` is not finite, or `elsewhere` is not in [0, 1).
     """
 
     grid: PoseGrid
@@ -70,17 +72,18 @@ class PosePosterior:
         return np.exp(self.log_p)
 
     def top(self, count: int) -> NDArray[np.int64]:
-        """Return the grid indices (K,) of the `count` most probable poses, sorted, ties by index."""
+        """Return the grid indices (K,) of the `count` most probable poses, the most probable first, ties by index."""
         count = min(count, len(self.log_p))
         least = np.partition(self.log_p, -count)[-count]
-        best = np.flatnonzero(self.log_p >= least)  # more than `count` if several are as probable as the last
+        best = np.flatnonzero(self.log_p >= least)  # more than `count` if poses are as probable as the last one
         return best[np.argsort(-self.log_p[best], kind="stable")][:count]
 
     def credible_level(self, index: int, lot: float = 0.0) -> float:
         """Return the total probability of all poses likelier than pose `index` of the grid, 0 to below 1.
 
-        The share `lot` of its own probability, and of equal ones, is added. Drawn uniformly from 0 to 1, it makes the
-        level uniform if probabilities are true (a randomised probability integral transform).
+        The share `lot`, 0 to 1, of the probability of all poses that are exactly as likely, including pose `index`, is
+        added. If `lot` is drawn uniformly and the probabilities are correct, the level is uniform. This is a randomised
+        probability integral transform.
         """
         p = self.probabilities
         return min(1.0, float(p[p > p[index]].sum() + lot * p[p == p[index]].sum()))
@@ -88,17 +91,17 @@ class PosePosterior:
     def credible_set(self, level: float, most: int | None = None) -> NDArray[np.int64]:
         """Return the indices (K,), likeliest first, of the poses whose `credible_level` is at most `level`.
 
-        Together they hold at least that probability; without the least likely one, they hold at most that. If there are
-        more than `most`, only the likeliest are returned.
+        Unless `elsewhere` is too large, these poses together have at least the probability `level`. If there are more
+        than `most` poses, only the likeliest are returned.
         """
         order = self.top(len(self.log_p) if most is None else most)
         p = self.probabilities[order]
-        first = np.searchsorted(-p, -p, side="left")  # of equally probable poses
+        first = np.searchsorted(-p, -p, side="left")  # position of the first equally probable pose
         likelier = np.concatenate([[0.0], np.cumsum(p)])[first]
         return order[(likelier <= level) & (p > 0)]
 
     def temper(self, power: float) -> PosePosterior:
-        """Return the posterior with its probabilities to the `power`, normalised; below 1 it is less certain."""
+        """Return the posterior with its probabilities raised to `power`. A power below 1 makes it less certain."""
         if power == 1.0:
             return self
         log_train = None if self.log_train is None else power * self.log_train
@@ -122,11 +125,12 @@ class PosePosterior:
     def modes(
         self, radius_m: float, count: int | None = 10, mass: float = 0.99, core: NDArray[np.int64] | None = None
     ) -> list[Mode]:
-        """Cluster the posterior into at most `count` distinct modes (None: all), the most probable first.
+        """Return the `count` most probable modes, or all modes if it is None, the most probable first.
 
-        A mode is a peak and all poses from which uphill steps lead to it, each to the most probable pose within
-        `radius_m` metres, up to symmetry: quick shift (Vedaldi and Soatto, ECCV 2008). The clustered poses are the
-        indices `core` (K,), the most probable first; by default those that hold `mass`, at most MOST_CLUSTERED.
+        A mode is a peak and all poses from which uphill steps lead to this peak. Each step goes to the most probable
+        pose within `radius_m` metres, up to symmetry. This is quick shift (Vedaldi and Soatto, ECCV 2008). Only the
+        poses with the indices `core` (K,), the most probable first, are clustered. By default, these are the credible
+        set of level `mass`, but at most MOST_CLUSTERED poses.
         """
         p = self.probabilities
         core = self.credible_set(mass, MOST_CLUSTERED) if core is None else core
@@ -142,7 +146,7 @@ class PosePosterior:
 
 
 def _climb(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:
-    """Find the position (K,) of each pose's peak in `ordered`, grid indices (K,), the most probable first."""
+    """Return the position (K,) of each pose's peak in `ordered` (K,), which are grid indices, most probable first."""
     from scipy.spatial import cKDTree
 
     same = grid.metric.embed_orbits(grid.T_sensor_object[ordered])

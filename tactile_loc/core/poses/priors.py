@@ -1,7 +1,7 @@
 """Priors: log-weights of poses from vision, a region, an earlier posterior, or several of these.
 
-Any callable that maps poses (N, 4, 4) to log-weights (N,) is a prior. The priors here have options, and can be given in
-another frame than the sensor's. Only differences between log-weights count.
+Any callable that maps poses (N, 4, 4), metres, to log-weights (N,) is a prior. Only differences between log-weights
+count. The priors of this module have options, and can be converted from the base frame to the sensor frame.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from tactile_loc.core.poses.posterior import PosePosterior
 
 Array = NDArray[np.float64]
 
-FORGOTTEN = 1e-6  # share of a posterior's probability, on its least probable poses, that is ignored
+FORGOTTEN = 1e-6  # the least probable poses of a posterior, which together have this probability, are ignored
 KERNEL_RADII = 6.0  # standard deviations beyond which a kernel counts as zero (e^-18)
-LEAST_SPREAD = 0.5  # grid spacings: the median distance of the true pose from the nearest grid pose
-NOTHING = -100.0  # a negligible log term of nearby kernels; exponentials of smaller numbers are slow
-PAIRS = 500_000  # pairs of poses and kernels computed at once
+LEAST_SPREAD = 0.5  # grid spacings; the median distance of the true pose from the nearest grid pose
+NOTHING = -100.0  # least log of a kernel; its exponential is negligible, and exponentials of smaller numbers are slow
+PAIRS = 500_000  # largest number of pairs of poses and kernels computed at once
 
 Prior = Callable[[Poses], NDArray[np.float64]]
 
 
 @keep_old_names(tempered="temper", seen_from="view_from")
 class PosePrior(ABC):
-    """A prior over poses in one frame: the sensor's, unless `view_from` moves it to another."""
+    """Base class for priors over poses in the sensor frame. `view_from` converts a prior over base-frame poses."""
 
     @abstractmethod
     def __call__(self, T_sensor_object: Poses) -> Array:
@@ -46,11 +46,11 @@ class PosePrior(ABC):
         return 0
 
     def temper(self, power: Callable[[int], float]) -> PosePrior:
-        """Return the prior, with what it learned from N touches raised to `power(N)`: see `FusedScaling`."""
+        """Return the prior with its weights from N earlier touches raised to `power(N)`: see `FusedScaling`."""
         return self
 
     def view_from(self, T_base_sensor: Poses) -> SeenFrom:
-        """Convert this prior over T_base_object to one over T_sensor_object, for a sensor at (4, 4)."""
+        """Convert this prior over T_base_object to a prior over T_sensor_object, for a sensor at (4, 4), metres."""
         return SeenFrom(self, T_base_sensor)
 
     def __mul__(self, other: Prior) -> ProductPrior:
@@ -60,9 +60,10 @@ class PosePrior(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SeenFrom(PosePrior):
-    """log w(T_base_sensor @ T_sensor_object): a prior in the base frame, for a sensor at `T_base_sensor` (4, 4).
+    """A prior over base-frame poses, converted for a sensor at `T_base_sensor` (4, 4), metres.
 
-    Metres. Raises ConfigError if that is not a rigid transform.
+    The log-weight of a pose is log w(T_base_sensor @ T_sensor_object). Raises ConfigError if `T_base_sensor` is not a
+    rigid transform.
     """
 
     prior: Prior
@@ -72,32 +73,32 @@ class SeenFrom(PosePrior):
         object.__setattr__(self, "T_base_sensor", require_rigid(self.T_base_sensor, "T_base_sensor of a prior"))
 
     def __call__(self, T_sensor_object: Poses) -> Array:
-        """Return the log-weights (N,) of T_base_object."""
+        """Return the log-weights (N,) of poses (N, 4, 4), metres, in the sensor frame."""
         return self.prior(self.T_base_sensor @ T_sensor_object)
 
     @property
     def touches(self) -> int:
-        """Number of touches that the prior in the base frame was learned from."""
+        """Number of touches behind the prior over base-frame poses."""
         return count_touches(self.prior)
 
     def temper(self, power: Callable[[int], float]) -> PosePrior:
-        """Return this prior, with the one in the base frame tempered."""
+        """Return this prior with its prior over base-frame poses tempered."""
         return replace(self, prior=temper(self.prior, power))
 
 
 @dataclass(frozen=True, eq=False)
 class ProductPrior(PosePrior):
-    """The product of priors, sum_i log w_i."""
+    """The product of several priors. A pose's log-weight is the sum of its log-weights in all priors."""
 
     priors: tuple[Prior, ...]
 
     def __call__(self, T_sensor_object: Poses) -> Array:
-        """Return the sums (N,) of the log-weights."""
+        """Return the sums (N,) of the log-weights of all priors."""
         return np.sum([prior(T_sensor_object) for prior in self.priors], axis=0) + np.zeros(len(T_sensor_object))
 
     @property
     def touches(self) -> int:
-        """Number of touches that all priors together were learned from."""
+        """Number of touches behind all priors together."""
         return sum(map(count_touches, self.priors))
 
     def temper(self, power: Callable[[int], float]) -> PosePrior:
@@ -107,12 +108,13 @@ class ProductPrior(PosePrior):
 
 @dataclass(frozen=True, eq=False)
 class GaussianPrior(PosePrior):
-    """A Gaussian about the pose `T` (4, 4), metres, as from vision: log w = -|dt|^2 / (2 s_t^2) - a^2 / (2 s_r^2).
+    """A Gaussian prior about the pose `T` (4, 4), metres, which may come from vision.
 
-    dt is the distance between the origins of the object's frame, and a the angle of the rotation between the poses.
-    Both are isotropic, with standard deviations `translation_std_m` and `rotation_std_rad`; inf means unknown. With the
-    object's `symmetry`, a is the least over equivalent poses, and dt is measured at the symmetry's centre, which they
-    share. Raises ConfigError when T is not rigid or a standard deviation is not positive.
+    The log-weight of a pose is -|dt|^2 / (2 s_t^2) - a^2 / (2 s_r^2). The translation dt leads from the origin of the
+    object frame at T to the origin at the pose. The angle a is that of the rotation between T and the pose. The
+    standard deviations are s_t, `translation_std_m`, and s_r, `rotation_std_rad`; inf means unknown. If the object's
+    `symmetry` is given, a is the least angle over all equivalent poses. Then dt is measured at the centre of symmetry,
+    which all equivalent poses share. Raises ConfigError if T is not rigid or a standard deviation is not positive.
     """
 
     T: Poses
@@ -133,17 +135,17 @@ class GaussianPrior(PosePrior):
         centre_m = self.T[:3, :3] @ symmetry.centre_m + self.T[:3, 3]
         distance_m = np.linalg.norm(R @ symmetry.centre_m + t - centre_m, axis=1)
         angle_rad = symmetry.measure_least_angle(self.T[:3, :3], R)
-        with np.errstate(over="ignore"):  # far beyond a tiny deviation, the log-weight is -inf
+        with np.errstate(over="ignore"):  # many tiny standard deviations away, the log-weight is -inf
             return -0.5 * ((distance_m / self.translation_std_m) ** 2 + (angle_rad / self.rotation_std_rad) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
 class RegionPrior(PosePrior):
-    """A point of the object lies in a box: log w = 0 there, -inf elsewhere.
+    """The prior that a point of the object lies in a box: log w is 0 if it does, else -inf.
 
-    `low_m`, `high_m` (3,) bound the box along the axes of the poses' frame, or of the frame into which `T_box` (4, 4)
-    transforms its coordinates; +-inf leaves a side open. `point_m` (3,) is the point, in the object frame. Metres.
-    Raises ConfigError when the box is empty or a value is NaN.
+    All lengths are in metres. `point_m` (3,) is the point in the object frame. `low_m` and `high_m` (3,) bound the box
+    along the axes of its own frame; -inf or inf leaves a side open. `T_box` (4, 4) maps points from the poses' frame to
+    the box's frame. None means that both frames are the same. Raises ConfigError if the box is empty or a value is NaN.
     """
 
     low_m: Array
@@ -161,10 +163,10 @@ class RegionPrior(PosePrior):
 
     @classmethod
     def half_space(cls, normal: ArrayLike, border_m: ArrayLike, point_m: ArrayLike) -> RegionPrior:
-        """Return the half-space on the side of a plane to which its `normal` (3,), unitless, points.
+        """Return the prior that a point lies on the side of a plane to which the `normal` (3,), unitless, points.
 
-        The plane goes through `border_m` (3,); `point_m` (3,) is the object's point, in its frame. Metres.
-        Raises ConfigError for a normal of length 0.
+        The plane goes through `border_m` (3,), metres, in the poses' frame. `point_m` (3,), metres, is the point in the
+        object frame. Raises ConfigError if the normal has no finite length above 0.
         """
         direction = _require_numbers(normal, "the normal of a half-space")
         if not 0 < np.linalg.norm(direction) < np.inf:
@@ -177,7 +179,7 @@ class RegionPrior(PosePrior):
         )
 
     def __call__(self, T_sensor_object: Poses) -> Array:
-        """Return 0 for poses whose point is in the region or on its border, and -inf for others (N,)."""
+        """Return log-weights (N,): 0 for poses whose point is in the region or on its border, else -inf."""
         T = T_sensor_object if self.T_box is None else self.T_box @ T_sensor_object
         p = T[:, :3, :3] @ self.point_m + T[:, :3, 3]
         return np.where(((p >= self.low_m) & (p <= self.high_m)).all(axis=1), 0.0, -np.inf)
@@ -185,14 +187,17 @@ class RegionPrior(PosePrior):
 
 @dataclass(frozen=True, eq=False)
 class PosteriorPrior(PosePrior):
-    """An earlier posterior, moved: w(x) = (1 - f) sum_j p_j exp(-d(x, T_new_old x_j)^2 / (2 s^2)) + f / N.
+    """An earlier posterior as a prior, after a known motion of the object in the sensor frame.
 
-    `T_new_old` (4, 4) is the known motion: T_sensor_object_new = T_new_old @ T_sensor_object_old. For an object at rest
-    it is inv(T_base_sensor_new) @ T_base_sensor_old. The distance d is the pose metric, up to symmetry. s is `std_m`,
-    the uncertainty of the motion, and at least half the earlier grid's spacing, so that the two grids do not miss each
-    other. `floor`, f, leaves a share of 1 / N everywhere, with N earlier poses; the earlier posterior's `elsewhere` is
-    added to it. The sum is raised to `power`. Metres. Raises ConfigError when the motion is not rigid, std_m is
-    negative or f is not in [0, 1).
+    A pose x has the weight w(x) = (1 - f) sum_j p_j exp(-d(x, T_new_old x_j)^2 / (2 s^2)) + f / N, raised to `power`.
+    The sum is over the N earlier poses x_j with probabilities p_j. The distance d is that of the pose metric, up to
+    symmetry.
+
+    `T_new_old` (4, 4), metres, is the motion: T_sensor_object_new = T_new_old @ T_sensor_object_old. For an object at
+    rest, the motion is inv(T_base_sensor_new) @ T_base_sensor_old. The kernel's standard deviation s is `std_m`,
+    metres, the uncertainty of the motion. It is at least half the spacing of the earlier grid, so that new poses
+    between the earlier poses get weight. The share f is `floor`, plus the earlier posterior's `elsewhere`. Raises
+    ConfigError if the motion is not rigid, `std_m` is negative or `floor` is not in [0, 1).
     """
 
     posterior: PosePosterior
@@ -209,7 +214,7 @@ class PosteriorPrior(PosePrior):
             raise ConfigError(f"the floor of a posterior prior is {self.floor}; give at least 0 and less than 1")
 
     def __call__(self, T_sensor_object: Poses) -> Array:
-        """Return the log-weights (N,)."""
+        """Return the log-weights (N,) of poses (N, 4, 4), metres."""
         log_w = np.full(len(T_sensor_object), -np.inf)
         near = np.flatnonzero(self._moved.nearest(T_sensor_object, KERNEL_RADII * self.spread_m)[1] >= 0)
         for some, density in self._sum_kernels(T_sensor_object[near]):
@@ -221,11 +226,11 @@ class PosteriorPrior(PosePrior):
 
     @property
     def touches(self) -> int:
-        """Number of touches that the earlier posterior was learned from."""
+        """Number of touches behind the earlier posterior."""
         return self.posterior.touches
 
     def temper(self, power: Callable[[int], float]) -> PosePrior:
-        """Return this prior, with the earlier posterior raised to `power(N)` for its N touches."""
+        """Return this prior with its weights raised to `power(N)`, for the N touches of the earlier posterior."""
         return replace(self, power=power(self.touches))
 
     @cached_property
@@ -236,7 +241,7 @@ class PosteriorPrior(PosePrior):
 
     @cached_property
     def _kept(self) -> NDArray[np.int64]:
-        """Indices (M,) of the earlier poses that count: the most probable, without FORGOTTEN of the probability."""
+        """Indices (M,) of the earlier poses that count: the most probable poses, with all but FORGOTTEN of the mass."""
         order = np.argsort(-self.posterior.log_p, kind="stable")
         mass = np.cumsum(np.exp(self.posterior.log_p[order]))
         return order[: int(np.searchsorted(mass, 1.0 - FORGOTTEN)) + 1]
@@ -247,9 +252,10 @@ class PosteriorPrior(PosePrior):
         return PoseGrid(self.T_new_old @ earlier.T_sensor_object[self._kept], earlier.metric)
 
     def _sum_kernels(self, T_sensor_object: Poses) -> Iterator[tuple[slice, Array]]:
-        """Yield slices of poses (N, 4, 4), each near some kernel, with the log of the sum of kernels.
+        """Yield slices of poses (N, 4, 4), each with the log of the sum of kernels. Every pose must be near a kernel.
 
-        log p_j - |x - y_j|^2 / (2 s^2) is one matrix product: [x, 1, -|x|^2 / 2] times [y_j, log p_j - |y_j|^2 / 2, 1].
+        In units of s, the log of a kernel is log p_j - |x - y_j|^2 / 2. All of these logs are one matrix product:
+        [x, 1, -|x|^2 / 2] times [y_j, log p_j - |y_j|^2 / 2, 1].
         """
         metric = self.posterior.grid.metric
         y = metric.embed_orbits(self._moved.T_sensor_object)[0]
@@ -262,17 +268,20 @@ class PosteriorPrior(PosePrior):
             some = slice(start, start + step)
             x = (metric.embed_orbits(T_sensor_object[some]) - centre_m) / self.spread_m
             ones, less = np.ones((*x.shape[:2], 1)), -0.5 * (x**2).sum(axis=2, keepdims=True)
-            log_terms = (np.concatenate([x, ones, less], axis=2) @ kernels).max(axis=0)  # the nearest equivalent's
+            log_terms = (np.concatenate([x, ones, less], axis=2) @ kernels).max(axis=0)  # of the nearest equivalent
             yield some, np.log(np.exp(np.maximum(log_terms, NOTHING)).sum(axis=1))
 
 
 def count_touches(prior: Prior | None) -> int:
-    """Return the number of touches that a prior was learned from; 0 if it does not tell."""
+    """Return the number of touches behind a prior. It is 0 if the prior is not a PosePrior."""
     return prior.touches if isinstance(prior, PosePrior) else 0
 
 
 def temper(prior: Prior, power: Callable[[int], float]) -> Prior:
-    """Return a prior, with what it learned from N touches raised to `power(N)`; unchanged if it does not tell N."""
+    """Return a prior with its weights from N earlier touches raised to `power(N)`.
+
+    A prior that is not a PosePrior is returned unchanged.
+    """
     return prior.temper(power) if isinstance(prior, PosePrior) else prior
 
 

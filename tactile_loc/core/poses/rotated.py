@@ -1,9 +1,9 @@
-"""Poses that may be rotated by any yaw about the sensor's z axis, and the search for the nearest of them.
+"""Poses that may be rotated by any yaw about the sensor's z axis, and the search for the nearest of these poses.
 
 Write phi(T) of the pose metric as a matrix P (3, k), with one column for each axis of the object's spread and one for
 its centroid. A rotation by a yaw gives Rz P. The least |A - Rz B|^2 over yaws follows from the largest trace of
-Rz^T A B^T. With rows 0 and 1 as complex numbers a and b, and z = sum a conj(b), the largest trace is |z| + A_2 . B_2,
-at the yaw arg z.
+Rz^T A B^T. Write rows 0 and 1 of A as complex numbers a, those of B as b, and let z = sum a conj(b). The largest trace
+is |z| + A_2 . B_2, at the yaw arg z.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tactile_loc.core.poses.metric import PoseMetric
 
 Float = NDArray[np.float64]
 
-AT_ONCE = 4_000_000  # pairs of poses compared together
+AT_ONCE = 4_000_000  # largest number of pairs of poses compared together
 
 
 class RotatedPoses:
@@ -31,9 +31,9 @@ class RotatedPoses:
         return len(self._squared)
 
     def nearest(self, T_sensor_object: Poses) -> tuple[Float, NDArray[np.int64], Float]:
-        """Return distances (M,), metres, indices (M,) and yaws (M,), rad, of the rotated poses nearest to (M, 4, 4).
+        """Return the index (M,) and the yaw (M,), rad, of the rotated pose nearest to each pose (M, 4, 4), metres.
 
-        Distances are up to the object's symmetry.
+        The first return value is the distance (M,), metres, up to the object's symmetry.
         """
         count = len(T_sensor_object)
         found = np.empty(count), np.empty(count, np.int64), np.empty(count)
@@ -58,7 +58,7 @@ class RotatedPoses:
         return np.sqrt(np.maximum(least, 0.0)), index, yaw_rad
 
     def distances(self, T_sensor_object: Poses, numbers: NDArray[np.int64], yaw_rad: Float) -> Float:
-        """Return distances (M, V), metres, of poses (M, 4, 4) from poses `numbers` (M,) at yaws (M, V), rad.
+        """Return the distances (M, V), metres, of poses (M, 4, 4) from the poses `numbers` (M,) at yaws (M, V), rad.
 
         Distances are up to the object's symmetry.
         """
@@ -73,9 +73,9 @@ class RotatedPoses:
 
 
 def _rows(phi: Float) -> tuple[NDArray[np.complex128], Float]:
-    """Split points (N, 3 (k - 1) + 3) of the metric's space into rows 0 and 1 as complex numbers, and row 2: (N, k).
+    """Split points (N, 3 k) of the metric's space into rows 0 and 1, as complex numbers (N, k), and row 2 (N, k).
 
-    A point's first numbers are a matrix (3, k - 1), row by row, or one column; the last three are the centroid.
+    The last three numbers of a point are the centroid. The numbers before are a matrix (3, k - 1), row by row.
     """
     matrix = phi[:, :-3].reshape(len(phi), 3, -1)
     columns = np.concatenate([matrix, phi[:, -3:, None]], axis=2)

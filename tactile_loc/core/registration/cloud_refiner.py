@@ -26,7 +26,7 @@ FEWEST_POINTS = 3
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Surface points (P, 3), mm, sensor frame, their unit normals (P, 3), and the distance between neighbours."""
+    """Surface points (P, 3), mm, in the sensor frame, their unit normals (P, 3), and the distance of neighbours, mm."""
 
     points_mm: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -38,7 +38,7 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """The result of a registration: `T_mm` (4, 4), mm, moves the source onto the target; None without a result."""
+    """The result of a registration. `T_mm` (4, 4), mm, moves the source onto the target; None if there is no result."""
 
     T_mm: NDArray[np.float64] | None = None
     converged: bool = False
@@ -46,13 +46,13 @@ class Registration:
 
 
 class CloudRefiner(Refiner):
-    """Registers the contact cloud of each candidate to that of the touch; a subclass defines `register`.
+    """Base class for refiners that register the contact cloud of each candidate to that of the touch.
 
-    A subclass's options derive from this class's.
+    A subclass defines `register`. Its own Options derive from `CloudRefiner.Options`.
     """
 
     class Options(ComponentOptions):
-        """The density of the clouds, and their contents."""
+        """Options for the density and the contents of the clouds."""
 
         image_px: int = Field(default=200, ge=16, description="the longer image side is thinned to about this, pixels")
         moving_points: int = Field(default=800, ge=50, description="points of the candidate's cloud, thinned evenly")
@@ -61,21 +61,22 @@ class CloudRefiner(Refiner):
 
     @abstractmethod
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the transform that moves a candidate's cloud onto the touch's; neither is empty."""
+        """Return the transform that moves a candidate's cloud onto the touch's. Neither cloud is empty."""
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Register several candidates of one touch; override it if this is faster than one by one."""
+        """Register the clouds of several candidates. Override this method if you can register them faster together."""
         return [self.register(source, target) for source in sources]
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Move the candidate (4, 4), metres, by the transform that registers its contact cloud to the touch's.
 
-        If the registered pose's contact overlaps the touch's less than the candidate's, the candidate is returned.
+        If the registered pose's contact overlaps the touch's contact less than the candidate's contact does, return the
+        candidate unchanged.
         """
         return self.refine_many(touch, [candidate], scene)[0]
 
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
-        """Refine several candidates of one touch as `refine` does; they are rendered together."""
+        """Refine several candidates of one touch like `refine`, but render them together."""
         if not candidates:
             return []
         geometry, wanted = touch.thin(self.options.image_px)
@@ -94,7 +95,7 @@ class CloudRefiner(Refiner):
     def _register_shapes(
         self, seen: Sequence[ContactShape], wanted: ContactShape, geometry: SensorGeometry
     ) -> list[Registration]:
-        """Register the poses' shapes to the wanted one; clouds of too few points are not registered."""
+        """Register the contact shapes of poses to the wanted shape. Clouds of too few points are not registered."""
         target = self._cloud(wanted, geometry, self.options.fixed_points)
         if len(target) < FEWEST_POINTS:
             return [Registration()] * len(seen)
@@ -110,7 +111,7 @@ class CloudRefiner(Refiner):
 
 
 def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the transform (4, 4) with the nearest proper rotation, without rounding errors."""
+    """Return the transform (4, 4) with its rotation replaced by the nearest proper rotation."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     T = T.copy()
     T[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
@@ -118,7 +119,7 @@ def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """Return the pose (4, 4), metres, moved by a transform in mm, if there is one."""
+    """Return the pose (4, 4), metres, moved by a transform in mm, or unchanged if the transform is None."""
     if T_mm is None:
         return T_sensor_object
     T = T_mm.copy()
@@ -129,7 +130,7 @@ def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None
 def _choose_better(
     found: Registration, pose: NDArray[np.float64], after: float, given: NDArray[np.float64], before: float
 ) -> RefinedPose:
-    """Return the registered pose if it overlaps the touch as well as the given candidate, else the candidate."""
+    """Return the registered pose, or the candidate if the candidate's contact overlaps the touch's contact better."""
     if found.T_mm is not None and after >= before - ROUGHLY:
         return RefinedPose(pose, after, found.converged and after > 0, found.iterations)
     return RefinedPose(given.copy(), before, converged=False, iterations=found.iterations)

@@ -1,7 +1,8 @@
-"""Registration of poses to all touches at once: robust Gauss-Newton steps for many poses side by side.
+"""Registration of many poses, each to all touches at once, by robust Gauss-Newton steps.
 
-Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (mm). It is about a touch's own centre in
-its sensor's frame, or about the object's centre in the first sensor's frame.
+Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (mm). A touch's twist is about the
+touch's centre, in the frame of its sensor. The object's twist is about the object's centre, in the frame of the first
+sensor.
 """
 
 from __future__ import annotations
@@ -17,19 +18,20 @@ from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
 
-SETTLED_MM = 1e-3  # a pose that moves less has converged
-COARSELY = 3  # the first steps use one of this many points
-FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest step
+SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
+COARSELY = 3  # the first steps use one point out of this many
+FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest rotation and translation of a step
 DAMPING = 1e-4
-LEVER_MM = 10.0  # distance at which a rotation counts as motion
+LEVER_MM = 10.0  # a rotation counts as the motion of a point at this distance from its axis
 Floats = NDArray[np.float64]
 
 
 class Registered(NamedTuple):
-    """Registered poses: `T` (K, 4, 4) in the first sensor's frame, and `T_each` (K, N, 4, 4) as each touch shows it.
+    """The registered poses of an object.
 
-    `information` (K, 6, 6) is that of a twist of T about the object's centre before the last step. `moved` (K,) is the
-    length of that step, mm.
+    `T` (K, 4, 4) are its poses in the first sensor's frame. `T_each` (K, N, 4, 4) are its poses in the frame of each
+    touch's sensor, as this touch shows them. `information` (K, 6, 6) is the information about a twist of T, from before
+    the last step. `moved` (K,) is the length of the last step, mm.
     """
 
     T: Floats
@@ -40,11 +42,13 @@ class Registered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """The observations of N touches, and the object: its triangles, `samples` of its surface and its centre `middle`.
+    """A registration problem: `observed`, the observations of N touches, and the touched object.
 
-    `T_sensor_first` (N, 4, 4) are the sensor poses up to a twist about each touch's centre. Its variances are
-    `sensor` (N, 6), of the sensor's pose, and `press` (N, 6), of its press. `noise` is the least standard deviation of
-    a point, which the observed weights assume.
+    The object has `triangles`, `samples` of its surface and a centre `middle` (3,). `T_sensor_first` (N, 4, 4) converts
+    from the first sensor's frame to each sensor's frame. Each of these transforms has an unknown error, a twist about
+    the touch's centre. The variances of this twist are the sum of `sensor` (N, 6), from the sensor's pose, and `press`
+    (N, 6), from the press depth. `noise` is the least standard deviation of a point. The weights in `observed` assume
+    this noise.
     """
 
     observed: Observed
@@ -57,10 +61,10 @@ class Registration:
     middle: Floats
 
     def register(self, T: Floats, scales: Floats, finely: int) -> Registered:
-        """Move poses T (K, 4, 4), in the first sensor's frame, to where they explain all touches.
+        """Move poses T (K, 4, 4), in the first sensor's frame, so that they explain all touches.
 
-        `scales` (I,) are the scales of the robust weights, step by step. The last `finely` steps use all points, the
-        others one of COARSELY.
+        `scales` (I,) are the scales of the robust weights, one for each step. The last `finely` steps use all points.
+        The other steps use one point out of COARSELY.
         """
         T, count = T.copy(), len(T)
         T_each = self.T_sensor_first @ T[:, None]
@@ -82,14 +86,14 @@ class Registration:
         return Registered(self._view_from_first(T, T_each[:, 0]), T_each, information, moved)
 
     def _step(self, T: Floats, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, ...]:
-        """Take one Gauss-Newton step of poses (K, 4, 4) and of each sensor's error.
+        """Take one Gauss-Newton step of the object's poses T (K, 4, 4) and of its poses T_each in each touch.
 
-        Return both, moved; the parts (K, 2, 6, 6) of the information, the first touch's and the others'; and the
-        lengths (K,) of the step, mm.
+        Return the new T, the new T_each, the information (K, 2, 6, 6) and the length (K,) of the step, mm. The first
+        part of the information is from the first touch, the second from all other touches.
 
-        Touch i gives equations A u = b for a twist u of its own pose. Its error e has the covariance S. Then
-        (1 + A S)^-1 (A, b + A e) are the equations for the object's twist x, u = Ad x - e + (what S allows). The points
-        of all touches are taken to be as noisy as their common misfit.
+        Touch i gives the equations A u = b for a twist u of its pose in T_each. Its present error is e. Its new error s
+        has the covariance S, and the object's twist is x. Then u = Ad x - e + s. Eliminating s gives the equations for
+        Ad x: the matrix (1 + A S)^-1 A and the right side (1 + A S)^-1 (b + A e).
         """
         A, b = self._equations(T_each, scale, every)
         if len(self.press) == 1:
@@ -108,13 +112,16 @@ class Registration:
         parts = np.stack([first, H - H_each[:, 0]], axis=1)
         x, moved = _solve_step(H, g)
         T = exponential(x, T[:, :3, :3] @ self.middle + T[:, :3, 3]) @ T
-        # each sensor's own error, given the object's pose: S (1 + A S)^-1 (b + A e - A Ad x)
+        # each touch's new error s, given the object's twist: S (1 + A S)^-1 (b + A e - A Ad x)
         own = left[..., 6] - (left[..., :6] @ (Ad @ x[:, None, :, None]))[..., 0]
         T_each = exponential(S * own, centres) @ (self.T_sensor_first @ T[:, None])
         return T, T_each, parts, moved
 
     def _step_of_one(self, T: Floats, A: Floats, b: Floats) -> tuple[Floats, ...]:
-        """Take the same step with one touch, with equations A (K, 6, 6) and b (K, 6): the pose takes up all errors."""
+        """Take the step of `_step` for one touch with equations A (K, 6, 6) and b (K, 6).
+
+        One touch cannot separate its own error from the object's pose, so only the pose moves.
+        """
         seen, R = self.T_sensor_first @ T, self.T_sensor_first[:, :3, :3]
         lever = self.observed.centres - seen[:, :3, :3] @ self.middle - seen[:, :3, 3]
         Ad = adjoint(R, lever)
@@ -125,7 +132,10 @@ class Registration:
         return T, (self.T_sensor_first @ T)[:, None], np.stack([H, np.zeros_like(H)], axis=1), moved
 
     def _equations(self, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Build the equations A (K, N, 6, 6), b (K, N, 6) of twists that improve how T_each explain each touch."""
+        """Build the equations A (K, N, 6, 6), b (K, N, 6) for twists that make T_each explain the touches better.
+
+        If the points of all touches have a larger misfit than `noise`, their weights are reduced accordingly.
+        """
         from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
         from tactile_loc.core.registration.kernels import build_equations
 
@@ -139,10 +149,10 @@ class Registration:
         return A * surer[..., None], b * surer
 
     def _marginalise_first(self, parts: Floats, T: Floats) -> Floats:
-        """Return the information (K, 6, 6) of twists of the first sensor's pose of the object, about its centre.
+        """Return the information (K, 6, 6) about a twist of the object in the first sensor's frame.
 
-        Of `parts` (K, 2, 6, 6), the first touch's is direct, except for its press. The others' is reduced by the error
-        of the first sensor's pose.
+        `parts` (K, 2, 6, 6) is the information from the first touch and from all other touches. The first part is
+        reduced by the error of the first touch's press depth, the second by the error of the first sensor's pose.
         """
         to_centre = adjoint(np.eye(3), T[:, :3, :3] @ self.middle + T[:, :3, 3] - self.observed.centres[0])[:, None]
         allowed = np.stack([self.press[0], self.sensor[0]])[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
@@ -150,9 +160,10 @@ class Registration:
         return np.asarray((total + total.swapaxes(1, 2)) / 2)
 
     def _view_from_first(self, T: Floats, seen: Floats) -> Floats:
-        """Return the object's poses (K, 4, 4) in the first sensor's frame, corrected by its error but not by its press.
+        """Correct poses T (K, 4, 4) by the error of the first sensor's pose, but not by the error of its press depth.
 
-        `T` (K, 4, 4) are the poses for the reported sensor pose, `seen` those that the sensor's touch shows.
+        T is relative to the reported pose of the first sensor. `seen` (K, 4, 4) are the poses that its touch shows. The
+        difference is the sum of both errors, and is divided between them in proportion to their variances.
         """
         allowed = self.sensor[0] + self.press[0]
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
@@ -161,7 +172,7 @@ class Registration:
 
 
 def _solve_step(H: Floats, g: Floats) -> tuple[Floats, Floats]:
-    """Return twists x (K, 6) that solve H x = g, slightly damped and limited; and how far they move poses (K,), mm."""
+    """Solve H x = g, slightly damped, for twists x (K, 6) of limited size. Also return the lengths (K,) of x, mm."""
     diagonal = np.einsum("kii->ki", H).reshape(-1, 2, 3)  # rotation, then translation
     damping = DAMPING * diagonal.mean(axis=2, keepdims=True) + np.full((1, 1, 3), 1e-9)
     damped = H.copy()

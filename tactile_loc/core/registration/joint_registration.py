@@ -1,8 +1,8 @@
-"""The joint registration engine: fits poses of the object's surface to all touches at once, point to plane.
+"""The joint registration engine: fits poses of the object to all touches at once, by point-to-plane distances.
 
-The surface that a touch shows must lie on the object, and no other surface may reach deeper into the gel. Both
-conditions give residuals of one robust Gauss-Newton problem. Its unknowns are the pose and, within their standard
-deviations, the press depth of each touch and the pose of each sensor except the first. The Hessian gives the
+The points of a touch must lie on the object's surface. No part of the object may reach deeper into the gel than the
+touch shows. Both conditions give residuals of one robust Gauss-Newton problem. Its main unknown is the object's pose.
+The press depths and the sensor poses are unknowns too, with given standard deviations. The Hessian gives the pose's
 covariance.
 """
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 VERSION = 1  # part of the store's keys: raise it when the output changes
 ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
-FINELY = 4  # the last steps, which use all points
-SAMPLES = 4000  # points of the object's surface, which must not reach into the gel
-BLOCK = 16  # neighbouring samples that are skipped together
+FINELY = 4  # number of last steps, which use all points
+SAMPLES = 4000  # number of points of the object's surface that must not reach too deep into the gel
+BLOCK = 16  # number of neighbouring samples that are skipped together
 Floats = NDArray[np.float64]
 Covariances = list[Floats | None]
 
 
 class RegistrationOptions(ComponentOptions):
-    """The number of points used of a touch, their noise, and the scales of the robust weights."""
+    """Options for the points of a touch, their noise, and the scales of the robust weights."""
 
     image_px: int = Field(default=120, ge=16, description="the longer image side is thinned to about this, pixels")
     points: int = Field(default=300, ge=20, description="points of each touch's surface, thinned evenly")
@@ -53,7 +53,7 @@ class RegistrationOptions(ComponentOptions):
 
 @keep_old_names(settle="register_coarsely", covariances="estimate_covariances", scales_mm="list_scales_mm")
 class JointRegistration:
-    """Registers poses to touches. It only holds options, so one engine serves any object and any touches."""
+    """Registers poses to touches. An engine holds only options, so it serves any object and any touches."""
 
     def __init__(self, options: RegistrationOptions | None = None) -> None:
         self.options = options or RegistrationOptions()
@@ -65,14 +65,14 @@ class JointRegistration:
     def refine(self, views: Sequence[View], T_first_object: Poses) -> list[RefinedPose]:
         """Refine poses (K, 4, 4), metres, in the first touch's sensor frame, against all touches.
 
-        A pose that explains the touches worse after registration is returned unchanged, and marked as not converged.
+        A pose that would explain the touches worse after registration is returned unchanged and marked not converged.
         """
         if not len(T_first_object):
             return []
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         after = _explain(views, found.T)
         before = np.ones_like(after)
-        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly everything cannot be worse than before
+        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly the whole touch cannot be worse than before
         before[:, doubted] = _explain(views, T_first_object[doubted])
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         results = []
@@ -85,41 +85,44 @@ class JointRegistration:
         return results
 
     def register_coarsely(self, views: Sequence[View], T_first_object: Poses) -> Poses:
-        """Register many poses (K, 4, 4), metres, roughly; return where they end (K, 4, 4), even if that is worse.
+        """Register many poses (K, 4, 4), metres, roughly, and return the registered poses (K, 4, 4), metres.
 
-        Only a fraction of the points is used, and nothing is rendered.
+        Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before.
         """
         return self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), 0).T
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
-        """Register poses (K, 4, 4), metres, that are already near; return where they end and their covariances.
+        """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.
 
-        For control loops: nothing is rendered, so a pose may explain less than before. Covariances (6, 6) are as in
-        RefinedPose; None if the touches do not determine the pose.
+        Use this method in control loops. Nothing is rendered, so a new pose can be worse than before. A covariance
+        (6, 6) is as in RefinedPose. It is None if the touches give no information about the pose.
         """
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         return found.T, _covariances(found, views[0])
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
-        """Take one step of registration from poses (K, 4, 4), metres; return where it ends and the covariances.
+        """Take one registration step from poses (K, 4, 4), metres; return the new poses and the covariances.
 
-        For larger problems that contain a registration: this solves the touches' equations at a pose. `scale_mm` is
-        the scale of the robust weights. Covariances are as for `follow`, at T_first_object.
+        Use this method in a larger optimization problem, which needs the touches' equations at a pose. `scale_mm` is
+        the scale of the robust weights, mm. Covariances are as for `follow`, but at T_first_object.
         """
         found = self._register(views, T_first_object, np.array([scale_mm]), 1)
         return found.T, _covariances(found._replace(T=T_first_object), views[0])
 
     def estimate_covariances(self, views: Sequence[View], T_first_object: Poses) -> Covariances:
-        """Return the covariance (6, 6), as in RefinedPose, of each pose (K, 4, 4), metres, that fits the touches."""
+        """Return the covariance (6, 6), as in RefinedPose, of each pose (K, 4, 4), metres. Register the poses first."""
         return self.step(views, T_first_object, self.options.scale_end_mm)[1]
 
     def list_scales_mm(self, count: int) -> Floats:
-        """Return the scales of the robust weights (count,), step by step: narrower up to the middle."""
+        """Return the scales (count,), mm, of the robust weights, one for each step.
+
+        The scales shrink in the first half of the steps, then stay constant.
+        """
         start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> Registered:
-        """Register poses (K, 4, 4), metres, to touches; return poses in metres, but information in mm and rad."""
+        """Register poses (K, 4, 4), metres, to touches. Return poses in metres, but information in mm and rad."""
         from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
         options, mesh = self.options, views[0].scene.object.mesh
@@ -140,14 +143,17 @@ class JointRegistration:
 
 
 def _scale(T: Floats, unit: float) -> Floats:
-    """Return transforms (..., 4, 4) with their lengths in another unit."""
+    """Return transforms (..., 4, 4) with translations multiplied by `unit`, to convert them to another unit."""
     scaled = T.copy()
     scaled[..., :3, 3] *= unit
     return scaled
 
 
 def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:
-    """Return contact and imprint IoUs (2, K) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
+    """Return the mean contact IoUs and imprint IoUs (2, K), over all touches, of poses (K, 4, 4).
+
+    The poses are in the first sensor's frame.
+    """
     if not len(T_first_object):
         return np.empty((2, 0))
     each = [view.compare_imprints(T_first_object)[:2] for view in views]
@@ -164,10 +170,10 @@ def _lever_m(view: View, T: Floats) -> Floats:
 
 
 def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
-    """Return the covariance (6, 6), x, y, z in m, then rotations in rad, of information in mm with rotations first.
+    """Convert information (6, 6), rotations (rad) first, then mm, to a covariance (6, 6), x, y, z (m), then rotations.
 
-    The information is about the object's centroid, at `lever_m` (3,) from the frame's origin, the covariance about the
-    origin.
+    The information refers to rotations about the object's centroid, which is at `lever_m` (3,) from the origin of the
+    object frame. The covariance refers to rotations about this origin.
     """
     swapped = information[[3, 4, 5, 0, 1, 2]][:, [3, 4, 5, 0, 1, 2]]
     values, vectors = np.linalg.eigh(swapped)

@@ -1,7 +1,7 @@
-"""The equations of the joint registration, compiled (numba).
+"""The equations of the joint registration, compiled with numba.
 
-Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (mm). It is about the touch's own centre,
-in its sensor's frame.
+Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (mm). A touch's twist is about the
+touch's centre, in the frame of its sensor.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from tactile_loc.core.objects.surface_field import find_closest_on_triangle, fin
 
 # mypy: ignore-errors
 
-GROSS_MM = 0.5  # a larger misfit counts as this much: it is an outlier, not noise
-NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
+GROSS_MM = 0.5  # a larger distance counts as this much, because it is an outlier and not noise
+NEAR_PLANE_MM = 0.1  # for a point less than this beside its triangle, the distance to the triangle's plane is used
 
 
 @njit(fast=True)
 def build_equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
-    """Fill the equations A u = b of twists u that make poses T_each (K, N, 4, 4) explain their touches better.
+    """Fill A (K, N, 6, 6), b (K, N, 6) for twists u that make poses T_each (K, N, 4, 4) explain their touches better.
 
-    Only poses from first to last are filled, with one of `every` (K,) points. `triangles` are the object's, in mm;
-    `samples` are points of its surface in blocks; `scale`, mm, is that of the robust weights. A (K, N, 6, 6),
-    b (K, N, 6) and `misfit` (K, 2), the points' weighted squared distances, mm^2, and their weights, start as zeros.
+    The twists solve A u = b. Only poses from first to last are filled. Pose k uses one point out of every[k].
+    `triangles` are the object's triangles, in mm; `samples` are points of its surface, in blocks. `scale`, mm, is the
+    scale of the robust weights. `misfit` (K, 2) gets two sums over the points: of weighted squared distances, mm^2, and
+    of weights. A, b and `misfit` must be zeros at the start.
     """
     for k in range(first, last):
         for i in range(T_each.shape[1]):
@@ -38,15 +39,15 @@ def build_equations(first, last, T_each, every, observed, triangles, samples, sc
 
 @njit(fast=True)
 def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
-    """Add the equations of touch i's points: each lies on the object's surface, which faces the same way.
+    """Add the equations of touch i's points: each must lie on a part of the object's surface that faces the same way.
 
-    Their weighted squared distances, mm^2, and their weights are added to the misfit (2,).
+    Also add the points' weighted squared distances, mm^2, and their weights to the misfit (2,).
     """
     x, y = np.empty(3), np.empty(3)
     J = np.empty(6)
     for j in range(observed.starts[i], observed.starts[i + 1], every):
         p, n = observed.points[j], observed.normals[j]
-        for a in range(3):  # into the object's frame
+        for a in range(3):  # x and y are the point and its normal in the object frame
             x[a] = T[0, a] * (p[0] - T[0, 3]) + T[1, a] * (p[1] - T[1, 3]) + T[2, a] * (p[2] - T[2, 3])
             y[a] = T[0, a] * n[0] + T[1, a] * n[1] + T[2, a] * n[2]
         f = find_triangle_near(x, triangles)
@@ -60,13 +61,13 @@ def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
         corner = triangles.corners[f]
         off = m[0] * (x[0] - corner[0]) + m[1] * (x[1] - corner[1]) + m[2] * (x[2] - corner[2])
         d0, d1, d2, r = m[0], m[1], m[2], off
-        if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # beside the triangle
+        if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # the point is beside the triangle
             c = find_closest_on_triangle(x, corner, triangles.sides[f])
             r = math.sqrt(squared)
             d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
         r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
         weight = every * observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
-        # back into the sensor's frame; the object moves by u, so the residual falls by d . u(p)
+        # y is now the direction d in the sensor frame: if u moves the point by u(p), the residual falls by d . u(p)
         for a in range(3):
             y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
         compute_row(p, observed.centres[i], y, J)
@@ -78,7 +79,7 @@ def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
 
 @njit(fast=True)
 def add_kept_out(i, T, observed, samples, scale, every, A, b):
-    """Add the equations of surface samples that reach deeper into the gel of touch i than it shows."""
+    """Add the equations of surface samples that reach deeper into the gel than touch i shows."""
     camera = observed.cameras[i]
     pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
     height, width, offset = observed.sizes[i, 0], observed.sizes[i, 1], observed.offsets[i]
@@ -105,27 +106,27 @@ def add_kept_out(i, T, observed, samples, scale, every, A, b):
             pixel = observed.images[offset + v * width + u]
             nothing = pixel[0] < 0.0
             surface = -pixel[0] if nothing else pixel[0]
-            if not surface > z:  # not observed, or not deeper
+            if not surface > z:  # the pixel is not observed, or the sample is not deeper
                 continue
             r = min(surface, gel) - z
             d[0] = d[1] = 0.0
             d[2] = 1.0
             aside, across = pixel[1] - x, pixel[2] - y
             far = math.sqrt(aside * aside + across * across)
-            if nothing and far < r:  # nearer to the contact beside it than to the gel's surface
+            if nothing and far < r:  # the contact beside the sample is nearer than the gel's surface
                 r = far
                 if r < 1e-6:
                     continue
                 d[0], d[1], d[2] = aside / far, across / far, 0.0
             p[0], p[1], p[2] = x, y, z
             compute_row(p, observed.centres[i], d, J)
-            # here the point itself moves with the object, towards d, by r
+            # the sample moves with the object: it must move along d by r
             add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
 
 
 @njit(fast=True)
 def compute_row(p, centre, d, J):
-    """Compute the derivative (6,) of d . (motion of p) with respect to a twist about the centre."""
+    """Fill J (6,) with the derivative of p's motion along d with respect to a twist about the centre."""
     l0, l1, l2 = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
     J[0], J[1], J[2] = l1 * d[2] - l2 * d[1], l2 * d[0] - l0 * d[2], l0 * d[1] - l1 * d[0]
     J[3], J[4], J[5] = d[0], d[1], d[2]
@@ -133,7 +134,7 @@ def compute_row(p, centre, d, J):
 
 @njit(fast=True)
 def add(J, r, weight, A, b):
-    """Add weight J^T J (its upper half) and weight J^T r."""
+    """Add the upper half of weight J^T J to A, and weight J^T r to b."""
     for m in range(6):
         w = weight * J[m]
         b[m] += w * r

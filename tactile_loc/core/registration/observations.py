@@ -15,20 +15,29 @@ from tactile_loc.core.sensing.touch import ContactShape
 
 MILLI = 1e3
 FEWEST_PATCHES = 3.0
-UNSEEN = 0.1  # weight of pixels without contact: contacts are missed in patches, and edges are inexact
+UNSEEN = 0.1  # weight of missing contact relative to contact; low, because sensors miss contact and blur edges
 Floats = NDArray[np.float64]
 
 
 class Observed(NamedTuple):
     """The observations of N touches, all in mm, each in its own sensor's frame.
 
-    `points` (P, 3) are on the surface in contact, with unit `normals` (P, 3) that point into the sensor, `weights`
-    (P,), 1/mm^2, and `slack` (P,), the misfit that costs nothing. Those of touch i are from starts[i] to
-    starts[i + 1], with middles `centres` (N, 3). `cameras` (N, 11) have: pinhole?, fx, fy, cx, cy, the gel's greatest
-    height, its rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for
-    every four neighbouring pixels, the least height seen, below which nothing can be between their centres (NaN: not
-    observed; negative: the gel's, without contact), and x, y, z of the nearest contact. Those of touch i are rows of
-    sizes[i] (height, width) from offsets[i].
+    `points` (P, 3) are on the surface in contact. Their unit `normals` (P, 3) point into the sensor. `weights` (P,) are
+    in 1/mm^2. `slack` (P,) is the distance to the surface that costs nothing. The points of touch i are those from
+    starts[i] to starts[i + 1], and their middle is centres[i].
+
+    A row of `cameras` (N, 11) has these numbers:
+
+    - 1 for a pinhole camera, else 0;
+    - fx, fy, cx and cy;
+    - the greatest z of the gel;
+    - the four numbers of the sensing rectangle;
+    - the weight, 1/mm^2, of a surface sample that reaches into the gel.
+
+    A row of `images` (Q, 4) describes a square of four neighbouring pixels. Its first number is the least z in the
+    square: nothing between the pixels' centres is nearer to the camera. The number is NaN if a pixel is not observed.
+    Without contact, it is the z of the gel, negated. The other three numbers are x, y, z of the nearest contact. Touch
+    i has sizes[i] (height, width) squares, in the rows from offsets[i].
     """
 
     points: NDArray[np.float64]
@@ -45,7 +54,7 @@ class Observed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One touch to register: a contact shape, and the sensor's geometry while it was pressed."""
+    """One touch to register: a contact shape, and the geometry of the pressed sensor."""
 
     shape: ContactShape
     geometry: SensorGeometry
@@ -54,8 +63,8 @@ class Seen:
 def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
     """Return the observations of touches, in mm, with at most about `points` surface points each.
 
-    `noise_m` is the least standard deviation of a measured surface point; errors are alike over patches of `patch_m`
-    metres.
+    `noise_m`, metres, is the least standard deviation of a measured surface point. Points share their errors over
+    patches of `patch_m` metres. `sample_area_m2` is the area of the object's surface for each of its samples.
     """
     clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
     P, n, w, slack = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(4))
@@ -64,7 +73,7 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     sizes = np.array([image.shape[:2] for image in images])
     starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
     middles = np.stack([
-        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # may be empty
+        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # a touch can have no points
         for touch, cloud in zip(touches, clouds, strict=True)
     ])  # fmt: skip
     cameras = np.stack([_camera_mm(t, weight) for t in touches])
@@ -76,13 +85,13 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return evenly chosen contact points (P, 3), mm, their normals (P, 3), weights (P,), 1/mm^2, and slack (P,), mm.
 
-    Walls have slack, because they lie somewhere between two pixels. The total weight is that of as many points as there
-    are patches with independent errors.
+    Points on walls have slack, because a wall lies somewhere between two pixels. All points of a patch share their
+    errors, so together they have the weight of one independent point.
     """
     points, normals = make_contact_cloud(touch.shape, touch.geometry)
     pitch_mm = touch.geometry.pixel_pitch_m * MILLI
     slack_mm = np.full(len(points), 0.5 * pitch_mm)
-    slack_mm[: np.count_nonzero(touch.shape.contact & touch.geometry.observed_mask)] = 0.0  # the surface; then walls
+    slack_mm[: np.count_nonzero(touch.shape.contact & touch.geometry.observed_mask)] = 0.0  # walls come last
     every = max(1, round(len(points) / most))
     patches = max(FEWEST_PATCHES, len(points) * (pitch_mm / patch_mm) ** 2)
     points, normals, slack_mm = points[::every] * MILLI, normals[::every], slack_mm[::every]
@@ -90,10 +99,7 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
-    """Return the least height and the nearest contact's place, mm, of each four neighbouring pixels: (H - 1, W - 1, 4).
-
-    If none of the four shows contact, the height is the gel's, negated.
-    """
+    """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm."""
     from scipy.ndimage import distance_transform_edt
 
     geometry = touch.geometry
@@ -110,13 +116,13 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
 
 
 def _least_of_four(heights: Floats) -> Floats:
-    """Return the least of every four neighbouring pixels: (H - 1, W - 1) of (H, W)."""
+    """Return the least height (H - 1, W - 1) in each square of four neighbouring pixels of `heights` (H, W)."""
     above, below = heights[:-1], heights[1:]
     return np.minimum(np.minimum(above[:, :-1], above[:, 1:]), np.minimum(below[:, :-1], below[:, 1:]))
 
 
 def _gel_mm(touch: Seen) -> Floats:
-    """Return the gel's undeformed z, mm, a lower bound of the surface without contact; per pixel for a curved gel."""
+    """Return the z, mm, at the press depth: surface out of contact is not nearer to the camera. (H, W) if curved."""
     return np.asarray((touch.geometry.full_penetration_m + touch.shape.press_depth_m) * MILLI)
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import axis_times_sine, cross_matrix, make_transform
 
-TINY = 1e-30  # added to a squared angle, to divide by it without rotation
+TINY = 1e-30  # added to a squared angle, so that a division by the angle is possible without rotation
 Floats = NDArray[np.float64]
 
 
@@ -31,9 +31,9 @@ def logarithm(T: Floats, centre: Floats) -> Floats:
 
 
 def adjoint(R: Floats, lever: Floats) -> Floats:
-    """Return (..., 6, 6), which converts twists about one centre to another, in axes rotated by R (..., 3, 3).
+    """Return matrices (..., 6, 6) that convert twists about one centre to twists about another, in other axes.
 
-    `lever` (..., 3) leads from the first centre to the other, along the other's axes.
+    R (..., 3, 3) rotates into the other axes. In these axes, `lever` (..., 3) leads from the first centre to the other.
     """
     moved = np.zeros((*np.broadcast_shapes(R.shape[:-2], lever.shape[:-1]), 6, 6))
     moved[..., :3, :3] = moved[..., 3:, 3:] = R

@@ -9,17 +9,18 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 
 Points = NDArray[np.float64]
-OUTLINE_PX = 1.5  # standard deviation of the smoothing before an outline's direction is measured
+OUTLINE_PX = 1.5  # standard deviation, pixels, of the smoothing before an outline's direction is measured
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's neighbours
 
 
 def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = True) -> tuple[Points, Points]:
-    """Return the surface in contact as points (P, 3), metres, sensor frame, and unit normals (P, 3).
+    """Return the surface in contact as points (P, 3), metres, in the sensor frame, and their unit normals (P, 3).
 
-    A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too. Where contact
-    ends and the surface drops too fast to be a slope, the pressed solid ends in a wall, from the surface up to the
-    press depth. Walls determine the sideways position of a flat face, which its surface alone does not. The sensor's
-    border has no walls, because the solid is only cut off there.
+    The normals of the surface point into the sensor (towards -z). With `walls`, the cloud also has points on walls
+    along the outline of the contact. A wall stands at each pixel on the outline whose depth is more than a pixel's size
+    below the press depth. It leads from the surface to the press depth, and its normals point sideways, out of contact.
+    A flat face alone does not determine the object's sideways position; its walls do. The border of the image has no
+    walls, because the object continues beyond it.
     """
     rows, columns = _crop(shape.contact & geometry.observed_mask)
     observed = geometry.observed_mask[rows, columns]
@@ -46,7 +47,7 @@ def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _backproject(z_m: Points, geometry: SensorGeometry, rows: slice, columns: slice) -> Points:
-    """Return points (h, w, 3), metres, of depths (h, w) that were cut out of the sensor's image."""
+    """Return points (h, w, 3), metres, for the z (h, w), metres, of some rows and columns of the image."""
     x, y = geometry.pixel_slopes[0][columns], geometry.pixel_slopes[1][rows]
     k = z_m if geometry.is_pinhole else np.ones_like(z_m)
     return np.stack([x * k, y[:, None] * k, z_m], axis=-1)
@@ -60,7 +61,10 @@ def _estimate_normals(xyz: Points, contact: NDArray[np.bool_]) -> Points:
 
 
 def _differentiate(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points:
-    """Return the mean of the forward and backward differences (H, W, 3) within contact; a lone pixel's is flat."""
+    """Return the mean of the forward and backward differences (H, W, 3) between pixels in contact.
+
+    A pixel without neighbours in contact gets the difference of a flat surface.
+    """
     step = np.diff(xyz, axis=axis)
     first, second = [np.take(contact, r, axis) for r in (range(contact.shape[axis] - 1), range(1, contact.shape[axis]))]
     both = (first & second)[..., None]
@@ -76,7 +80,7 @@ def _differentiate(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points
 def _sample_walls(
     xyz: Points, drop: Points, contact: NDArray[np.bool_], observed: NDArray[np.bool_], pitch: float
 ) -> tuple[Points, Points]:
-    """Return points (P, 3) and outward normals (P, 3) of walls of height `drop` (h, w), a pixel pitch apart."""
+    """Return points (P, 3) of walls of height `drop` (h, w), one pixel pitch apart, and outward normals (P, 3)."""
     outside = ~contact & observed
     outwards = _estimate_outline(contact, observed)
     points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
@@ -89,16 +93,17 @@ def _sample_walls(
         points.append(xyz[borders][which] + pitch * step)
         side = np.array([columns, rows, 0.0])
         directions = outwards[borders]
-        # a line one pixel wide has no mean slope, but it has walls
+        # a line of pixels has no outline direction, so its walls face along rows or columns
         leaving = directions @ side[:, None] > 0
         normals.append(np.where(leaving, directions, side)[which])
     return np.concatenate(points), np.concatenate(normals)
 
 
 def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
-    """Return unit directions (H, W, 3) across the outline, out of contact: the slope of the smoothed mask.
+    """Return unit vectors (H, W, 3) that point across the outline, out of contact.
 
-    Smoothing removes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
+    They point down the slope of the smoothed contact mask. Smoothing removes the pixel steps of an oblique edge.
+    Unobserved pixels count as half in contact.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -110,6 +115,6 @@ def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -
 
 
 def _shift(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
-    """Return the mask (H, W) at each pixel's neighbour; False beyond the image."""
+    """Return each pixel's neighbour in the mask (H, W), `rows` down and `columns` right; False beyond the image."""
     padded = np.pad(mask, 1)
     return padded[1 + rows : padded.shape[0] - 1 + rows, 1 + columns : padded.shape[1] - 1 + columns]

@@ -1,10 +1,18 @@
-"""Bringing an object to contact: the z translation at which it just touches the sensing rectangle.
+"""Functions that move an object along z until it just touches the sensing rectangle.
 
-Only the part of the object over the rectangle counts. The lowest point of a triangle over a rectangle is a corner of
-their intersection: a vertex inside, an edge crossing a side, or the triangle's height at a corner of the rectangle.
-Only these are computed, so the result is exact. Over a curved gel, the lowest point may be anywhere on a triangle. Its
-edges, cut at the rectangle, and its inside are sampled every STEP_M. For a gel of radius r, that misses at most
-STEP_M^2 / 8 r, below a micrometre. The module is compiled with numba, so it is imported only when it is needed.
+Only the part of the object over the rectangle counts. The lowest point of a triangle over the rectangle has one of
+three kinds:
+
+- a vertex of the triangle,
+- a point where an edge of the triangle crosses a side of the rectangle,
+- the triangle's point over a corner of the rectangle.
+
+All of these points are computed, so the result is exact.
+
+Over a curved gel, any point of a triangle can be the nearest to the gel. Points on the triangle's edges and inside it
+are therefore sampled every STEP_M. For a gel of radius r, the error is at most STEP_M^2 / 8 r, below a micrometre.
+
+The module is compiled with numba, which takes a while to import. Import the module only where it is needed.
 """
 
 from __future__ import annotations
@@ -24,17 +32,17 @@ from tactile_loc.core.sensing.zbuffer import place
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 STEP_M = 2.5e-4
-ROUNDS = 4  # iterations to convert a pinhole's relief, known along rays, to heights above the plane
-BINS = 256  # into which blocks of triangles are sorted by height
+ROUNDS = 4  # iterations that convert a relief along a pinhole's rays to heights above the plane
+BINS = 256  # number of bins into which blocks of triangles are sorted by height
 
 
 def bring_to_contact(
     mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
 ) -> tuple[Poses, NDArray[np.bool_]]:
-    """Return poses (N, 4, 4), moved along z so that the object touches the surface, and which (N,) have contact.
+    """Return poses (N, 4, 4), metres, moved along z until the object touches the gel, and which of them touch (N,).
 
-    Metres. A pose without any surface over the sensing rectangle keeps its z and is marked False. Over a curved gel,
-    the least height above its relief is brought to the standoff.
+    A pose without any surface over the sensing rectangle keeps its z and is marked False. Over a curved gel, heights
+    are measured from the gel's relief.
     """
     T = np.array(T_sensor_object, float, copy=True)
     lowest = (
@@ -50,7 +58,7 @@ def bring_to_contact(
 def find_lowest_points(
     mesh: TriangleMesh, T_sensor_object: Poses, rectangle_m: tuple[float, float, float, float]
 ) -> NDArray[np.float64]:
-    """Return z (N,), metres, of the surface's lowest point over a rectangle (x0, x1, y0, y1); inf without one."""
+    """Return the z (N,), metres, of each pose's lowest point over a rectangle (x0, x1, y0, y1); inf if it has none."""
     R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
     rotations, starts, members = group_rotations(R)
     triangles, t = make_triangle_blocks(mesh), np.ascontiguousarray(t)
@@ -63,7 +71,7 @@ def find_lowest_points(
 def find_lowest_over_relief(
     mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
 ) -> NDArray[np.float64]:
-    """Return the least z - relief (N,), metres, of poses' surface over the sensing rectangle; inf without surface."""
+    """Return each pose's least z - relief (N,), metres, over the sensing rectangle; inf without surface there."""
     T = np.ascontiguousarray(T_sensor_object, float)
     result = np.full(len(T), np.inf)
     gel = (np.asarray(geometry.rectangle, float), *make_upright_relief(geometry))
@@ -72,10 +80,10 @@ def find_lowest_over_relief(
 
 
 def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a curved gel's relief (H, W), metres, above points of the plane z = surface, and their lattice.
+    """Return a curved gel's relief (H, W), metres, above a lattice of points in the plane z = surface; and the lattice.
 
-    The lattice (4,), metres, is x and y of the first point and the steps to the next. Parallel rays see this relief
-    directly; a pinhole's pixel sees the gel beside the point of the plane that it aims at.
+    The lattice (4,), metres, is given by the x and y of its first point and by its steps along x and y. Parallel rays
+    see the relief directly above these points. A pinhole's rays are oblique, so the relief above them is interpolated.
     """
     from scipy.ndimage import map_coordinates
 
@@ -92,10 +100,10 @@ def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], 
 
 
 def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Group rotations (N, 3, 3) that are equal to the bit.
+    """Group rotations (N, 3, 3), unitless, that are exactly equal.
 
-    Returns the distinct rotations (K, 3, 3), starts (K + 1,) and members (N,): the indices of the poses with rotation k
-    are members[starts[k]:starts[k + 1]]. Unitless.
+    Returns the distinct rotations (K, 3, 3), `starts` (K + 1,) and `members` (N,). The poses with rotation k have the
+    indices members[starts[k]:starts[k + 1]].
     """
     flat = np.ascontiguousarray(R, dtype=float).reshape(len(R), 9) + 0.0
     keys = flat.view(np.dtype((np.void, flat.itemsize * 9))).ravel()
@@ -106,14 +114,17 @@ def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 @njit
 def _fill_lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
-    """Fill the lowest z (N,) of the poses with the rotations from first to last."""
+    """Fill `result` (N,) with the lowest z of all poses that have one of the rotations from first to last."""
     for k in range(first, last):
         _search_blocks(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
 
 
 @njit
 def _search_blocks(triangles, R, members, t, rectangle, result):
-    """Search the blocks of triangles roughly from the lowest up; stop when no other can be lower."""
+    """Fill `result` with the lowest z of the poses `members`, which have the rotation R.
+
+    Blocks of triangles are searched from below, until no other block can be lower.
+    """
     count = len(triangles.radii)
     middles, floor, p = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
     for b in range(count):
@@ -139,13 +150,16 @@ def _search_blocks(triangles, R, members, t, rectangle, result):
 
 @njit
 def _is_beside(centre, r, x0, x1, y0, y1):
-    """Whether no part of a sphere is over a rectangle."""
+    """Return whether no part of a sphere is over a rectangle."""
     return centre[0] + r < x0 or centre[0] - r > x1 or centre[1] + r < y0 or centre[1] - r > y1
 
 
 @njit
 def _sort_from_below(heights):
-    """Return the order (F,) of heights (F,) sorted into bins, and the bin width; numpy's sort compiles for seconds."""
+    """Return an order (F,) that sorts heights (F,) into bins, lowest first, and the width of a bin.
+
+    Numba takes seconds to compile numpy's exact sort.
+    """
     low = high = heights[0]
     for height in heights:
         low, high = min(low, height), max(high, height)
@@ -165,14 +179,14 @@ def _sort_from_below(heights):
 
 @njit
 def _rotate(R, p, rotated):
-    """Fill the point (3,) to which the rotation R takes p (3,)."""
+    """Fill `rotated` (3,) with the point p (3,) rotated by R (3, 3)."""
     for a in range(3):
         rotated[a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
 
 
 @njit
 def _find_lowest_of_triangle(p, x0, x1, y0, y1):
-    """Return the lowest z of one triangle (3, 3) over a rectangle; inf when it is not over it."""
+    """Return the lowest z of a triangle (3, 3) over a rectangle; inf if the triangle is beside the rectangle."""
     if max(p[0, 0], p[1, 0], p[2, 0]) < x0 or min(p[0, 0], p[1, 0], p[2, 0]) > x1:
         return np.inf
     if max(p[0, 1], p[1, 1], p[2, 1]) < y0 or min(p[0, 1], p[1, 1], p[2, 1]) > y1:
@@ -188,7 +202,7 @@ def _find_lowest_of_triangle(p, x0, x1, y0, y1):
 
 @njit
 def _find_lowest_of_edge(a, b, x0, x1, y0, y1):
-    """Return the lowest z of the part of segment a-b over the rectangle; inf without such a part."""
+    """Return the lowest z of the part of segment a-b over the rectangle; inf if there is no such part."""
     enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
@@ -200,7 +214,7 @@ def _find_lowest_of_edge(a, b, x0, x1, y0, y1):
 def _clip_segment(a, b, x0, x1, y0, y1):
     """Return where segment a-b enters and leaves the rectangle, as fractions of its length (Liang-Barsky clipping).
 
-    If no part is over the rectangle, it leaves before it enters.
+    If no part of the segment is over the rectangle, the first fraction is larger than the second.
     """
     enter, leave = 0.0, 1.0
     for axis, low, high in ((0, x0, x1), (1, y0, y1)):
@@ -216,7 +230,7 @@ def _clip_segment(a, b, x0, x1, y0, y1):
 
 @njit
 def _find_height_at(p, x, y):
-    """Return z of the triangle's plane at (x, y) if that point is in the triangle, else inf."""
+    """Return the triangle's z at (x, y), or inf if (x, y) is outside the triangle."""
     ax, ay = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]
     bx, by = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
     area = ax * by - ay * bx
@@ -231,7 +245,7 @@ def _find_height_at(p, x, y):
 
 @njit
 def _fill_lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
-    """Fill the least heights (N,) above the gel of the poses from first to last."""
+    """Fill `result` (N,) with the least height above the gel of each pose from first to last."""
     p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
     x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for i in range(first, last):
@@ -251,7 +265,7 @@ def _fill_lowest_curved(first, last, triangles, T, rectangle, relief, lattice, r
 
 @njit
 def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
-    """Return the least height of a triangle (3, 3) above the gel, along its edges and at points inside."""
+    """Return the least height above the gel of a triangle (3, 3), sampled along its edges and inside it."""
     best = np.inf
     for c in range(3):
         best = min(best, _find_lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
@@ -272,7 +286,7 @@ def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
 
 @njit
 def _find_lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
-    """Return the least height above the gel of the part of segment a-b over the rectangle; inf without such a part."""
+    """Return the least height above the gel of segment a-b over the rectangle; inf if a-b is beside the rectangle."""
     enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
@@ -287,7 +301,7 @@ def _find_lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
 
 @njit
 def _interpolate_relief(relief, lattice, x, y):
-    """Return the relief, linear between the lattice's points and constant beyond them."""
+    """Return the relief at (x, y), interpolated linearly between the lattice's points and constant beyond them."""
     rows, columns = relief.shape
     c = min(max((x - lattice[0]) / lattice[2], 0.0), columns - 1.0)
     r = min(max((y - lattice[1]) / lattice[3], 0.0), rows - 1.0)

@@ -1,9 +1,10 @@
-"""Comparison of the contacts that poses make with that of a touch, to measure how well they explain it.
+"""Measures of how well poses explain a touch, from the contact that each pose makes.
 
-An intersection over union is easy to read, but weighs contact hidden by noise and contact added by a wrong pose alike.
-Evidence also uses the area that a pose explains and the error of depth there. Its weights were fitted to simulated
-touches with strong noise: to the true poses among all poses that a search of the whole object finds. The IoU's weight
-was then raised, because the IoU discriminates between clean touches.
+An intersection over union (IoU) is easy to interpret. But it gives equal weight to contact that noise hides and to
+contact that a wrong pose adds. Evidence therefore also uses the contact area that a pose explains, and the error of
+depth in this area. The weights of evidence were fitted to simulated touches with strong noise, so that the true poses
+get more evidence than other poses that a search of the whole object finds. Then the weight of the IoU was raised,
+because the IoU distinguishes poses well in touches without noise.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
-# The value of any pixel in contact, as a share of the press depth: as much as the deepest imprint. With less, depth
-# decides between poses, which noise falsifies first; with more, depth hardly matters.
+# Each pixel in contact counts as its imprint plus this share of the press depth. With a smaller share, the depths would
+# decide between poses, although they are noisy. With a larger share, the depths would hardly matter.
 OUTLINE_SHARE = 1.0
-# Weights of evidence, nats: per imprint IoU, per log(1 + mm^2) of common contact, and per mm of depth error there
+# Weights of evidence, nats: per imprint IoU, per log(1 + mm^2) of common contact, and per mm of depth error in it
 IOU_NATS, AREA_NATS, DEPTH_NATS = 10.0, 3.0, 15.0
-FAR_OFF_M = 5e-4  # larger depth errors count as this
+FAR_OFF_M = 5e-4  # a larger depth error counts as this much
 
 
 class Explained(NamedTuple):
-    """Contact IoUs and imprint IoUs, 0 to 1, and evidence, nats up to a constant, of N poses; each (N,)."""
+    """Measures (N,) of how well N poses explain a touch: contact IoUs and imprint IoUs, 0 to 1, and evidence, nats.
+
+    Only differences between values of evidence have a meaning.
+    """
 
     contact_ious: Floats
     imprint_ious: Floats
@@ -35,10 +39,10 @@ class Explained(NamedTuple):
 def compare_imprints(
     made_m: Float32, seen_m: Float32, press_depth_m: float, observed: NDArray[np.bool_], pixel_pitch_m: float
 ) -> Explained:
-    """Compare contact depths (N, H, W) that poses make with those that a touch shows (H, W); metres.
+    """Compare the contact depths (N, H, W), metres, of N poses with those of a touch (H, W), metres.
 
-    Contact is where the depth is below the press depth and the sensor observes, `observed` (H, W). A pose that explains
-    nothing has an IoU of 0.
+    A pixel is in contact if its depth is below the press depth and `observed` (H, W) is True. A pose whose contact does
+    not overlap that of the touch has IoUs of 0.
     """
     press = np.float32(press_depth_m)
     made, seen = ((depth_m < press) & observed for depth_m in (made_m, seen_m))

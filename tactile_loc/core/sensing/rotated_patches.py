@@ -1,6 +1,6 @@
-"""The patch of a touch that is compared with those of places, rotated back by many yaws; compiled (numba).
+"""A touch's patch, rotated back by many yaws, for comparison with the patches of places; compiled with numba.
 
-On a curved gel, the patch is seen along the gel's normal at the contact, as in the object's patches.
+On a curved gel, the patch is seen along the gel's normal at the contact, like the patches of places.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from tactile_loc.core.sensing.touch import Touch
 
 
 def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the deepest point (3,) of a touch, metres, and the gel's orientation there.
+    """Return the deepest point (3,) of a touch, metres, in the sensor frame, and the gel's orientation there.
 
-    The orientation is R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
+    The orientation is R_sensor_gel (3, 3). Its third axis is the gel's normal, which points out of the sensor.
     """
     geometry, shape = touch.geometry, touch.contact_shape
     depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
@@ -46,11 +46,11 @@ def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[
 def rotate_patches(
     touch: Touch, anchor_m: NDArray[np.float64], R_sensor_gel: NDArray[np.float64], yaw_rad: NDArray[np.float64]
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Return the patch of a touch around its anchor (3,), metres, as CAMERA sees it, rotated back by M yaws (M,).
+    """Return a touch's patch around its anchor (3,), metres, rotated back by each of M yaws (M,), as CAMERA sees it.
 
-    The contact depths (M, PATCH_PX, PATCH_PX), metres, are from the plane across the gel's normal, the third axis of
-    R_sensor_gel (3, 3), cut at the touch's press depth. Also return which pixels the sensor observes; the others are
-    out of contact.
+    The patches (M, PATCH_PX, PATCH_PX) are contact depths, metres, cut at the touch's press depth. They are measured
+    from the anchor along the gel's normal, the third axis of R_sensor_gel (3, 3). Also returns which pixels, of the
+    same shape, the sensor observes. All other pixels are out of contact.
     """
     geometry, shape = touch.geometry, touch.contact_shape
     depth_m = np.empty((len(yaw_rad), PATCH_PX, PATCH_PX), np.float32)
@@ -64,10 +64,11 @@ def rotate_patches(
     return depth_m, seen
 
 
-# On a flat gel, one round is exact for parallel rays, and two for a pinhole, which sees deeper points elsewhere.
+# Each round finds the pixel that sees a point of the patch, with the depth from the last round. On a flat gel, parallel
+# rays need one round. A pinhole needs two, because the pixel depends on the depth.
 @njit
 def _fill_patches(first, last, depth, press, observed, camera, deepest, at, R, yaws, patches, seen):
-    """Fill the patches (M, S, S), and which of their pixels are seen, of the yaws from first to last."""
+    """Fill `patches` (M, S, S) for the yaws from first to last, and `seen` with which pixels the sensor observes."""
     pinhole, fx, fy, cx, cy = camera
     side, half = patches.shape[1], (patches.shape[1] - 1) / 2
     tilted = R[2, 2] < 1.0

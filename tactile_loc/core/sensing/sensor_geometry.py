@@ -1,7 +1,8 @@
 """The geometry of a sensor's camera and its gel.
 
-The sensor frame is the virtual camera's: origin at the camera, +z out of the sensor towards the object, x right and
-y down in the image. The undeformed sensing surface is the plane z = standoff. Pixel centres lie at half integers.
+The origin of the sensor frame is the virtual camera. +z points out of the sensor, towards the object. In the image, x
+points right and y points down. The undeformed sensing surface is the plane z = standoff. Pixel centres lie at half
+integers.
 """
 
 from __future__ import annotations
@@ -22,23 +23,28 @@ from tactile_loc.core.errors import SensorError
 Depth = NDArray[np.float32]
 
 LARGEST_PX = 8192
-FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # plausible pixels per metre, whatever the unit
-SAME_RELIEF_M = 5e-5  # gels whose surfaces differ by less count as the same
+FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # limits of plausible pixels per metre
+SAME_RELIEF_M = 5e-5  # two gels count as the same if their surfaces differ by less
 
 
 @keep_old_names(resized="resize", every="subsample", pressed="press", with_long_side="resize_long_side")
 @dataclass(frozen=True, eq=False)
 class SensorGeometry:
-    """The virtual camera behind the sensing surface.
+    """A sensor's virtual camera and gel, with or without an object that is pressed in.
 
-    `fx`, `fy` are pixels for a pinhole camera and pixels per metre for an orthographic one; `cx`, `cy` are pixels.
-    `standoff_m` is the distance from the camera to the undeformed surface, `max_depth_m` the deepest press in metres.
-    While an object is pressed in by `indentation_m` metres (see `press`), its deepest point is at z = `standoff_m`, and
-    it is seen up to `max_depth_m` metres beyond; the undeformed surface is at `surface_m`. `rectangle_m` (x_min, x_max,
-    y_min, y_max) bounds the gel on the sensing surface; by default it is all that the image sees. `observed` (H, W)
-    bool is False at pixels without information; by default, all pixels on the rectangle count. `relief_m` (H, W)
-    float32, metres, is the distance along z from `surface_m` to the undeformed gel that each pixel sees, if the gel is
-    not flat. Raises SensorError for contradictory numbers.
+    `fx` and `fy` are in pixels for a pinhole camera, and in pixels per metre for an orthographic camera. `cx` and `cy`
+    are in pixels. `standoff_m` is the distance, metres, from the camera to the undeformed surface. `max_depth_m` is the
+    deepest press, metres.
+
+    `press` returns the sensor with an object pressed in by `indentation_m` metres. In that sensor, the object's deepest
+    point is at z = `standoff_m`, and the sensor sees `max_depth_m` metres beyond this point. The undeformed surface is
+    at z = `surface_m`.
+
+    `rectangle_m` (x_min, x_max, y_min, y_max), metres, bounds the gel on the sensing surface. By default, the gel fills
+    the image. `observed` (H, W), bool, is False at pixels without information. By default, all pixels on the rectangle
+    have information. `relief_m` (H, W), float32, metres, describes a curved gel. At each pixel, it is the distance
+    along z from `surface_m` to the undeformed gel. Raises SensorError if a number is implausible or contradicts
+    another.
     """
 
     camera: Literal["pinhole", "orthographic"]
@@ -100,17 +106,17 @@ class SensorGeometry:
 
     @property
     def is_curved(self) -> bool:
-        """Whether the undeformed gel is curved."""
+        """True if the undeformed gel is curved."""
         return self.relief_m is not None
 
     @property
     def full_penetration_m(self) -> float | Depth:
-        """z at the deepest point of contact, where contact depths begin; per pixel (H, W) if the gel is curved."""
+        """The z, metres, from which contact depths are measured: one number, or (H, W) if the gel is curved."""
         return self.standoff_m if self.relief_m is None else np.float32(self.standoff_m) + self.relief_m
 
     @cached_property
     def band(self) -> SensorGeometry:
-        """The sensor for renderers: with a flat gel, and a contact band that holds all of this one's."""
+        """The same sensor with a flat gel, for renderers. Its contact band includes the band of this sensor."""
         if self.relief_m is None:
             return self
         least, most = float(self.relief_m.min()), float(self.relief_m.max())
@@ -120,7 +126,7 @@ class SensorGeometry:
 
     @property
     def surface_m(self) -> float:
-        """Distance from the camera to the undeformed surface, metres, pressed or not."""
+        """The distance, metres, from the camera to the undeformed surface, also while an object is pressed in."""
         return self.standoff_m + self.indentation_m
 
     @property
@@ -130,7 +136,7 @@ class SensorGeometry:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether rays spread from one point (pinhole) instead of being parallel (orthographic)."""
+        """True if the rays spread from one point (pinhole), False if they are parallel (orthographic)."""
         return self.camera == "pinhole"
 
     @property
@@ -158,20 +164,20 @@ class SensorGeometry:
 
     @cached_property
     def gel_middle_m(self) -> NDArray[np.float64]:
-        """The middle (3,) of the sensing rectangle on the undeformed surface, metres of the sensor frame."""
+        """The middle (3,) of the sensing rectangle on the undeformed surface, metres, in the sensor frame."""
         x0, x1, y0, y1 = self.rectangle
         return np.array([(x0 + x1) / 2, (y0 + y1) / 2, self.surface_m])
 
     @cached_property
     def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Per column (W,) and per row (H,): x/z and y/z of a pinhole's rays, or x and y in metres (orthographic)."""
+        """The x/z of each column's rays (W,) and the y/z of each row's rays (H,); x and y, metres, if orthographic."""
         u = np.arange(self.width_px, dtype=np.float64) + 0.5
         v = np.arange(self.height_px, dtype=np.float64) + 0.5
         return (u - self.cx) / self.fx, (v - self.cy) / self.fy
 
     @cached_property
     def observed_mask(self) -> NDArray[np.bool_]:
-        """Pixels (H, W) that carry information: on the sensing rectangle and not masked."""
+        """A mask (H, W), True at pixels that are on the sensing rectangle and not excluded by `observed`."""
         k = self.surface_m if self.is_pinhole else 1.0
         x, y = (s * k for s in self.pixel_slopes)
         x0, x1, y0, y1 = self.rectangle
@@ -186,7 +192,7 @@ class SensorGeometry:
         return np.stack([x * k, y * k, z], axis=-1)
 
     def resize(self, width_px: int, height_px: int) -> SensorGeometry:
-        """Return the same sensor with another image size in pixels; intrinsics scale exactly."""
+        """Return the same sensor with another image size in pixels. fx, fy, cx and cy scale exactly."""
         kx, ky = width_px / self.width_px, height_px / self.height_px
         observed = None
         if self.observed is not None:
@@ -200,7 +206,7 @@ class SensorGeometry:
         )  # fmt: skip
 
     def _resize_relief(self, width_px: int, height_px: int) -> Depth | None:
-        """Return the relief (height, width), metres, at another image size: linear between pixel centres."""
+        """Return the relief, metres, at another image size, interpolated linearly between pixel centres."""
         if self.relief_m is None or (height_px, width_px) == self.shape:
             return self.relief_m
         from scipy.ndimage import map_coordinates
@@ -210,7 +216,7 @@ class SensorGeometry:
         return np.asarray(map_coordinates(self.relief_m, at, np.float32, order=1, mode="nearest"))
 
     def subsample(self, step: int) -> SensorGeometry:
-        """Return the sensor with only every `step`-th pixel, from the first, as [::step, ::step] selects."""
+        """Return the sensor with only the pixels that [::step, ::step] selects from an image."""
         rows, columns = len(range(0, self.height_px, step)), len(range(0, self.width_px, step))
         observed = None if self.observed is None else self.observed[::step, ::step]
         relief_m = None if self.relief_m is None else self.relief_m[::step, ::step]
@@ -221,11 +227,11 @@ class SensorGeometry:
         )  # fmt: skip
 
     def press(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
-        """Return the sensor as it sees an object that is pressed `indentation_m` metres into the gel.
+        """Return the sensor with an object that is pressed `indentation_m` metres into the gel.
 
-        The visible range begins at the object's deepest point, at z = surface - indentation, and ends `press_depth_m`
-        metres behind it, by default at the undeformed surface. Camera, rectangle and observed pixels stay. Raises
-        SensorError for an indentation that is not positive or reaches the camera.
+        The visible range begins at the object's deepest point, at z = surface - indentation. It ends `press_depth_m`
+        metres beyond this point, by default at the undeformed surface. The camera, the rectangle and the observed
+        pixels do not change. Raises SensorError if the indentation is not positive or reaches the camera.
         """
         if not 0 < indentation_m < self.surface_m:
             raise SensorError(
@@ -238,14 +244,14 @@ class SensorGeometry:
         )  # fmt: skip
 
     def resize_long_side(self, pixels: int) -> SensorGeometry:
-        """Return the same sensor with its longer image side `pixels` long, and the shorter in proportion."""
+        """Return the same sensor, resized so that the longer side of its image has `pixels` pixels."""
         k = pixels / max(self.shape)
         return self.resize(max(1, round(self.width_px * k)), max(1, round(self.height_px * k)))
 
     def is_same_sensor(self, other: SensorGeometry) -> bool:
-        """Whether `other` sees the same field, to within a pixel, in the same way.
+        """Return whether `other` has the same camera model, gel and field of view, to within a pixel.
 
-        The image's size, the mask and the press may differ.
+        The image size, the mask and the press may differ.
         """
         ours, theirs = ((g.surface_m, *g.rectangle) for g in (self, other))
         same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
@@ -262,14 +268,14 @@ class SensorGeometry:
         return bool(np.abs(self.relief_m - theirs_m).max() < SAME_RELIEF_M)
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the sensor, as JSON values: metres, pixels, and digests of mask and relief."""
+        """Return what identifies the sensor, as JSON values: metres, pixels, and digests of the mask and the relief."""
         arrays = {"observed": self.observed, "relief_m": self.relief_m}
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in arrays}
         digests = {
             name: None if array is None else hashlib.sha256(_pack_bytes(array)).hexdigest()
             for name, array in arrays.items()
         }
-        if self.relief_m is None:  # keeps the store's keys of flat sensors
+        if self.relief_m is None:  # so that flat sensors keep their keys in the store
             del digests["relief_m"]
         rectangle = None if self.rectangle_m is None else list(self.rectangle_m)
         return {**fields, "rectangle_m": rectangle, **digests}
@@ -285,10 +291,11 @@ Drawing = Literal["pressed", "paper"]
 def find_drawing(
     T_sensor_object: NDArray[np.float64], geometry: SensorGeometry, drawing: Drawing
 ) -> tuple[NDArray[np.float64], SensorGeometry]:
-    """Return the poses (..., 4, 4), metres, and the sensor with which poses are rendered for comparison with touches.
+    """Return the poses (..., 4, 4), metres, and the sensor with which to render them for comparison with touches.
 
-    "pressed" renders what the sensor sees: the pressed object. "paper" renders the object where it just touches, as in
-    Bauza et al. (CoRL 2020). A pinhole camera sees that object smaller; parallel rays see no difference.
+    The drawing "pressed" renders the object where it is pressed in, as the sensor sees it. "paper" renders the object
+    where it just touches the gel, as in Bauza et al. (CoRL 2020). There it is farther from the camera, so a pinhole
+    camera sees it smaller. For parallel rays, the two drawings are equal.
     """
     if drawing == "pressed" or geometry.indentation_m == 0.0:
         return T_sensor_object, geometry

@@ -1,4 +1,4 @@
-"""Observations of a sensor: the contact shape, and the touch."""
+"""The observations of a sensor: contact shapes and touches."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 @keep_old_names(every="subsample", pressed_to="press_to")
 @dataclass(frozen=True, eq=False)
 class ContactShape:
-    """Distance of the object's surface from full penetration: `depth_m` (H, W) float32, metres, 0 to press depth.
+    """An image of the distance of the object's surface from full penetration.
 
-    A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable if both are cut at the
-    same press depth: see `press_to`. `indentation_m` is the true indentation of the object, if the shape shows less;
-    None means that nothing was cut off.
+    `depth_m` (H, W), float32, is in metres, from 0 to `press_depth_m`. A pixel at `press_depth_m` is not in contact.
+    Before you compare two contact shapes, cut both at the same press depth with `press_to`. `indentation_m` is the
+    object's true indentation, metres, if the shape was cut at less. None means that it equals `press_depth_m`.
     """
 
     depth_m: Depth
@@ -31,20 +31,20 @@ class ContactShape:
 
     @property
     def contact(self) -> NDArray[np.bool_]:
-        """The pixels (H, W) in contact: depth below the press depth in metres."""
+        """A mask (H, W), True at pixels in contact, whose depth is below the press depth."""
         return self.depth_m < np.float32(self.press_depth_m)
 
     def subsample(self, step: int) -> ContactShape:
-        """Return every `step`-th pixel; goes with `SensorGeometry.subsample`."""
+        """Return the shape with every `step`-th pixel. `SensorGeometry.subsample` returns the sensor for this shape."""
         return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
 
     def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
-        """Return the intersection over union (0 to 1, unitless) of two contacts over the observed pixels (H, W)."""
+        """Return the intersection over union, 0 to 1, of both shapes' contacts over the observed pixels (H, W)."""
         ours, theirs = self.contact & observed, other.contact & observed
         return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
 
     def press_to(self, press_depth_m: float) -> ContactShape:
-        """Return the shape cut at `press_depth_m` metres from full penetration; the indentation stays."""
+        """Return the shape cut at `press_depth_m` metres from full penetration. The indentation does not change."""
         cut_m = min(press_depth_m, self.press_depth_m)
         return ContactShape(np.minimum(self.depth_m, np.float32(cut_m)), cut_m, self.deepest_m)
 
@@ -57,8 +57,8 @@ class ContactShape:
 def compute_contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
     """Convert rendered camera depths (..., H, W) to contact depths (..., H, W): clip(z - standoff, 0, press depth).
 
-    All are in metres. A pixel whose ray meets no surface has depth inf and becomes `press_depth_m`, no contact. A
-    curved gel's relief is subtracted too.
+    All values are in metres. A ray that meets no surface has the depth inf, which becomes `press_depth_m`: no contact.
+    For a curved gel, the relief is subtracted too.
     """
     shape = np.subtract(depth_m, geometry.full_penetration_m, dtype=np.float32)
     return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
@@ -69,13 +69,16 @@ def compute_contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGe
 class Touch:
     """One tactile observation.
 
-    `contact_shape` is seen by a sensor of `geometry`, which is changed to that of the pressed sensor: the object's
-    deepest point is at z = surface - indentation. `T_base_sensor` (4, 4) is the sensor's pose, if known, with the
-    standard deviations of its error along (metres) and about (radians) each axis through the touch. `T_sensor_object`
-    (4, 4) is the true pose while it was pressed, known in simulation or experiments. Lengths are in metres. `image`
-    (H, W, 3) uint8 is the photo from which the contact shape was estimated, if any.
-    Raises TouchError when the shape does not fit the sensor, has no contact or nothing but contact, and for a pose that
-    is not a rigid transform: a reflection would turn the object into its mirror image.
+    `contact_shape` was seen by the sensor `geometry`. The touch replaces `geometry` by the pressed sensor, in which the
+    object's deepest point is at z = surface - indentation (see `SensorGeometry.press`).
+
+    `T_base_sensor` (4, 4), metres, is the sensor's pose, if known. `T_base_sensor_std_m` and `T_base_sensor_std_rad`
+    are the standard deviations of its error along and about each axis through the touch. `T_sensor_object` (4, 4),
+    metres, is the true pose of the pressed object, which simulations and some experiments know. `image` (H, W, 3),
+    uint8, is the photo from which the contact shape was estimated, if any.
+
+    Raises NoContactError if no observed pixel is in contact. Raises TouchError in three other cases: the shape does not
+    fit the sensor, all observed pixels are in contact at the same depth, or a pose is not a rigid transform.
     """
 
     contact_shape: ContactShape
@@ -134,11 +137,12 @@ class Touch:
 def contact_shape_from_array(
     values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch"
 ) -> ContactShape:
-    """Make a contact shape from depths (H, W), metres, 0 = deepest; NaN or at least `max_depth_m` = no contact.
+    """Make a contact shape from depths (H, W), metres, where 0 is full penetration.
 
-    Without `press_depth_m`, the press depth is the deepest step of the shape: its largest depth, but at least a quarter
-    of `max_depth_m`, because a flat imprint shows no step. If no pixel is out of contact and the shape is not flat, it
-    was cut at its largest depth. Raises TouchError for a wrong type, unit or size.
+    NaN, or a depth of at least `max_depth_m`, means no contact. If `press_depth_m` is None, the press depth is the
+    largest depth in contact. It is at least a quarter of `max_depth_m`, because a flat imprint does not show how deep
+    it was pressed. If every pixel is in contact and the depths differ, the pixels at the largest depth are taken to be
+    out of contact. Raises TouchError if the array has a wrong type or shape, or if its depths do not fit the sensor.
     """
     depth = np.asarray(values)
     if depth.ndim != 2 or depth.size == 0 or depth.dtype.kind not in "fiu":
@@ -146,7 +150,7 @@ def contact_shape_from_array(
             f"{name} is an array of shape {depth.shape} and type {depth.dtype}; a contact shape is (H, W) numbers, "
             "depth from full penetration"
         )
-    with np.errstate(over="ignore"):  # depths beyond float32 are beyond the sensor too
+    with np.errstate(over="ignore"):  # depths that are too large for float32 are beyond the sensor too
         depth = np.where(np.isnan(depth), np.inf, depth).astype(np.float32)
     if (depth < -1e-6).any():
         raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration")
@@ -168,7 +172,7 @@ def contact_shape_from_array(
 
 
 def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:
-    """Whether depths are at a limit or beyond; rounding in the conversion of units must not make contact."""
+    """Return which depths reach a limit, with a tolerance for rounding in unit conversions."""
     return depth_m >= np.float32(limit_m) * (1 - 1e-6)
 
 

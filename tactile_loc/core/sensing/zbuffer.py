@@ -1,11 +1,13 @@
-"""Depths by a z-buffer: every triangle is drawn pixel by pixel into each image, exactly at pixel centres.
+"""Depth images by a z-buffer. Every triangle is drawn into each image, with exact depths at the pixel centres.
 
-Each pose costs one pass over the visible part of the mesh, whatever its rotation. This suits poses that share no
-rotation. Triangles are kept in blocks of neighbours. Blocks beyond the contact band or beside the view are skipped. A
-pixel's ray is r = (x/z, y/z, 1). With the corners of a triangle as the columns of P, P b = r gives the weights b of the
-corners. The ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind the
-camera need no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates, Graphics Hardware
-1997). Parallel rays have r = (x, y, 1), and the depth is the weighted mean of the corners' depths.
+The time for a pose does not depend on its rotation, so the z-buffer suits poses that have different rotations.
+Neighbouring triangles form blocks. A block beyond the contact band or outside the view is skipped as a whole.
+
+The ray of a pixel is r = (x/z, y/z, 1). Let the columns of P be the corners of a triangle. Solving P b = r gives the
+weights b of the corners. The ray meets the triangle if no weight is negative, at depth 1 / sum(b). A triangle that
+reaches behind the camera needs no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates,
+Graphics Hardware 1997). For parallel rays, r = (x, y, 1), and the third row of P is replaced by ones. The depth is then
+the weighted mean of the corners' depths.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -23,15 +25,15 @@ from tactile_loc.core.objects.blocks import make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
-EDGE = 1e-9  # tolerance of a weight: a ray that meets the edge between two triangles must not slip through
-NARROW = 4  # pixels: narrower boxes are scanned completely
-NEAREST = 0.05  # of the standoff: corners nearer to the camera, or behind it, are not projected
+EDGE = 1e-9  # tolerance of a weight, so that no ray passes between two adjacent triangles
+NARROW = 4  # pixels; in narrower bounding boxes, every pixel is tested
+NEAREST = 0.05  # share of the standoff; a triangle with a corner nearer to the camera is tested at every pixel
 
 
 def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
-    """Return camera depths (N, H, W), metres, of poses (N, 4, 4), whether in contact or not.
+    """Return camera depths (N, H, W), metres, of the object at poses (N, 4, 4), in contact or not.
 
-    They are exact from the camera up to the end of the contact band, and inf beyond.
+    A depth is exact up to the end of the contact band, and inf beyond.
     """
     T = np.ascontiguousarray(T_sensor_object, float)
     depth = np.empty((len(T), *geometry.shape), np.float32)
@@ -45,9 +47,10 @@ def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Se
 def draw_nearest_faces(
     mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return what parallel rays along z, through evenly spaced x (W,) and y (H,), meet first on one pose (4, 4).
+    """Return the depths and the faces at which parallel rays along z first meet a mesh at one pose (4, 4).
 
-    These are depths (H, W), in the unit of the mesh, inf without a hit, and the mesh's faces (H, W), -1 without a hit.
+    The rays pass through evenly spaced x (W,) and y (H,). The depths (H, W) are in the unit of the mesh; a ray that
+    misses the mesh has the depth inf. The faces (H, W) are indices into the mesh's faces, or -1 for a miss.
     """
     triangles, T = make_triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
     depth = np.empty((1, len(y), len(x)), np.float32)
@@ -61,10 +64,13 @@ def draw_nearest_faces(
 
 @njit
 def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
-    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last, and the triangles hit, `which`, if asked for."""
+    """Fill `depth` (N, H, W) for the poses `T` (N, 4, 4) from first to last.
+
+    Unless `which` is empty, fill it with the indices of the triangles that the rays hit.
+    """
     placed, centre = np.empty((3, 3)), np.empty(3)
     pinhole, far = camera[0], camera[6]
-    # the planes of the outermost rays, each given by its slope
+    # slopes of the outermost rays; the planes through these rays bound the view
     left, right, top, bottom = slopes_x[0], slopes_x[-1], slopes_y[0], slopes_y[-1]
     for i in range(first, last):
         picture = depth[i]
@@ -93,32 +99,35 @@ def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
 
 @njit
 def place(T, p, placed):
-    """Fill the point (3,) to which the pose T (4, 4) takes p (3,)."""
+    """Fill `placed` (3,) with the point p (3,) moved by the pose T (4, 4)."""
     for a in range(3):
         placed[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
 
 
 @njit
 def _is_beyond(outside, slope, pinhole, r):
-    """Whether a sphere of radius r, whose centre is `outside` of a plane of rays across the view, is beyond it."""
+    """Return whether a sphere of radius r is completely outside a plane that bounds the view.
+
+    `outside` is the distance of the sphere's centre from the plane along x or y, positive outside the view.
+    """
     return outside > r * (math.sqrt(1.0 + slope * slope) if pinhole else 1.0) * (1.0 + 1e-9)
 
 
 @njit
 def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
-    """Draw triangle f; its corners (3, 3) are in the camera's frame."""
+    """Draw triangle number f, whose corners (3, 3) are in the camera frame."""
     p, q, s = corners[0], corners[1], corners[2]
     u0, u1, v0, v1 = _find_box(p, q, s, camera, picture.shape[1], picture.shape[0])
     if u0 > u1 or v0 > v1:
         return
     pinhole, far = camera[0], camera[6]
     zp, zq, zs = (p[2], q[2], s[2]) if pinhole else (1.0, 1.0, 1.0)
-    # The rows of P's inverse, without the determinant: a weight is a x + b y + c.
+    # The rows of P's inverse, times the determinant. The weight of a corner is a x + b y + c.
     ap, bp, cp = q[1] * zs - zq * s[1], zq * s[0] - q[0] * zs, q[0] * s[1] - q[1] * s[0]
     aq, bq, cq = s[1] * zp - zs * p[1], zs * p[0] - s[0] * zp, s[0] * p[1] - s[1] * p[0]
     as_, bs, cs = p[1] * zq - zp * q[1], zp * q[0] - p[0] * zq, p[0] * q[1] - p[1] * q[0]
     determinant = p[0] * ap + p[1] * bp + zp * cp
-    if determinant == 0.0:  # seen edge-on
+    if determinant == 0.0:  # the camera sees the triangle edge-on
         return
     k = 1.0 / determinant
     ap, aq, as_ = ap * k, aq * k, as_ * k
@@ -127,7 +136,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
         y = slopes_y[v]
         fp, fq, fs = (bp * y + cp) * k, (bq * y + cq) * k, (bs * y + cs) * k
         first, last = u0, u1
-        if u1 - u0 > NARROW:  # the box of an oblique sliver is mostly empty
+        if u1 - u0 > NARROW:  # a thin oblique triangle covers little of its bounding box
             most = (abs(ap) + abs(aq) + abs(as_)) * widest + abs(fp) + abs(fq) + abs(fs)
             first, last = _find_covered(ap, fp, 2 * EDGE * most, camera, first, last)
             first, last = _find_covered(aq, fq, 2 * EDGE * most, camera, first, last)
@@ -147,7 +156,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
 
 @njit
 def _find_covered(a, b, least, camera, first, last):
-    """Return the first and last pixel of a row, from first to last, where a x + b may be at least -least."""
+    """Return the first and last pixel between `first` and `last` of a row where a x + b can be at least -least."""
     if a == 0.0:
         return (first, last) if b >= -least else (0, -1)
     border = min(max(-1e9, (-least - b) / a * camera[1] + camera[3] - 0.5), 1e9)
@@ -158,7 +167,7 @@ def _find_covered(a, b, least, camera, first, last):
 
 @njit
 def _find_box(p, q, s, camera, width, height):
-    """Return the first and last column and row of the pixels whose centres a triangle may cover."""
+    """Return the first and last column, then the first and last row, of the pixel centres that a triangle can cover."""
     pinhole, fx, fy, cx, cy, near, _ = camera
     if pinhole and min(p[2], q[2], s[2]) < near:
         return 0, width - 1, 0, height - 1
@@ -170,7 +179,7 @@ def _find_box(p, q, s, camera, width, height):
 
 @njit
 def _find_span(a, b, c, scale, centre, size):
-    """Return the first and last pixel whose centre is between the least and the greatest of three coordinates."""
+    """Return the first and last pixel whose centres lie between the least and the greatest of three coordinates."""
     first = min(max(-1.0, min(a, b, c) * scale + centre - 0.5 - 1e-6), size * 1.0)
     last = max(min(size * 1.0, max(a, b, c) * scale + centre - 0.5 + 1e-6), -1.0)
     return max(0, math.ceil(first)), min(size - 1, math.floor(last))

@@ -16,18 +16,17 @@ from tactile_loc.core.slots.scene import Scene
 
 log = logging.getLogger(__name__)
 
-CLOSE_ENOUGH = 0.03  # relative error of the spacing
+CLOSE_ENOUGH = 0.03  # allowed relative error of the spacing
 MOST_ROUNDS = 3
-BATCH = 256  # random poses drawn and rendered at once
-HARDLY_ANY = 1e-3  # least share of the random poses that must make contact
+BATCH = 256  # largest number of random poses drawn and rendered at once
+HARDLY_ANY = 1e-3  # least share of the random poses that must have contact
 
 
 def make_contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
-    """Sample poses, bring them to contact, and drop those without contact and symmetric duplicates.
+    """Sample poses and bring them to contact. Drop poses without contact, and poses that are equal by symmetry.
 
-    Contact moves poses along z, so neighbours end up farther apart than the sampler set them. Therefore sampling is
-    repeated with a corrected spacing (metres), unless the sampler's options fix some of its steps. Raises GridError
-    when no pose is left.
+    Contact moves poses along z, so neighbours get farther apart than in the sample. Sampling is therefore repeated with
+    a corrected spacing, unless the sampler's options fix some of its steps. Raises GridError if no pose is left.
     """
     wanted_m = sampler.options.spacing_mm * 1e-3
     if not wanted_m > 0:
@@ -42,7 +41,7 @@ def make_contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
         if found[-1][0] <= CLOSE_ENOUGH:
             break
         asked_m *= wanted_m / spacing_m
-    return min(found, key=lambda f: f[0])[1]  # spacings of small grids change in steps: the last may not be the best
+    return min(found, key=lambda f: f[0])[1]  # small grids change in steps, so the last spacing need not be the best
 
 
 def _list_contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
@@ -53,7 +52,7 @@ def _list_contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) ->
 
 
 def mark_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> np.ndarray:
-    """Mark (N,) the contact depths (N, H, W), metres, with at least `percent` of the observed pixels in contact."""
+    """Return which contact depths (N, H, W), metres, have at least `percent` of the observed pixels in contact (N,)."""
     observed = scene.geometry.observed_mask
     touched = (contact_depths_m < np.float32(scene.geometry.max_depth_m)) & observed
     return touched.sum(axis=(1, 2)) >= max(1.0, percent / 100 * observed.sum())
@@ -62,7 +61,7 @@ def mark_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> 
 def draw_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
     """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
 
-    Raises GridError when hardly any pose drawn has enough contact.
+    Raises GridError if hardly any drawn pose has enough contact.
     """
     found = [poses for poses, _ in draw_contacts(sampler, scene, count, rng)]
     return np.concatenate([np.empty((0, 4, 4)), *found])
@@ -72,10 +71,11 @@ def draw_contacts(
     sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator,
     misplace: Callable[[Poses], Poses] | None = None,
 ) -> Iterator[tuple[Poses, Float32]]:  # fmt: skip
-    """Draw `count` contact poses as `draw_contact_poses` does; yield them in batches (K, 4, 4) with depths (K, H, W).
+    """Draw `count` contact poses like `draw_contact_poses`. Yield batches of poses (K, 4, 4) and depths (K, H, W).
 
-    Contact depths, metres, are rendered at full press. With `misplace`, they are rendered at the real poses that it
-    returns, and these must have enough contact. Raises GridError when hardly any pose has.
+    Contact depths, metres, are rendered at the scene's maximal depth. If `misplace` is given, it returns the real
+    poses for the drawn poses. The depths are then those of the real poses, which must have enough contact. Raises
+    GridError if hardly any pose has enough contact.
     """
     tried = kept = 0
     while kept < count:

@@ -22,7 +22,10 @@ from tactile_loc.core.slots.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class ListedTouches(TrainingTouches):
-    """Clean contact depths (N, H, W), metres, at full press, and each touch's label (N,): its nearest grid pose."""
+    """Contact depths (N, H, W), metres, without noise, at the maximal depth, and the touches' labels (N,).
+
+    The label of a touch is the index of the nearest grid pose.
+    """
 
     depth_m: Float32
     labels: NDArray[np.int64]
@@ -33,9 +36,9 @@ class ListedTouches(TrainingTouches):
         return len(self.labels)
 
     def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches, with noise and any press; keys are at the deepest press.
+        """Draw `count` different touches with noise, at random press depths.
 
-        There are no decoys, because touches are not rotated to listed poses.
+        There are no decoys, because touches are not rotated for a comparison with listed poses.
         """
         chosen = np.sort(rng.choice(len(self), count, replace=False))
         deepest = self.geometry.max_depth_m
@@ -52,8 +55,8 @@ class ListedTouches(TrainingTouches):
 class ListedProblem(TrainingProblem):
     """The problem of finding the nearest pose of a `grid`.
 
-    `shapes` yields the contact depths (S, H, W), metres, of its poses at full press, in shards, in the grid's order.
-    Touches are at new poses from `sampler`, rendered through `scene`.
+    `shapes` yields the contact depths (S, H, W), metres, of the grid's poses at the maximal depth, in shards, in the
+    grid's order. Touches are at new poses from `sampler`, and are rendered with `scene`.
     """
 
     grid: PoseGrid
@@ -71,14 +74,14 @@ class ListedProblem(TrainingProblem):
 
     @property
     def key_presses_m(self) -> NDArray[np.float64]:
-        """The sensor's deepest press (1,), metres."""
+        """The sensor's maximal depth (1,), metres."""
         return np.array([self.scene.geometry.max_depth_m])
 
     def __len__(self) -> int:
         return len(self.grid)
 
     def clean_keys(self, press_m: float) -> Iterable[Float32]:
-        """Yield the contact depths (S, H, W), metres, of the grid's poses at full press, in shards."""
+        """Yield the contact depths (S, H, W), metres, of the grid's poses at the maximal depth, in shards."""
         return self.shapes()
 
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
@@ -92,6 +95,6 @@ class ListedProblem(TrainingProblem):
         return ListedTouches(np.concatenate(depths), np.concatenate(labels), noise, self.geometry)
 
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the distances (K,), metres, of grid poses `first` (K,) and `second` (K,), without symmetry."""
+        """Return the distances (K,), metres, between grid poses `first` and `second` (K,), ignoring symmetry."""
         phi = self.grid.phi
         return np.asarray(np.linalg.norm(phi[first] - phi[second], axis=1))

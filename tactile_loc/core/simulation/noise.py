@@ -1,9 +1,9 @@
-"""A seeded model of the imperfections of real touches, in separable parts.
+"""A seeded model of the imperfections of real touches. Each part can be switched off.
 
-The parts, in order: the sensor's calibrated pose has an error. The press is measured with an error. The elastomer
-rounds edges off. The contact's edge and the measured depth inside it vary randomly. Patches of contact are missed
-(bubbles, dirt, a lifted border), and others appear (wear, markers, reflections). All sizes are metres on the sensing
-surface, so the noise does not depend on the number of pixels.
+The parts are applied in this order. The sensor's calibrated pose has an error. The press is measured with an error. The
+elastomer rounds edges off. The edge of the contact and the measured depth inside it vary randomly. Patches of contact
+are missed (bubbles, dirt, a lifted border), and false contacts appear (wear, markers, reflections). All sizes are
+metres on the sensing surface, so the noise does not depend on the number of pixels.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 FAINTEST = 0.2  # least value of the varying threshold, as a share of its mean
-SHALLOWEST = 0.1  # least measured press, as a share of the true one
-REACH = 4.0  # standard deviations at which a Gaussian is cut off
+SHALLOWEST = 0.1  # least measured press depth, as a share of the true press depth
+REACH = 4.0  # number of standard deviations at which a Gaussian is cut off
 
 
 class Centres(NamedTuple):
-    """Points (P,) in a batch of images: the image of each, and its place there, x and y in metres."""
+    """P points in a batch of images: the number of each point's image, and the point's x and y, metres; each (P,)."""
 
     image: Index
     x_m: Float64
@@ -42,7 +42,8 @@ class Centres(NamedTuple):
 class Gel:
     """The pixels on the sensing rectangle: their `rows` and `columns` in the image, and their centres.
 
-    `x_m` (W,) and `y_m` (H,) are on the undeformed surface, `pitch_m` is the pixel pitch, `rectangle_m` the rectangle.
+    `x_m` (W,) and `y_m` (H,) are the centres on the undeformed surface. `pitch_m` are the pixel's sizes along x and y.
+    `rectangle_m` is the sensing rectangle.
     """
 
     rows: slice
@@ -54,7 +55,7 @@ class Gel:
 
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Gel:
-        """Find the pixels whose view of the undeformed surface lies on the sensing rectangle."""
+        """Return the gel's pixels: those that see the undeformed surface inside the sensing rectangle."""
         sx, sy = geometry.scale_at_surface
         x = (np.arange(geometry.width_px, dtype=np.float64) + 0.5 - geometry.cx) / sx
         y = (np.arange(geometry.height_px, dtype=np.float64) + 0.5 - geometry.cy) / sy
@@ -64,9 +65,10 @@ class Gel:
         return cls(rows, columns, x[columns], y[rows], (1 / sx, 1 / sy), geometry.rectangle)
 
     def blur(self, images: Float32, sigma_m: float) -> Float32:
-        """Blur images (N, H, W) with a Gaussian of `sigma_m` metres; beyond the rectangle, their border continues.
+        """Blur images (N, H, W) with a Gaussian of `sigma_m` metres. Beyond the rectangle, border values continue.
 
-        Pixels are squares: a step between two of them becomes exactly the Gaussian's error function, at any pixel size.
+        Pixels are treated as squares. A step between two pixels therefore becomes exactly the Gaussian's error function
+        at any pixel size.
         """
         x, y = (
             _make_blur_weights(len(a), sigma_m / p) for a, p in zip((self.x_m, self.y_m), self.pitch_m, strict=True)
@@ -76,8 +78,8 @@ class Gel:
     def draw_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
         """Draw smooth random images (count, H, W) with mean 0 and variance 1 everywhere, unitless.
 
-        White noise on a lattice of `patch_m` metres is blurred with a Gaussian of that standard deviation. The lattice
-        belongs to the surface, so one seed gives one field at any image size.
+        White noise on a lattice with a pitch of `patch_m` metres is blurred with a Gaussian whose standard deviation is
+        also `patch_m`. The lattice is fixed to the surface, so one seed gives the same field at any image size.
         """
         x0, x1, y0, y1 = self.rectangle_m
         x, y = _make_field_weights(self.x_m, x0, x1, patch_m), _make_field_weights(self.y_m, y0, y1, patch_m)
@@ -85,7 +87,7 @@ class Gel:
         return _transform_images(white, y, x)
 
     def mark_border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Mark (N, H, W) a strip along one random side of each image's rectangle, with widths (N,) in metres."""
+        """Return a mask (N, H, W) of strips with widths (N,), metres, each along one random side of the rectangle."""
         x0, x1, y0, y1 = self.rectangle_m
         side = rng.integers(4, size=len(width_m))
         left, right, top, bottom = (np.where(side == k, width_m, -np.inf)[:, None] for k in range(4))
@@ -94,13 +96,16 @@ class Gel:
         return columns[:, None, :] | rows[:, :, None]
 
     def draw_points(self, counts: Index, rng: np.random.Generator) -> Centres:
-        """Draw a number (N,) of points for each image, uniformly on the rectangle."""
+        """Draw `counts` (N,) points for the N images, uniformly on the rectangle."""
         x0, x1, y0, y1 = self.rectangle_m
         image = np.repeat(np.arange(len(counts)), counts)
         return Centres(image, rng.uniform(x0, x1, len(image)), rng.uniform(y0, y1, len(image)))
 
     def draw_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
-        """Draw a number (N,) of the marked (N, H, W) pixels of each image, with replacement; none if none is marked."""
+        """Draw `counts` (N,) of the `marked` (N, H, W) pixels of N images, with replacement.
+
+        For an image without marked pixels, no pixel is drawn.
+        """
         held = np.count_nonzero(marked, axis=(1, 2))
         image = np.repeat(np.arange(len(counts)), np.where(held > 0, counts, 0))
         nth = (np.cumsum(held) - held)[image] + (rng.random(len(image)) * held[image]).astype(np.intp)
@@ -116,7 +121,10 @@ def stamp(
     value_m: NDArray[np.floating[Any]],
     combine: Callable[..., Any],
 ) -> None:
-    """Write discs of radii (P,), m, about `centres` into depths (N, H, W): `combine` is a ufunc of old and new."""
+    """Write discs with radii (P,), metres, about `centres` into depths (N, H, W).
+
+    The ufunc `combine` computes the new depth from the old depth and the disc's `value_m` (P,).
+    """
     left, right = _find_interval(gel.x_m, centres.x_m, radius_m)
     top, bottom = _find_interval(gel.y_m, centres.y_m, radius_m)
     for i, image in enumerate(centres.image):
@@ -128,20 +136,21 @@ def stamp(
 
 
 def _find_interval(pixels_m: Float64, centre_m: Float64, radius_m: Float64) -> tuple[Index, Index]:
-    """Return the slice bounds of the sorted pixels (W,) within radii (P,) of centres (P,), metres."""
+    """Return the slice bounds (P,) of those sorted pixels (W,) that are within radii (P,) of centres (P,), metres."""
     return np.searchsorted(pixels_m, centre_m - radius_m), np.searchsorted(pixels_m, centre_m + radius_m)
 
 
 def _transform_images(images: Float32, rows: Float32, columns: Float32) -> Float32:
-    """Apply matrices (H, h) to the rows and (W, w) to the columns of images (N, h, w): (N, H, W)."""
+    """Transform images (N, h, w) to (N, H, W) by matrices (H, h) for the rows and (W, w) for the columns."""
     return np.asarray(rows @ (images @ columns.T))
 
 
 @lru_cache(maxsize=64)
 def _make_blur_weights(count: int, sigma_px: float) -> Float32:
-    """Return weights (count, count) of pixel j's area in the Gaussian about pixel i's centre; outer pixels continue.
+    """Return weights (count, count): the share of the Gaussian about pixel i's centre that lies on pixel j.
 
-    The Gaussian is cut off at `REACH`, so that an imprint has an end.
+    The outer pixels continue beyond the border. The Gaussian is cut off at `REACH` standard deviations, so that a
+    blurred imprint has an end.
     """
     from scipy.special import ndtr
 
@@ -155,7 +164,7 @@ def _make_blur_weights(count: int, sigma_px: float) -> Float32:
 
 
 def _make_field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: float) -> Float32:
-    """Return weights (W, K) of the lattice's K points at each pixel; their squares sum to one, for variance 1."""
+    """Return weights (W, K) of the K lattice points at each pixel. Their squares sum to one, so the variance is 1."""
     margin = int(REACH)
     lattice_m = low_m + patch_m * np.arange(-margin, np.ceil((high_m - low_m) / patch_m) + margin + 1)
     z = (pixels_m[:, None] - lattice_m) / patch_m
@@ -165,16 +174,22 @@ def _make_field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m:
 
 @dataclass(frozen=True)
 class TouchNoise:
-    """The strength of each imperfection. Lengths in metres, angles in radians; zeros switch a part off.
+    """The strength of each imperfection. Lengths are in metres, angles in radians. Zeros switch a part off.
 
-    `press_share` (least, most) of the sensor's deepest press is drawn uniformly, and measured with a relative error of
-    standard deviation `press_error`. `smoothing_m` is the elastomer's rounding: the standard deviation of a Gaussian on
-    the imprint. An imprint shallower than `least_m` is not seen. This threshold varies with standard deviation `edge_m`
-    over patches of `edge_patch_m`, but never falls below `FAINTEST` of `least_m`. The measured depth varies with
-    standard deviation `drift_m` over patches of `drift_patch_m`, without losing contact. `missing` and `spurious` are
-    mean numbers of round patches with radii up to `patch_m`. Contact is lost in a strip, up to `border_m` wide, along a
-    random side of the sensing rectangle. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
-    calibration error, along and about each axis. Raises ConfigError for impossible values.
+    - The press depth is drawn uniformly from the range `press_share` (least, most), as a share of the maximal depth.
+      Its measurement has a relative error with the standard deviation `press_error`.
+    - The elastomer smooths the imprint, like a Gaussian with the standard deviation `smoothing_m`.
+    - The sensor does not see an imprint shallower than `least_m`. This threshold varies with the standard deviation
+      `edge_m` over patches of `edge_patch_m`, but never falls below `FAINTEST` times `least_m`.
+    - The measured depth varies with the standard deviation `drift_m` over patches of `drift_patch_m`. This does not
+      remove any contact.
+    - `missing` and `spurious` are the mean numbers of round patches that lose or gain contact, with radii up to
+      `patch_m`.
+    - Contact is lost in a strip, up to `border_m` wide, along a random side of the sensing rectangle.
+    - The calibrated pose of the sensor has errors with the standard deviations `sensor_m` along and `sensor_rad` about
+      each axis.
+
+    Raises ConfigError for impossible values.
     """
 
     press_share: tuple[float, float] = (1.0, 1.0)
@@ -209,25 +224,25 @@ class TouchNoise:
 
     @property
     def misplaces(self) -> bool:
-        """Whether the sensor's pose has an error."""
+        """True if the sensor's pose has an error."""
         return self.sensor_m > 0 or self.sensor_rad > 0
 
     def draw_press(self, count: int, max_depth_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw press depths (count,) in metres."""
+        """Draw press depths (count,), metres."""
         return rng.uniform(*self.press_share, count) * max_depth_m
 
     def measure_press(
         self, press_depth_m: NDArray[np.float64], max_depth_m: float, rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return the measured press depths for true ones (N,), metres: with `press_error`, within the range."""
+        """Return measured press depths (N,) for true press depths (N,), metres, with `press_error`."""
         factor = 1.0 + self.press_error * rng.normal(size=len(press_depth_m))
         return np.minimum(press_depth_m * np.maximum(factor, SHALLOWEST), max_depth_m)
 
     def misplace(self, T_sensor_object: Poses, geometry: SensorGeometry, rng: np.random.Generator) -> Poses:
-        """Return the real poses for poses (N, 4, 4), metres, of a sensor whose own pose has an error.
+        """Return the real poses (N, 4, 4), metres, for the poses (N, 4, 4) that a sensor with a pose error reports.
 
-        The sensor is rotated about the centre of its sensing rectangle, independent of the object's frame and the
-        standoff. The poses returned are not brought to contact.
+        The error rotates the sensor about the centre of its sensing rectangle. It therefore does not depend on the
+        object frame or the standoff. The returned poses are not brought to contact.
         """
         from scipy.spatial.transform import Rotation
 
@@ -244,14 +259,15 @@ class TouchNoise:
     def corrupt(
         self, depth_m: Float32, press_depth_m: NDArray[np.float64], geometry: SensorGeometry, rng: np.random.Generator
     ) -> Float32:
-        """Return noisy contact depths (N, H, W) float32, metres, from clean ones at full press; press depths are (N,).
+        """Return noisy contact depths (N, H, W), float32, metres, for clean contact depths at the maximal depth.
 
-        No contact is exactly the press depth. Pixels off the sensing rectangle stay clean: there is no elastomer.
+        The noisy depths are cut at the press depths (N,), metres. A pixel without contact has exactly the press depth.
+        Pixels outside the sensing rectangle get no noise, because there is no elastomer.
         """
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)
         gel = Gel.of(geometry)
-        depth = noisy[:, gel.rows, gel.columns]  # a view
+        depth = noisy[:, gel.rows, gel.columns]  # a view of `noisy`, so that writing to it changes `noisy`
         if self.smoothing_m > 0:
             depth[...] = np.maximum(press - gel.blur(press - depth, self.smoothing_m), 0.0)
         if self.least_m > 0 or self.edge_m > 0:
@@ -265,16 +281,17 @@ class TouchNoise:
         return noisy
 
     def cut(self, depth_m: Float32, press_depth_m: NDArray[np.float64], measured_m: NDArray[np.float64]) -> Float32:
-        """Return the contact depths (N, H, W) that a sensor reports if it measures presses (N,) as `measured_m` (N,).
+        """Return the contact depths (N, H, W) that a sensor reports if it measures the press depths as `measured_m`.
 
-        `depth_m` (N, H, W) are the noisy ones at the true presses; all in metres. A press measured as lighter loses the
-        rim of its contact. A press measured as deeper shows no additional contact. No contact is the measured press.
+        All values are in metres. `depth_m` (N, H, W) are noisy contact depths at the true press depths (N,). If a press
+        is measured too light, the rim of its contact is lost. If it is measured too deep, no contact is gained. A pixel
+        without contact gets the measured press depth.
         """
         press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
         return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
 
     def _draw_threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
-        """Draw the threshold below which no imprint is seen, metres: one number, or (count, H, W) if it varies."""
+        """Draw the least imprint, metres, that the sensor sees: one number, or (count, H, W) if it varies."""
         least = np.float32(self.least_m)
         if self.edge_m == 0:
             return least
@@ -282,7 +299,7 @@ class TouchNoise:
         return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
 
     def _add_patches(self, depth: Float32, press: Float32, gel: Gel, rng: np.random.Generator) -> None:
-        """Remove round patches of contact from depths (N, H, W) at presses (N, 1, 1), metres, and add spurious ones."""
+        """Remove round patches of contact from depths (N, H, W), cut at `press` (N, 1, 1), metres; add false ones."""
         if self.missing > 0:
             centres = gel.draw_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)
             radius = self.patch_m * rng.uniform(0.3, 1.0, len(centres.image))

@@ -1,7 +1,8 @@
-"""Training data for encoders with a search of places: each key is a place's patch, seen completely.
+"""Training data for encoders with a search of places: each key is the complete patch of a place.
 
-A touch is seen as in the search: from its deepest point, rotated back by the yaw that brings it nearest to one of the
-places, and only as far as the sensor reaches. The search tries all yaws, so decoys are rotated by other yaws.
+A touch is seen as in the search. Its patch is around its deepest point, and only as large as the sensor sees. The patch
+is rotated back by the yaw that brings the touch nearest to one of the places. The search tries all yaws, so decoys are
+rotated by other yaws.
 """
 
 from __future__ import annotations
@@ -30,16 +31,19 @@ from tactile_loc.core.slots.encoder import Checkpoints, TrainingBatch, TrainingP
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 
-KEYS = 1024  # per shard
-PIXEL_M = 0.8 * PITCH_M  # largest pixel of the touches
-LIGHTEST = 0.25  # lightest press, as a share of the sensor's deepest
-REACH = 2.0  # grid spacings: a touch farther from all places is not used
-CLEAR = 2  # least steps of yaw between a correctly rotated touch and its decoys
+KEYS = 1024  # keys per shard
+PIXEL_M = 0.8 * PITCH_M  # largest pixel size of the touches
+LIGHTEST = 0.25  # lightest press, as a share of the maximal depth
+REACH = 2.0  # grid spacings; a touch that is farther from all places is not used
+CLEAR = 2  # least number of yaw steps between a correctly rotated touch and its decoys
 MOST_ROUNDS = 50
 
 
 class Labels(NamedTuple):
-    """Of M touches: the nearest places (M,), the yaws (M,), rad, that rotate them there, and the distances (M,), m."""
+    """The labels of M touches: the nearest places, the yaws, rad, and the distances, metres; each (M,).
+
+    The yaw rotates a touch so that it is nearest to its place.
+    """
 
     numbers: NDArray[np.int64]
     yaw_rad: NDArray[np.float64]
@@ -48,10 +52,10 @@ class Labels(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PlaceProblem(TrainingProblem):
-    """The problem of finding the nearest of an object's `places`, and its yaw.
+    """The problem of finding the nearest of an object's `places`, and the yaw of the touch.
 
-    Touches are at random poses of `sampler`, whose option `turns` is the number of yaws tried. They are rendered
-    through the unpressed `scene`.
+    Touches are at random poses from `sampler`, whose option `turns` is the number of yaws in the search. They are
+    rendered with `scene`, whose sensor is not pressed.
     """
 
     places: Places
@@ -68,7 +72,7 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def key_presses_m(self) -> NDArray[np.float64]:
-        """The presses (P,), metres, from a light one to the sensor's deepest, in steps of PRESS_STEP_M."""
+        """The press depths (P,), metres, from a light press to the maximal depth, in steps of PRESS_STEP_M."""
         deepest_m = min(HIGHEST_M, self.scene.geometry.max_depth_m)
         first = max(1, round(LIGHTEST * deepest_m / PRESS_STEP_M))
         last = max(first, int(deepest_m / PRESS_STEP_M + 1e-6))
@@ -76,7 +80,7 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def grid(self) -> PoseGrid:
-        """Raise ConfigError: no poses are listed."""
+        """Raise ConfigError, because this problem lists places instead of poses."""
         raise ConfigError(
             f"this encoder learns from listed poses, but the grid lists an object's {len(self)} places; choose --grid "
             "face, --grid hopf, or another encoder"
@@ -84,19 +88,19 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def shapes(self) -> PoseGrid:
-        """Raise ConfigError: no poses are listed."""
+        """Raise ConfigError, because this problem lists places instead of poses."""
         return self.grid
 
     def __len__(self) -> int:
         return len(self.places)
 
     def clean_keys(self, press_m: float) -> Iterable[Float32]:
-        """Yield the contact depths (S, PATCH_PX, PATCH_PX), metres, of the places, cut at a press, in shards."""
+        """Yield the contact depths (S, PATCH_PX, PATCH_PX), metres, of the places, cut at `press_m`, in shards."""
         for start in range(0, len(self.places), KEYS):
             yield self.places.depths(press_m, slice(start, start + KEYS))
 
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
-        """Render `count` touches at random poses that are near a place. Raises GridError when hardly any is."""
+        """Render `count` touches at random poses near a place. Raises GridError if hardly any pose is near a place."""
         kept_depths: list[Float32] = []
         kept_poses: list[Poses] = []
         missing = count
@@ -114,7 +118,7 @@ class PlaceProblem(TrainingProblem):
         )
 
     def _is_near_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
-        """Whether contact depths (M, H, W) at full press are touches near a place; metres."""
+        """Return which contact depths (M, H, W), metres, at the maximal depth, are valid touches near a place."""
         touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths_m]
         near = np.array([touch is not None for touch in touches], np.bool_)
         some = [touch for touch in touches if touch is not None]
@@ -123,7 +127,7 @@ class PlaceProblem(TrainingProblem):
         return near
 
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the distances (K,), metres, of places `first` (K,) and `second` (K,) as poses, at the best yaw."""
+        """Return the pose distances (K,), metres, between places `first` (K,) and `second` (K,) at the best yaw."""
         T = self.places.T_place_object
         return np.array(
             [RotatedPoses(T[[b]], self._metric).nearest(T[[a]])[0][0] for a, b in zip(first, second, strict=True)]
@@ -131,7 +135,7 @@ class PlaceProblem(TrainingProblem):
 
     @cached_property
     def fine(self) -> Scene:
-        """The scene of the touches: at full press, with few pixels that are finer than a patch's."""
+        """The scene of the touches: pressed to the maximal depth, with pixels a little finer than those of a patch."""
         geometry = self.scene.geometry
         pixels = int(np.ceil(geometry.pixel_pitch_m * max(geometry.shape) / PIXEL_M))
         geometry = geometry.resize_long_side(min(pixels, max(geometry.shape))).press(geometry.max_depth_m)
@@ -148,11 +152,14 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def reach_m(self) -> float:
-        """Largest distance of a touch's pose from the nearest place's, metres."""
+        """Largest distance, metres, of a touch from the nearest place, in the pose metric."""
         return REACH * 1e-3 * self.sampler.options.spacing_mm
 
     def touch(self, depth_m: Float32, press_m: float) -> Touch | None:
-        """Return the touch of a contact depth (H, W) at full press, cut at `press_m`, metres; None if it is invalid."""
+        """Return the touch with contact depths (H, W), metres, cut at `press_m`, or None if they are not valid.
+
+        The object is pressed in by the maximal depth.
+        """
         geometry = self.fine.geometry
         try:
             return Touch(ContactShape(depth_m, press_m, geometry.indentation_m), geometry)
@@ -160,14 +167,14 @@ class PlaceProblem(TrainingProblem):
             return None
 
     def labels(self, touches: Sequence[Touch], T_sensor_object: Poses) -> Labels:
-        """Return the places nearest to touches with true poses (M, 4, 4), metres."""
+        """Return the labels of M touches with true poses (M, 4, 4), metres."""
         off_m, numbers, yaw_rad = self.rotated.nearest(move_to_anchors(touches, T_sensor_object))
         return Labels(numbers, yaw_rad, off_m)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceTouches(TrainingTouches):
-    """Clean contact depths (N, H, W) at full press, and the poses (N, 4, 4) that the sensor reports, metres."""
+    """Contact depths (N, H, W), metres, without noise, at the maximal depth, and the reported poses (N, 4, 4)."""
 
     depth_m: Float32
     T_sensor_object: Poses
@@ -178,9 +185,10 @@ class PlaceTouches(TrainingTouches):
         return len(self.depth_m)
 
     def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches with noise, measured as pressed by `press_m` metres or up to a step more.
+        """Draw `count` different touches with noise. Their measured presses are at most a step deeper than `press_m`.
 
-        Each has `decoys` decoys. A touch that noise hides, or moves away from all places, stays clean.
+        Each touch has `decoys` decoys. A touch gets no noise if the noise would hide it or move it away from all
+        places.
         """
         from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
@@ -204,11 +212,11 @@ class PlaceTouches(TrainingTouches):
     def _make_noisy(
         self, chosen: NDArray[np.int64], rng: np.random.Generator, press_m: float
     ) -> tuple[list[Touch], Labels]:
-        """Return the touches `chosen` (M,) with noise, or clean if noise would spoil them, and their labels."""
+        """Return the touches `chosen` (M,) with noise, or without it if noise would spoil them, and their labels."""
         problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
         geometry, clean = problem.fine.geometry, self.depth_m[chosen]
         believed_m = np.minimum(press_m + PRESS_STEP_M * rng.random(len(chosen)), geometry.max_depth_m)
-        # the measured press is too deep by this factor, so the true press is lighter by it
+        # if noise makes the measured press deeper by a factor, the true press is lighter by the same factor
         true_m = np.minimum(believed_m**2 / noise.measure_press(believed_m, np.inf, rng), geometry.max_depth_m)
         noisy = noise.cut(noise.corrupt(clean, true_m, geometry, rng), true_m, np.full(len(chosen), press_m))
         plain = [self._make_clean(depth, press_m) for depth in clean]
@@ -224,7 +232,7 @@ class PlaceTouches(TrainingTouches):
         return touches, labels
 
     def _make_clean(self, depth_m: Float32, press_m: float) -> Touch:
-        """Return a touch without noise, cut at a press depth, metres, or at full press if there would be no contact."""
+        """Return a touch without noise, cut at `press_m`, metres, or at the maximal depth if there is no contact."""
         problem = self.problem
         light = problem.touch(np.minimum(depth_m, np.float32(press_m)), press_m)
         geometry = problem.fine.geometry
@@ -232,7 +240,7 @@ class PlaceTouches(TrainingTouches):
 
 
 def move_to_anchors(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
-    """Return poses (M, 4, 4), metres, seen from the deepest points of M touches, along the gel's normals."""
+    """Convert poses (M, 4, 4), metres, to frames at the deepest points of M touches, with z along the gel's normal."""
     from tactile_loc.core.sensing.rotated_patches import find_anchor
 
     anchors = [find_anchor(touch) for touch in touches]

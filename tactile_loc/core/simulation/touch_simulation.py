@@ -14,7 +14,7 @@ from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 
-MOST_ROUNDS = 200  # of drawing missing touches
+MOST_ROUNDS = 200  # largest number of attempts to draw the missing touches
 
 
 def simulate_touches(
@@ -31,13 +31,16 @@ def draw_touches(
 ) -> tuple[list[Touch], int]:  # fmt: skip
     """Make `count` touches with known poses, and return how many presses were refused.
 
-    They are pressed `press_depth_m` metres deep (by default the sensor's deepest). A pose is that of the pressed
-    object, with its deepest point at z = surface - press depth. With `noise`, the pose that is rendered has the
-    sensor's calibration error; its contact is corrupted, and cut at the measured press depth. The press is drawn unless
-    it is given. A press is refused and drawn again if noise leaves less true contact than the sampler requires, or if
-    it shows only a flat face. Apart from that, the same `rng` draws the same poses with any noise. Raises TouchError
-    for a press beyond the sensor's range, or one that hardly ever leaves an imprint. Raises GridError when hardly any
-    pose touches.
+    The object is pressed `press_depth_m` metres deep. If this is None, `noise` draws the press depth; without noise, it
+    is the maximal depth. A pose is that of the pressed object, whose deepest point is at z = surface - press depth.
+
+    With `noise`, the rendered pose has the sensor's calibration error. Noise is added to the contact shape, which is
+    cut at the measured press depth. A press is refused if noise leaves less true contact than the sampler requires, or
+    if the touch shows only a flat face. Another press is then drawn. Except for that, the same `rng` draws the same
+    poses with any noise.
+
+    Raises TouchError if the press depth is beyond the sensor's range, or if hardly any press leaves an imprint. Raises
+    GridError if hardly any pose touches.
     """
     deepest = scene.geometry.max_depth_m
     press = deepest if press_depth_m is None else press_depth_m
@@ -68,16 +71,17 @@ def draw_touches(
 class PressNoise:
     """Presses an object on a sensor that has the errors of `noise`.
 
-    All presses are `press_depth_m` metres deep, or drawn by `noise`. `scene` is unpressed.
+    All presses are `press_depth_m` metres deep; if this is None, `noise` draws their depths. The sensor of `scene` is
+    not pressed.
     """
 
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
 
     def press(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
-        """Press poses (N, 4, 4) that just touch; return the pressed poses, metres, and the contact shape of each.
+        """Press an object at poses (N, 4, 4), metres, where it just touches. Return the pressed poses and their shapes.
 
-        A shape is None if noise left less than `least_percent` of contact.
+        A contact shape is None if noise leaves less than `least_percent` of the observed pixels in true contact.
         """
         noise, geometry = self.noise, self.scene.geometry
         seen, touching = self._misplace(T_sensor_object)
@@ -97,7 +101,7 @@ class PressNoise:
         return poses, [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
 
     def _render_depths(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
-        """Render contact depths (N, H, W) of poses pressed by (N,), up to the sensor's maximal depth; metres."""
+        """Render contact depths (N, H, W), metres, at the maximal depth, of poses pressed by `press_m` (N,)."""
         depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
         for m in np.unique(press_m):
             these, scene = press_m == m, self.scene.press(m, self.scene.geometry.max_depth_m)
@@ -105,7 +109,7 @@ class PressNoise:
         return depths
 
     def _misplace(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
-        """Return the real poses (N, 4, 4), in contact, and which (N,) touch. Metres."""
+        """Return the real poses (N, 4, 4), metres, brought to contact, and which of them touch (N,)."""
         if not self.noise.misplaces:
             return T_sensor_object, np.ones(len(T_sensor_object), bool)
         return self.scene.bring_to_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
@@ -118,14 +122,14 @@ class PressNoise:
 
 
 def lower(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
-    """Return poses (N, 4, 4) that are pressed (N,) metres deeper into the sensor."""
+    """Return poses (N, 4, 4) that are `press_m` (N,) metres deeper in the sensor."""
     T = T_sensor_object.copy()
     T[:, 2, 3] -= press_m
     return T
 
 
 def _make_touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
-    """Make one touch; return None if there is no contact, or only a flat face all over the sensor."""
+    """Make one touch. Return None if there is no contact, or if a flat face covers the sensor."""
     try:
         return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)
     except TouchError:

@@ -28,42 +28,47 @@ log = logging.getLogger(__name__)
 
 Float = NDArray[np.float64]
 
-MOST_DRAWN = 100_000  # rotations drawn at once
-MOST_ROTATED = 1_000_000  # points rotated at once: 24 MB
+MOST_DRAWN = 100_000  # largest number of rotations drawn at once
+MOST_ROTATED = 1_000_000  # largest number of points rotated at once (24 MB)
 
 
 class AllRotationsGrid(GridSampler):
-    """All of SO(3) times the plane, for a touch anywhere on the object; a subclass lists the `rotations`.
+    """Base class for grids of all rotations and all positions, for a touch anywhere on the object.
 
-    A subclass's options derive from this class's, and its `name` appears in messages.
+    A subclass lists the `rotations`. Its own Options derive from `AllRotationsGrid.Options`. Its `name` appears in
+    messages.
     """
 
     name: ClassVar[str]
 
     class Options(GridSampler.Options):
-        """How dense the grid is, and when it is too large."""
+        """Options for the grid's density and its largest size."""
 
-        # Half the spacing gives 32 times as many poses, so it cannot be as fine as that of a grid of one face.
+        # Half the spacing gives 32 times as many poses. The default is therefore coarser than for a grid of one face.
         spacing_mm: float = Field(default=8.0, gt=0, description="mean distance between neighbouring poses, mm")
         max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid with more poses than this")
 
     @abstractmethod
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
-        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart, one of each equivalent set."""
+        """Return rotations R_sensor_object (K, 3, 3), about `spacing_m` metres of surface motion apart.
+
+        Of rotations that are equal by symmetry, only one is returned.
+        """
 
     @abstractmethod
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Return a lower bound, which may be approximate, on the poses from `sample` at a spacing in metres."""
+        """Return an approximate lower bound on the number of poses that `sample` makes at a spacing in metres."""
 
     @abstractmethod
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Return advice for a message, "take ...", if a spacing in metres makes too many poses."""
+        """Return the advice, such as "take ...", for the message that a spacing, metres, gives too many poses."""
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one of each set that looks the same.
+        """Return poses (N, 4, 4), metres, about `spacing_m` metres apart.
 
-        The centroids are on square lattices of that pitch, at z = 0. Raises GridError, before any pose is made, for a
-        spacing below a micrometre or more than `max_poses` poses.
+        Of poses that are equal by symmetry, only one is returned. The object's centroid lies on a square lattice with
+        the pitch `spacing_m`, at z = 0. Raises GridError if the spacing is below a micrometre, or if the grid would
+        have more than `max_poses` poses.
         """
         require_spacing(spacing_m)
         self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)
@@ -77,14 +82,14 @@ class AllRotationsGrid(GridSampler):
 
     @staticmethod
     def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
-        """Return how many places (N,), `spacing_m` metres apart, rotations R (N, 3, 3) have over the sensor."""
+        """Return the number (N,) of positions, `spacing_m` metres apart, over the sensor for rotations R (N, 3, 3)."""
         shapes = compute_lattice_shape(*find_centroid_range(obj, R, geometry), spacing_m)
         return np.asarray(shapes.prod(axis=-1))
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres, uniformly over all rotations and places where the boxes overlap; z is free.
+        """Draw poses (count, 4, 4), metres, uniformly over all rotations and positions over the sensor; z is arbitrary.
 
-        A rotation is drawn in proportion to the area of its places, as in the grid.
+        A rotation is drawn in proportion to the area of its positions, as in the grid.
         """
         return draw_places(obj, geometry, count, rng, lambda n: draw_rotations(n, rng))
 
@@ -99,9 +104,10 @@ class AllRotationsGrid(GridSampler):
 
 
 def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
-    """Return low and high (N, 2), metres, of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
+    """Return the least and the greatest x, y (N, 2), metres, of the object's centroid for rotations R (N, 3, 3).
 
-    Between them, the rotated object's bounding box overlaps the sensing rectangle. Outside, contact is impossible.
+    Between these limits, in the sensor frame, the rotated object's bounding box overlaps the sensing rectangle.
+    Elsewhere, contact is impossible.
     """
     points = obj.mesh.hull_corners_m - obj.mesh.centroid_m
     low, high = np.empty((len(R), 2)), np.empty((len(R), 2))
@@ -116,10 +122,10 @@ def draw_places(
     obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator,
     rotations: Callable[[int], Float],
 ) -> Poses:  # fmt: skip
-    """Draw poses (count, 4, 4), metres, uniformly over rotations and the places where the boxes overlap; z is free.
+    """Draw poses (count, 4, 4), metres, uniformly over rotations and positions over the sensor; z is arbitrary.
 
-    `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. Each is kept in proportion to the area of its places, as
-    in a grid; otherwise rotations with few places would be drawn too often.
+    `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. A drawn rotation is kept with a probability in proportion
+    to the area of its positions, as in a grid. Otherwise, rotations with few positions would be drawn too often.
     """
     x0, x1, y0, y1 = geometry.rectangle
     longest_m = float(np.linalg.norm(obj.mesh.extents_m))
@@ -134,7 +140,7 @@ def draw_places(
 
 
 def _place_centroids(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
-    """Return poses (N, 4, 4), metres, of rotations (N, 3, 3) with centroids at x, y (N, 2) and z = 0."""
+    """Return poses (N, 4, 4), metres, with rotations R (N, 3, 3) and the centroid at x, y (N, 2), z = 0."""
     centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
     return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)
 

@@ -1,4 +1,4 @@
-"""Poses that touch every sensor, looked up in each sensor's grid, and the base class for fusers that use them."""
+"""The search for poses that touch every sensor, in each sensor's grid, and the base class for fusers that use it."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from tactile_loc.core.slots.fuser import Fuser
 
 Indices = NDArray[np.int64]
 
-SAMPLE = 200  # least number of poses used to find the contact that excludes most
+SAMPLE = 200  # least number of poses by which sensors are ordered
 
 
 class CommonPosesFuser(Fuser):
-    """Fuses over the first grid's poses that touch all sensors; a subclass defines the `evidence` of a touch.
+    """Base class for fusers over those poses of the first grid that touch all sensors.
 
-    A subclass's options derive from this class's. `if_contradictory` is the advice in the message when no pose is left.
+    A subclass defines the `evidence` of a touch. Its own Options derive from `CommonPosesFuser.Options`.
+    `if_contradictory` is the advice in the message for contradictory touches, which leave no pose.
     """
 
     if_contradictory: ClassVar[str] = "let the matcher score all poses"
 
     class Options(ComponentOptions):
-        """When a pose of the first grid counts as touching another sensor."""
+        """Options that decide whether a pose of the first grid touches another sensor."""
 
         reach: float = Field(
             default=1.5,
@@ -44,15 +45,16 @@ class CommonPosesFuser(Fuser):
 
     @abstractmethod
     def evidence(self, posterior: PosePosterior, index: Indices | slice) -> NDArray[np.float64]:
-        """Return the log-weights (K,), nats, that a touch gives poses `index` (K,) of its own grid."""
+        """Return the log-weights (K,), nats, that a touch gives to the poses `index` (K,) of its own grid."""
 
     def fuse(
         self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
     ) -> PosePosterior:
-        """Return the posterior over the first touch's grid; poses in metres.
+        """Return the posterior over the poses of the first touch's grid.
 
-        Raises ConfigError for several touches without sensor poses, touches of different objects, or a prior that does
-        not return one log-weight per pose, none NaN or +inf. Raises GridError when no pose is left.
+        `T_base_sensor` are sensor poses (4, 4), metres. Only a single touch may have None. Raises ConfigError if one of
+        several touches has no sensor pose, or if the touches are of different objects. Raises ConfigError, too, if the
+        prior does not return one log-weight per pose, each finite or -inf. Raises GridError if no pose is left.
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
@@ -80,27 +82,33 @@ class CommonPosesFuser(Fuser):
 
 @dataclass(frozen=True, eq=False)
 class OtherSensor:
-    """One more sensor: its grid, the transform T_sensor_first (4, 4), metres, and how near a pose must be, metres."""
+    """A sensor after the first: its grid, `T_sensor_first` (4, 4), metres, and the radius of its searches, metres."""
 
     grid: PoseGrid
     T_sensor_first: NDArray[np.float64]
     reach_m: float
 
     def look_up(self, T_first_object: Poses) -> Indices:
-        """Return the indices (M,) of this grid's poses nearest to poses of the first (M, 4, 4); -1 beyond reach."""
+        """Return the index (M,) of this grid's pose nearest to each of the first grid's poses (M, 4, 4).
+
+        The index is -1 if no pose is within `reach_m`.
+        """
         return self.grid.nearest(self.T_sensor_first @ T_first_object, self.reach_m)[1]
 
 
 @dataclass(frozen=True, eq=False)
 class CommonPoses:
-    """Indices `first` (K,) of the first grid's poses that touch all sensors, and `found` (N, K) in each grid."""
+    """The poses that touch all sensors: indices `first` (K,) in the first grid, and `found` (N, K) in each grid."""
 
     first: Indices
     found: NDArray[np.int64]
 
 
 def require_fusable(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> None:
-    """Raise ConfigError unless there is a touch, a rigid sensor pose (4, 4) of each of several, and one object."""
+    """Raise ConfigError if posteriors cannot be fused.
+
+    There must be at least one touch. Several touches must be of one object, each with a rigid sensor pose (4, 4).
+    """
     if not posteriors or len(posteriors) != len(T_base_sensor):
         raise ConfigError(
             f"a fuser takes at least one posterior and a sensor pose for each, not {len(posteriors)} posteriors and "
@@ -130,7 +138,7 @@ def require_sensor_poses(T_base_sensor: Sequence[Poses | None]) -> None:
 def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
     """Return the prior's log-weights (N,) of the grid's poses, or zeros without a prior.
 
-    Raises ConfigError unless it gives one per pose, none NaN or +inf.
+    Raises ConfigError unless the prior returns one log-weight per pose, each finite or -inf.
     """
     if prior is None:
         return np.zeros(len(grid))
@@ -152,13 +160,14 @@ def find_common_poses(
 ) -> CommonPoses:
     """Find which of the first grid's `possible` (N,) poses touch all sensors, in the grid's order.
 
-    Seen from sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. It touches sensor i if
-    that grid's nearest pose, up to symmetry, is within reach. The sensor that excludes the most poses is looked up
-    first. Raises GridError, naming the contact that drops the last poses, when none is left.
+    In the frame of sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. The pose touches
+    sensor i if this sensor's grid has a pose within `reach` mean spacings, up to symmetry. Sensors that exclude many
+    poses are searched first. Raises GridError if no pose is left; the message names the contact that excludes the last
+    poses.
     """
     others = _list_others(grids, T_base_sensor, reach)
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
-    found = np.tile(first, (len(grids), 1))  # correct for the first grid, and the same grid seen from there
+    found = np.tile(first, (len(grids), 1))  # correct for the first grid, and for the same grid at the same pose
     for number in _order_others(others, poses[first]):
         found[number] = others[number].look_up(poses[first])
         touching = found[number] >= 0
@@ -173,18 +182,21 @@ def find_common_poses(
 
 
 def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
-    """List the sensors to look up, by number: not the first, nor the same grid seen from the same place."""
+    """Return the sensors to search, by number: all except the first and sensors with the first's grid and pose."""
     others: dict[int, OtherSensor] = {}
     for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
         if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
-            # a pose of the first grid is as inexact as its grid is coarse; a grid of one pose has no spacing
+            # a pose is known only to the spacing of the coarser grid; a grid of one pose has no spacing
             spacing_m = max((m for m in (grids[0].spacing_m, grid.spacing_m) if np.isfinite(m)), default=np.inf)
             others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * spacing_m)
     return others
 
 
 def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
-    """Order the sensors, judged by a few poses, so that the first ones exclude most: then fewer poses are looked up."""
+    """Return an order of the sensors, judged by a few poses. A sensor that excludes many poses comes early.
+
+    Then fewer poses are left to look up in the grids of the later sensors.
+    """
     if len(T_first_object) <= SAMPLE:
         return list(others)
     some = T_first_object[:: len(T_first_object) // SAMPLE]

@@ -1,4 +1,4 @@
-"""Components that their declared capabilities exclude from being combined; checked when a configuration is read."""
+"""Rules for components that cannot be combined, according to their capabilities; checked with each configuration."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tactile_loc.core.slots.component import Component
 
 @dataclass(frozen=True)
 class Declared:
-    """A capability of a slot's component with a given value."""
+    """A capability and its value, as declared by a component of a slot."""
 
     slot: str
     capability: str
     value: bool
 
     def holds(self, component: Component) -> bool:
-        """Whether a component of the slot declares it."""
+        """Return whether a component of the slot declares this value."""
         return bool(getattr(component.capabilities, self.capability)) is self.value
 
     def __str__(self) -> str:
@@ -27,7 +27,7 @@ class Declared:
 
 @dataclass(frozen=True)
 class Incompatibility:
-    """Two declarations that exclude each other, why, and what to choose instead."""
+    """Two declarations that exclude each other, with the reason and the advice for the message."""
 
     first: Declared
     second: Declared
@@ -35,7 +35,7 @@ class Incompatibility:
     advice: str
 
     def applies(self, components: Mapping[str, Component]) -> bool:
-        """Whether components, by slot, declare both."""
+        """Return whether two of the components, given by slot, make these two declarations."""
         return all(one.slot in components and one.holds(components[one.slot]) for one in (self.first, self.second))
 
 
@@ -49,9 +49,9 @@ INCOMPATIBILITIES = (
 
 
 def require_compatible(components: Mapping[str, Component], names: Mapping[str, str]) -> None:
-    """Raise ConfigError if components, by slot, exclude each other; `names` are the names that users know.
+    """Raise ConfigError if two of the components, given by slot, cannot be combined.
 
-    Missing slots are ignored.
+    `names`, by slot, are the components' names in the configuration. Missing slots are ignored.
     """
     for rule in INCOMPATIBILITIES:
         if rule.applies(components):

@@ -14,7 +14,7 @@ Float32 = NDArray[np.float32]
 
 
 class ComponentOptions(BaseModel):
-    """Base class for every component's options: frozen, without infinity or NaN; unknown keys are refused.
+    """Base class for the options of components. Options are frozen, and refuse infinity, NaN and unknown keys.
 
     A field's description states its unit. A field that cannot change any result, such as the device, is marked with
     `json_schema_extra={"neutral": True}`.
@@ -33,12 +33,18 @@ class ComponentOptions(BaseModel):
 class Capabilities:
     """Abilities and limits of a component, for the code that uses it.
 
-    `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
-    `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
-    `top_k_only`: a matcher scores only some poses, the others are -inf. `weights`: a matcher takes weights of queries.
-    `needs_training`: `fit` does work. `refines`: a refiner moves poses. `covariances`: a refiner gives covariances.
-    `contact_only`: a fuser only uses which poses touch a sensor, not their probabilities. `places`: a grid lists the
-    object's places instead of poses. Interface 1 had `uses_normals`, `differentiable` and `device`, which are ignored.
+    - `deterministic`: the same input gives the same output.
+    - `exact_undercuts`: the renderer sees surfaces below overhangs.
+    - `follows_press_depth`: the encoder's bank must be encoded at the touch's own press depth.
+    - `top_k_only`: the matcher scores only some poses, and gives -inf to the others.
+    - `weights`: the matcher takes weights of queries.
+    - `needs_training`: the encoder must be trained with `fit`.
+    - `refines`: the refiner moves poses.
+    - `covariances`: the refiner estimates covariances.
+    - `contact_only`: the fuser uses only which poses touch a sensor, not their probabilities.
+    - `places`: the grid lists the object's places instead of poses.
+
+    `uses_normals`, `differentiable` and `device` were part of interface 1, and are ignored.
     """
 
     deterministic: bool = True
@@ -60,9 +66,10 @@ class Capabilities:
 
 
 class Component(ABC):
-    """Base class for all components. `version` is part of the store's keys: raise it when a component's output changes.
+    """Base class for all components.
 
-    `outdated`, set on loading, states the changes that a component of an earlier interface needs.
+    `version` is part of the store's keys. Raise it when the component's output changes. If a component was written for
+    an earlier interface, `outdated` states the changes that the component needs. The registry sets `outdated`.
     """
 
     slot: ClassVar[str]

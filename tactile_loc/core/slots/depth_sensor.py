@@ -16,7 +16,10 @@ from tactile_loc.core.slots.sensor import SensorModel
 
 
 class DepthSensor(SensorModel):
-    """A sensor that takes contact shapes; it is not calibrated for images. Raises SensorError for a bad geometry."""
+    """Base class for sensors that take contact shapes and are not calibrated for images.
+
+    Raises SensorError if the geometry is not plausible.
+    """
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
@@ -32,9 +35,10 @@ class DepthSensor(SensorModel):
         return self._geometry
 
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
-        """Take depths (H, W), metres, from full penetration; NaN or at least the maximal depth means no contact.
+        """Convert depths (H, W), metres, from full penetration, to a contact shape.
 
-        Raises TouchError for an image (the sensor is not calibrated for images), or a wrong size, type or unit.
+        NaN, or a depth of at least the maximal depth, means no contact. Raises TouchError if the observation is an
+        image, or if its size, type or unit is wrong.
         """
         depth = np.asarray(image)
         if depth.ndim == 3 or depth.dtype == np.uint8:

@@ -17,24 +17,27 @@ from tactile_loc.core.slots.component import Component, Float32
 
 
 class Checkpoints:
-    """Stores the state of a training, so that it can resume after an interruption. This base class stores nothing."""
+    """Storage of a training's state, so that the training can resume after an interruption.
+
+    This base class stores nothing.
+    """
 
     def load(self) -> Path | None:
-        """Return the last intact file that was saved, or None."""
+        """Return the last intact file that was saved, or None if there is no such file."""
         return None
 
     def save(self, write: Callable[[Path], object]) -> None:
-        """Replace the saved file atomically with the one that `write(path)` writes."""
+        """Replace the saved file atomically with the file that `write(path)` writes."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingBatch:
-    """Noisy touches with labels, each in V views: B touches, V at least one.
+    """B noisy touches with labels, each in V views. V is at least one.
 
-    `depth_m` (B, V, H, W) are contact depths, metres, cut at presses `press_m` (B,). `seen` (B, V, H, W) marks the
-    pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0 matches
-    the key. The other views are decoys: the same touch, rotated so that no key of this object explains it. `counts` (B,
-    V) marks the views that count; a decoy that matches a key by symmetry does not count.
+    `depth_m` (B, V, H, W) are contact depths, metres, cut at the press depths `press_m` (B,). `seen` (B, V, H, W) marks
+    the pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0
+    matches the key. The other views are decoys: the same touch, rotated so that no key of this object explains it. A
+    decoy can match a key by symmetry; `counts` (B, V) is False for such a decoy, and True for all other views.
     """
 
     depth_m: Float32
@@ -48,7 +51,7 @@ class TrainingBatch:
 
 
 class TrainingTouches(ABC):
-    """Simulated touches of known pose, rendered once; each batch has new noise."""
+    """Simulated touches with known poses. They are rendered once, and each batch adds new noise."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -56,17 +59,17 @@ class TrainingTouches(ABC):
 
     @abstractmethod
     def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches, to compare with keys that are cut at `press_m` metres.
+        """Draw `count` different touches, for comparison with keys that are cut at `press_m` metres.
 
-        Each has `decoys` decoys, if touches are rotated when they are compared.
+        If touches are rotated for the comparison, each touch has `decoys` decoys.
         """
 
 
 class TrainingProblem(ABC):
     """The simulated training data of an encoder: touches, and one key for each pose or place that is searched.
 
-    `partly_seen`: touches show only a part of what their keys show, and are encoded with `Encoder.encode_seen`. The
-    encoder reports its progress to `progress` and resumes from `checkpoints`.
+    `partly_seen` is True if a touch shows only a part of its key. The touches are then encoded with
+    `Encoder.encode_seen`. The encoder reports its progress to `progress` and resumes from `checkpoints`.
     """
 
     progress: Progress
@@ -81,7 +84,7 @@ class TrainingProblem(ABC):
     @property
     @abstractmethod
     def key_presses_m(self) -> NDArray[np.float64]:
-        """The press depths (P,), metres, at which keys may be cut; a touch is compared with keys of one of them."""
+        """The press depths (P,), metres, at which keys may be cut. A touch is compared with keys of one press depth."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -89,19 +92,22 @@ class TrainingProblem(ABC):
 
     @abstractmethod
     def clean_keys(self, press_m: float) -> Iterable[Float32]:
-        """Yield the keys' whole contact depths without noise, cut at a press: shards (S, H, W), S > 0, metres."""
+        """Yield the keys' complete contact depths, metres, without noise, cut at `press_m`, in shards (S, H, W).
+
+        S is at least one.
+        """
 
     @abstractmethod
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
-        """Render `count` touches at random poses, to which this noise will be added."""
+        """Render `count` touches at random poses. The batches of these touches add `noise`."""
 
     @abstractmethod
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the distances (K,), metres, in the pose metric between keys `first` (K,) and `second` (K,)."""
+        """Return the pose distances (K,), metres, between keys `first` (K,) and keys `second` (K,)."""
 
 
 class Encoder(Component):
-    """Maps contact shapes to vectors whose Euclidean distance tells how similar the poses are."""
+    """Maps contact shapes to vectors. Contact shapes of similar poses get vectors at a small Euclidean distance."""
 
     slot = "encoder"
 
@@ -109,7 +115,7 @@ class Encoder(Component):
         """Train on simulated touches. Does nothing unless the encoder needs training."""
 
     def save_weights(self, path: Path) -> None:
-        """Write the trained weights to a safetensors file. Raises NotImplementedError without training."""
+        """Write the trained weights to a safetensors file. Raises NotImplementedError if there is no training."""
         raise NotImplementedError(f"{type(self).__name__} has no weights")
 
     def load_weights(self, path: Path) -> None:
@@ -118,17 +124,19 @@ class Encoder(Component):
 
     @abstractmethod
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
-        """Return embeddings (N, D) of contact depths (N, H, W) in metres, all cut at one press depth."""
+        """Return embeddings (N, D) of contact depths (N, H, W), metres, that are all cut at one press depth."""
 
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
-        """Return embeddings (N, D) of contact depths (N, H, W), metres, known at pixels `seen` (N, H, W), and weights
-        (N, D), the known share of each number of an embedding, 0 to 1. Both are float32.
+        """Return embeddings and weights, each (N, D) float32, of contact depths (N, H, W), metres, known in part.
 
-        A grid of places uses this, because the sensor's field is limited; the matcher gets the weights. If all pixels
-        are seen, the embeddings equal those of `encode`, and the weights are one. By default, unseen pixels count as
-        out of contact, and all weights are one; override the method if that does not suit the encoder.
+        `seen` (N, H, W) marks the known pixels. A weight, 0 to 1, is the known share of one number of an embedding; the
+        matcher gets the weights. Grids of places use this method, because a sensor sees only a part of a place's
+        surroundings. If all pixels are seen, the embeddings equal those of `encode`, and the weights are one.
+
+        By default, unseen pixels count as out of contact, and all weights are one. Override the method if this does not
+        suit the encoder.
         """
         embeddings = self.encode(np.where(seen, depth_m, np.float32(press_depth_m)), press_depth_m, geometry)
         return embeddings, np.ones_like(embeddings)

@@ -20,8 +20,9 @@ class Fuser(Component):
     def fuse(
         self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
     ) -> PosePosterior:
-        """Return the posterior over the first touch's grid. `prior` maps its poses (N, 4, 4) to log-weights (N,).
+        """Return the posterior over the first touch's grid.
 
-        `T_base_sensor` has each sensor's pose (4, 4), metres; None if unknown. Raises ConfigError for touches that it
-        cannot combine, such as several without sensor poses, and GridError when no pose is left.
+        `T_base_sensor` has each sensor's pose (4, 4), metres, or None if it is unknown. `prior` maps the poses of the
+        grid (N, 4, 4), metres, to log-weights (N,). Raises ConfigError for touches that the fuser cannot combine, such
+        as several touches without sensor poses. Raises GridError if no pose is left.
         """

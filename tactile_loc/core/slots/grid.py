@@ -30,29 +30,32 @@ class GridSampler(Component):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """Whether `spacing_mm` is the mean over the whole grid; if so, core corrects it for the effect of contact.
+        """True if `spacing_mm` is the mean spacing of the whole grid; then core corrects it for the effect of contact.
 
-        False if options set some steps separately, such as tilts or a level of rotations.
+        Return False if options set some steps separately, such as tilts or a level of rotations.
         """
         return True
 
     @abstractmethod
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return candidate poses (N, 4, 4), about `spacing_m` metres apart; z is free, core brings them to contact."""
+        """Return candidate poses (N, 4, 4), metres, about `spacing_m` metres apart.
+
+        Their z is arbitrary, because core brings them to contact.
+        """
 
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
-        """Return the object's places that can touch first; they are searched if `Capabilities.places` is declared.
+        """Return the object's places, if the grid declares `Capabilities.places`.
 
-        Poses are then not listed: a touch is aligned by its deepest point, at `options.turns` yaws. `sample` and
-        `random` describe the set of poses that this covers.
+        Such a grid does not list the poses that are searched. Each touch is aligned with the places by its deepest
+        point, at `options.turns` yaws. `sample` and `random` return examples of the poses that this search covers.
         """
         raise NotImplementedError(f"{type(self).__name__} lists poses")
 
     @abstractmethod
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free.
+        """Draw poses (count, 4, 4), metres, uniformly from the continuous set that the grid samples; z is arbitrary.
 
-        On average, equally many are drawn around each pose of the grid. Probabilities P(x | touch) fitted to touches at
-        such poses have a uniform P_train, which fusers assume for a posterior without `log_train`. So a rotation with
-        more places over the sensor must be drawn more often: see `draw_places`.
+        On average, equally many poses must be drawn around each pose of the grid. A rotation that allows more positions
+        over the sensor must therefore be drawn more often: see `draw_places`. Probabilities P(x | touch) that are
+        fitted to touches at such poses have a uniform P_train. Fusers assume this for a posterior without `log_train`.
         """

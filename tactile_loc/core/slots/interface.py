@@ -1,9 +1,9 @@
-"""The version of the plugin interface, and the adaptation of components written for an earlier one.
+"""The version of the plugin interface, and the adaptation of components written for an earlier version.
 
 | version | what changed |
 |---|---|
 | 2 | `Matcher.scores` takes `weights` (before: `Matcher.weighted_scores`); `Capabilities.weights` |
-| 1 | the first |
+| 1 | the first version |
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ WEIGHTS_CHANGE = "give scores a second argument, weights"
 
 
 def takes_weights(matcher: Any) -> bool:
-    """Whether the method `scores` of a matcher, given as a class or an instance, takes a second argument."""
+    """Return whether the `scores` method of a matcher (class or instance) takes a second argument."""
     taken = [p for p in inspect.signature(matcher.scores).parameters.values() if p.kind is not p.KEYWORD_ONLY]
     several = any(p.kind is p.VAR_POSITIONAL for p in taken)
     return several or len(taken) > 1 + isinstance(matcher, type)
 
 
 def require_interface(kind: Any, slot: str, version: int) -> None:
-    """Raise TypeError unless a component's class fulfils the slot's interface of its version."""
+    """Raise TypeError if a component's class does not follow interface `version` of its slot."""
     if version >= 2 and slot == "matcher" and kind.capabilities.weights and not takes_weights(kind):
         raise TypeError(f"{kind.__name__}.scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
 
@@ -35,12 +35,12 @@ def require_interface(kind: Any, slot: str, version: int) -> None:
 def adapt(kind: Any, slot: str, version: int) -> Any:
     """Return a component's class, written for interface `version`, adapted to the current version.
 
-    A matcher of version 1 gets `scores(queries, weights)`, from its `weighted_scores` or, without one, for listed poses
-    only.
+    A matcher of version 1 gets a method `scores(queries, weights)`, which calls the matcher's `weighted_scores`. If the
+    matcher has no `weighted_scores`, it is declared with weights=False, so it compares with listed poses only.
     """
     if version >= 2 or slot != "matcher" or takes_weights(kind):
         return kind
-    weighs = hasattr(kind, "weighted_scores")  # no built-in class has it
+    weighs = hasattr(kind, "weighted_scores")  # only interface 1 had this method
     consequence = "its weighted_scores is used" if weighs else "it compares with listed poses only"
     logger.warning(
         "The matcher %s was written for plugin interface 1: %s. To bring it to interface %d, %s.",

@@ -11,20 +11,24 @@ from tactile_loc.core.slots.component import Component, Float32
 
 
 class Matcher(Component):
-    """Compares queries with the bank. A score is -1/2 ||query - row||^2; for unit vectors, the cosine minus one."""
+    """Compares queries with the bank.
+
+    A score is -1/2 ||query - row||^2. For unit vectors, this is the cosine minus one.
+    """
 
     slot = "matcher"
 
     @abstractmethod
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), one row per pose; it replaces an earlier one."""
+        """Take the bank (N, D), one row per pose. It replaces any earlier bank."""
 
     @abstractmethod
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless; higher is more similar; -inf for rows not compared.
+        """Return scores (M, N), unitless, of queries (M, D). A higher score means more similar, -inf not compared.
 
-        `weights` (M, D), 0 to 1, are the known shares of a query's numbers q. The score of a row b is -1/2 sum_d w (q -
-        b)^2. None means ones. A matcher that declares `Capabilities(weights=False)` never gets weights.
+        `weights` w (M, D), 0 to 1, are the known shares of the numbers of a query q. The score of a row b is
+        -1/2 sum_d w_d (q_d - b_d)^2. None means weights of one. A matcher that declares `Capabilities(weights=False)`
+        never gets weights.
         """
 
 
@@ -32,13 +36,13 @@ class ExactMatcher(Matcher):
     """Scores all poses exactly: -1/2 ||q - b||^2 = q . b - 1/2 ||b||^2 - 1/2 ||q||^2."""
 
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless, and its half squared norms."""
+        """Take the bank (N, D), unitless, and compute half the squared norm of each row."""
         self._bank = np.ascontiguousarray(bank, np.float32)
         self.__dict__.pop("_half_squares", None)
         self._half_norms = 0.5 * np.einsum("nd,nd->n", self._bank, self._bank)
 
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None: ones. Unitless."""
+        """Return scores (M, N), unitless, of queries (M, D) with weights (M, D), as `Matcher.scores` defines them."""
         q = np.asarray(queries, np.float32)
         if weights is not None:
             return self._score_weighted(q, np.asarray(weights, np.float32))

@@ -27,13 +27,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """A refined pose (4, 4), metres. `contact_iou`, 0 to 1, is the contact IoU with the touch (`Scene.contact_iou`), or
-    the mean over several touches.
+    """A refined pose `T_sensor_object` (4, 4), metres.
 
-    `T_sensors_object` (N, 4, 4), metres, is the object's pose in the frame of each of several sensors, if the refiner
-    solves for errors of sensor poses; else None. `covariance` (6, 6), if the refiner estimates it, is that of the
-    pose's error: x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are along the sensor's
-    axes, as in ROS's PoseWithCovariance.
+    `contact_iou`, 0 to 1, is the contact IoU with the touch (see `Scene.contact_iou`), or the mean over several
+    touches. `covariance` (6, 6) is the covariance of the pose's error, if the refiner estimates it. The error is x, y,
+    z of the object frame's origin (m), then a rotation vector (rad). Both are along the sensor's axes, as in ROS's
+    PoseWithCovariance. `T_sensors_object` (N, 4, 4), metres, are the object's poses in the frames of several sensors,
+    if the refiner corrects the sensors' poses; else None.
     """
 
     T_sensor_object: NDArray[np.float64]
@@ -45,27 +45,27 @@ class RefinedPose:
 
 
 class Refiner(Component):
-    """Refines candidates below the grid's resolution."""
+    """Refines candidate poses beyond the resolution of the grid."""
 
     slot = "refiner"
 
     @abstractmethod
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the refined pose; `converged` is False if nothing better than the candidate was found."""
+        """Return the refined pose. Its `converged` is False if no pose better than the candidate was found."""
 
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
         """Refine several candidates of one touch, in their order, with the same results as `refine`.
 
-        Override it if refining several candidates together is faster.
+        Override this method if refining several candidates together is faster.
         """
         return [self.refine(touch, candidate, scene) for candidate in candidates]
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates, poses in the first touch's sensor frame, against several touches.
+        """Refine candidates, given as poses in the frame of the first touch's sensor, against several touches.
 
-        By default, the candidates are refined against each touch separately. For each candidate, the result is the pose
-        with the best mean imprint IoU over all touches: one of these, or the candidate itself. Override it to use all
-        touches at once.
+        By default, each candidate is refined against each touch separately. The result is the refined pose with the
+        best mean imprint IoU over all touches, or the candidate itself if its mean is best. Override this method to use
+        all touches at once.
         """
         if len(views) == 1:
             return self.refine_many(views[0].touch, candidates, views[0].scene)

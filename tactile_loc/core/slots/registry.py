@@ -1,4 +1,4 @@
-"""The registry of plugins, found by entry point. A component's class is imported at its first use."""
+"""The registry of plugins, which are found by entry points. A component's class is imported at its first use."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ class ComponentSpec:
     """One component offered for one slot.
 
     `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
-    it needs and tactile-loc does not. `interface` is the interface version that it was written for. Write a number:
-    INTERFACE_VERSION changes with the installed tactile-loc. Plugins for version 1 omit it.
+    the component needs and tactile-loc does not. `interface` is the version of the plugin interface for which the
+    component was written, by default 1. Write a number here, not INTERFACE_VERSION, because that changes with the
+    installed tactile-loc.
     """
 
     slot: str
@@ -171,13 +172,13 @@ class Registry:
             ) from error
 
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
-        """Return a component with validated options. Raises ConfigError for unknown or invalid ones."""
+        """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
         kind = self.load(slot, name)
         return kind(validate_options(kind.Options, options or {}, f"{slot} {name!r}"))
 
 
 def _is_part_of(missing: str | None, module: str) -> bool:
-    """Whether a missing module belongs to the package of `module`, so that no library is missing."""
+    """Return whether a missing module belongs to the package of `module`, so that no library is missing."""
     package, _, part = (missing or "").partition(".")
     return bool(part) and package == module.partition(".")[0]
 
@@ -197,7 +198,8 @@ def validate_options(
 ) -> Any:
     """Build the pydantic options `model` from `values`.
 
-    Raises ConfigError, which names the `owner` and the valid options, or calls a wrong option `name_option(key)`.
+    Raises ConfigError if an option is unknown or its value is invalid. The message calls an invalid option
+    "key of the owner", or `name_option(key)` if that function is given.
     """
     try:
         return model(**values)
@@ -228,7 +230,10 @@ _KINDS = {"int": "a whole number", "float": "a number", "bool": "true or false"}
 
 
 def explain_allowed(problem: Mapping[str, Any]) -> str:
-    """Return what to give instead of a refused value; `problem` is an item of `ValidationError.errors()`."""
+    """Return advice for a refused value, such as "give 1 or more".
+
+    `problem` is an item of `ValidationError.errors()`.
+    """
     kind, about = problem["type"], problem.get("ctx", {})
     if kind in _ALLOWED:
         return _ALLOWED[kind].format_map({k: f"{v:g}" if isinstance(v, float) else v for k, v in about.items()})
@@ -247,7 +252,8 @@ def _name_type(annotation: Any) -> str:
 def registry() -> Registry:
     """Return the process's registry: the built-in components, and all others that TACTILE_LOC_PLUGINS allows.
 
-    TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names; empty means built-ins only.
+    TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names. If it is not set, all plugins
+    are allowed. If it is empty, only the built-in components are allowed.
     """
     found = list(entry_points(group=PROJECT))
     wanted = os.environ.get("TACTILE_LOC_PLUGINS")

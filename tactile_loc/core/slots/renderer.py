@@ -19,13 +19,13 @@ class Renderer(Component):
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Depths are exact between standoff and standoff + max_depth; depths beyond may be inf. Poses are already in
+        Depths are exact between standoff and standoff + max_depth; depths beyond may be inf. The poses are already in
         contact.
         """
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return depths (N, H, W), metres, as `render` does, of poses that share no rotation, such as random ones.
+        """Return depths (N, H, W), metres, like `render`, for poses with different rotations, such as random poses.
 
-        Override it if such poses can be rendered faster or more exactly than those of a grid.
+        Override this method if such poses can be rendered faster or more exactly than the poses of a grid.
         """
         return self.render(mesh, T_sensor_object, geometry)

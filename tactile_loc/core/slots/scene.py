@@ -1,4 +1,4 @@
-"""A scene: an object before a sensor, with a renderer; and a view: one of several touches with its scene."""
+"""A scene is an object in front of a sensor, with a renderer. A view is one of several touches, with its scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from tactile_loc.core.slots.renderer import Renderer
 
 IOU_PX = 100
 
-# The error of a measured indentation: a share of it, and the least value. A pose may move along z by this error.
+# The error of a measured indentation is a share of the indentation plus a constant. It limits how far a pose may move
+# along z.
 PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 
 
@@ -35,9 +36,9 @@ PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 )
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The object, the sensor's geometry and a renderer; `drawing` is "pressed" or as in the paper.
+    """An object, the sensor's geometry and a renderer. `drawing` is "pressed" or "paper": see `find_drawing`.
 
-    Poses are those of the pressed object in both cases: see `find_drawing`.
+    With both drawings, poses are those of the pressed object.
     """
 
     object: ObjectModel
@@ -46,11 +47,11 @@ class Scene:
     drawing: Drawing = "pressed"
 
     def use_pressed_drawing(self) -> Scene:
-        """Return the scene that renders the pressed object, as real sensors see it."""
+        """Return the scene with the drawing "pressed": the pressed object, as real sensors see it."""
         return dataclasses.replace(self, drawing="pressed")
 
     def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
-        """Bring poses (N, 4, 4) to contact along z; also return which (N,) touch the sensing rectangle. Metres."""
+        """Move poses (N, 4, 4), metres, along z to contact. Also return which (N,) touch the sensing rectangle."""
         from tactile_loc.core.sensing.contact import bring_to_contact
 
         return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
@@ -63,21 +64,24 @@ class Scene:
         return T
 
     def press(self, indentation_m: float, press_depth_m: float | None = None) -> Scene:
-        """Return the scene with the object pressed in: see `SensorGeometry.press`. Metres."""
+        """Return the scene with the object pressed in by `indentation_m` metres: see `SensorGeometry.press`."""
         return dataclasses.replace(self, geometry=self.geometry.press(indentation_m, press_depth_m))
 
     def match_touch(self, touch: Touch) -> Scene:
-        """Return the scene of the touch's sensor: with its press and its pixels."""
+        """Return the scene with the sensor geometry of a touch, which has the touch's press and pixels."""
         return dataclasses.replace(self, geometry=touch.geometry)
 
     def render_contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W) in metres of poses (N, 4, 4) that are in contact already."""
+        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) that are already in contact."""
         T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
         depth = self.renderer.render_apart(self.object.mesh, T, camera.band)
         return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
 
     def render_grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W), metres, at full press, of a grid's poses, many of which share a rotation."""
+        """Render contact depths (N, H, W), metres, of a grid's poses (N, 4, 4), cut at the maximal depth.
+
+        This is fast if many poses have the same rotation.
+        """
         T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
         return compute_contact_depth(self.renderer.render(self.object.mesh, T, camera.band), camera, camera.max_depth_m)
 
@@ -94,7 +98,7 @@ class Scene:
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
 
-        The indentation is the scene's, or the press depth if the scene has none.
+        The shape's indentation is that of the scene, or the press depth if the scene's sensor is not pressed.
         """
         pressed = self if self.geometry.indentation_m else self.press(press_depth_m)
         T, _ = pressed.bring_to_contact(T_sensor_object[None])
@@ -103,31 +107,31 @@ class Scene:
         )
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
-        """Return the contact IoU of one pose (4, 4), metres: see `contact_ious`."""
+        """Return the contact IoU of one pose (4, 4), metres, with a touch: see `contact_ious`."""
         return self.contact_ious(T_sensor_object[None], touch)[0]
 
     def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
         """Return the contact IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
-        This is the intersection over union of the touch's and the pose's contact, over the observed pixels, on about
-        IOU_PX pixels per side. Poses may move along z by the error of the measured press only, so a pose that hovers
-        over the sensor explains nothing.
+        A contact IoU is the intersection over union of the touch's contact and the pose's contact, over the observed
+        pixels. The images have about IOU_PX pixels on the longer side. A pose may move along z only by the error of the
+        measured press, so a pose far above the sensor has no contact.
         """
         return self.compare_imprints(T_sensor_object, touch).contact_ious.tolist()
 
     def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
-        This is a generalised intersection over union of imprints: the sum of the smaller depths over the sum of the
-        larger ones. Where there is contact, each depth is increased by OUTLINE_SHARE of the press depth. Otherwise as
-        for `contact_ious`.
+        At each pixel, the imprint is the press depth minus the contact depth. Where there is contact, OUTLINE_SHARE of
+        the press depth is added. The imprint IoU is the sum of the smaller of both imprints over all pixels, divided by
+        the sum of the larger. Pixels and movements along z are the same as for `contact_ious`.
         """
         return self.compare_imprints(T_sensor_object, touch).imprint_ious
 
     def compare_imprints(
         self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX, freedom_m: float = 0.0
     ) -> Explained:
-        """Return the IoUs and evidence with which poses (N, 4, 4), metres, explain a touch; each is rendered once.
+        """Return the IoUs and the evidence of poses (N, 4, 4), metres, for a touch. Each pose is rendered once.
 
         Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
@@ -144,7 +148,7 @@ class View:
     """One of several touches, with its scene and the transform from the first sensor's frame.
 
     The sensor's pose has an error with standard deviations of `sensor_std_m` metres along and `sensor_std_rad` radians
-    about each axis. `T_sensor_first` (4, 4), metres, has this sensor's error and the first one's.
+    about each axis. `T_sensor_first` (4, 4), metres, contains the errors of this sensor and of the first sensor.
     """
 
     touch: Touch
@@ -154,9 +158,12 @@ class View:
     sensor_std_rad: float = 0.0
 
     def compare_imprints(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> Explained:
-        """Return how well poses (N, 4, 4) in the first sensor's frame, metres, explain this touch, as Scene does."""
+        """Return how well poses (N, 4, 4), metres, in the first sensor's frame, explain this touch.
+
+        The values are those of `Scene.compare_imprints`.
+        """
         return self.scene.compare_imprints(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)
 
     def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
-        """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, in the first sensor's frame."""
+        """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, in the first sensor's frame, with this touch."""
         return self.compare_imprints(T_first_object, pixels, freedom_m).imprint_ious

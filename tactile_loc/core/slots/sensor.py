@@ -28,13 +28,13 @@ class SensorModel(Component):
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
         """Convert an observation, an image (H, W, 3) uint8 or depths (H, W) in metres, to a contact shape.
 
-        Raises TouchError when the observation does not fit.
+        Raises TouchError if the observation does not fit the sensor.
         """
 
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
 
-        Raises ConfigError unless the sensor reads images, and CalibrationError when it cannot make any.
+        Raises ConfigError if the sensor does not read images, and CalibrationError if it cannot simulate them.
         """
         raise ConfigError(
             f"the sensor {type(self).__name__} reads no images; make one that does with tactile-loc calibrate "
