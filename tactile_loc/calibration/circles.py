@@ -2,8 +2,8 @@
 
 The search has three steps, from robust to exact:
 
-1. A matched filter finds the position and the approximate size. The filter is a coloured ramp: under any light, the
-   colour change in a ball's imprint is roughly proportional to the offset from the imprint's centre.
+1. A matched filter finds the position and the approximate size. The filter is a coloured ramp, because the colour
+   change in a ball's imprint is roughly proportional to the offset from the centre, under any light.
 2. A fit of ramps refines position and size.
 3. On each of RAYS rays from the centre, the steepest drop of the colour change is found. A circle is fitted robustly to
    these points. This step needs no model of the light.

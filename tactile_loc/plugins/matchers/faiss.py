@@ -17,8 +17,8 @@ ROWS_A_LIST = 39  # rows that faiss needs to train one inverted list
 class FaissMatcher(Matcher):
     """Scores the `top_k` most similar poses of each query. All other poses get -inf.
 
-    Queries with weights w use a second index. With rows b and queries q relative to the bank's mean,
-    -1/2 sum w (q - b)^2 is the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
+    Queries with weights w use a second index. Let rows b and queries q be relative to the bank's mean. The score
+    -1/2 sum w (q - b)^2 is then the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
     """
 
     version = 2

@@ -212,8 +212,8 @@ def load_pretrained(model: Backbone, source: str | Path) -> None:
     """Fill `model` with the weights in `source`, a .safetensors file. Pickles, torch's own format, are never read.
 
     The file has torchvision's names, or the names of a saved `model.state_dict()`. `fc.*` is ignored. If the file has
-    no `project.*`, the model keeps its own projection. If the file's first convolution takes three colours and the
-    model takes another number of planes, the weights of the mask's plane are the sum over the colours. The weights of
+    no `project.*`, the model keeps its own projection. The file's first convolution may take three colours, and the
+    model another number of planes. The weights of the mask's plane are then the sum over the colours, and those of
     further planes are zero. A model with group norms takes the scales and shifts of batch norms without their running
     statistics, so the model needs fine-tuning.
 

@@ -111,9 +111,9 @@ class MocoEncoder(Encoder):
     def fit(self, problem: TrainingProblem) -> None:
         """Train on simulated touches, together with the other processes if torchrun started several.
 
-        Raises GridError when the grid is too large for the memory, WeightsError when pretrained weights do not fit,
-        ConfigError when CUDA is absent, MissingLibraryError when TensorBoard is not installed, and TrainingError when
-        the training fails.
+        Raises GridError when the grid is too large for the memory, WeightsError when pretrained weights do not fit, and
+        TrainingError when the loss becomes NaN in the first epoch. Raises ConfigError when CUDA is requested but
+        absent, and MissingLibraryError when a library is not installed.
         """
         _require_memory(self.recipe, len(problem))
         _reset_threads()

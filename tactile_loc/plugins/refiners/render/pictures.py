@@ -37,7 +37,7 @@ REACH = 2.0  # height above the sensing surface, in maximal depths, beyond which
 class Pictures:
     """Draws poses as a touch's sensor would see them, and moves them.
 
-    A picture is (P,) float32, unitless. It is the indentation as a share of the press depth, averaged over blocks of
+    A picture is (P,) float32, unitless: the indentation as a share of the press depth. It is averaged over blocks of
     `block` x `block` pixels and blurred with weights `taps` (2 K + 1,). A move (6,) is a translation along x, y, z and
     a rotation vector about the contact's centre `centre_m`, in units of `steps` (metres and radians). If `in_contact`,
     z follows from contact.
