@@ -52,7 +52,7 @@ class Circle:
         return np.asarray(np.hypot(x + 0.5 - self.x_px, y + 0.5 - self.y_px))
 
     def measure_overhang_px(self, shape: tuple[int, int]) -> float:
-        """Return the distance by which the circle extends beyond an image (H, W), pixels; negative if it is inside."""
+        """Return the distance, pixels, by which the circle extends beyond an image (H, W). It is negative inside."""
         height, width = shape
         nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
         return self.radius_px - nearest

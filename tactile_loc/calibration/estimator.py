@@ -134,7 +134,7 @@ def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, A
 def scale_difference(image: Image, background: Image) -> Float32:
     """Return an image (H, W, 3) minus the background (H, W, 3), scaled to about -1 to 1.
 
-    Both may be the same crop of the whole images.
+    Both may be crops of the whole images at the same place.
     """
     return (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
 

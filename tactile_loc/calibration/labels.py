@@ -145,7 +145,7 @@ class LabelledPresses(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Chosen(LabelledPresses):
-    """A subset of a set of presses: those with the given numbers, in this order."""
+    """A subset of the presses in `whole`: the presses with these `numbers`, in this order."""
 
     whole: LabelledPresses
     numbers: Sequence[int]

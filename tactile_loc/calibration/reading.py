@@ -111,7 +111,7 @@ def find_contact_shape(
 
     The gel follows the object in the contact. Around the contact, its skirt slopes to the untouched surface.
     `find_contact` separates contact and skirt. The shape is cut at the indentation that gives the same contact area,
-    so it has a smaller press depth than the object. The shape's `indentation_m` is the full press depth. If the
+    so its press depth is smaller than the full press depth. The full press depth becomes the shape's `indentation_m`. If the
     indentation has no skirt (`sees_skirt` is False), all pixels above the detection limit are in contact.
 
     Raises NoContactError when the press depth is below the detection limit.

@@ -158,7 +158,7 @@ def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: fl
 def _choose_reference(images: Sequence[Image]) -> Float32:
     """Return the best approximation (H, W, 3) of the untouched gel: an image, the median image or a smoothed median.
 
-    Relative to the best approximation, one imprint explains most of the change of each image.
+    Relative to the best approximation, single imprints explain the largest share of the images' changes.
     """
     stack = np.stack(images[:: max(1, len(images) // 40)])
     median = np.median(stack, axis=0).astype(np.float32)

@@ -41,7 +41,7 @@ def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
     """Yield an empty folder near `path`. If the block succeeds, sync the folder and put it in place of `path`.
 
     If the process is killed at any time, either the old or the new folder is complete. The next replacement removes the
-    other one. Some file systems cannot exchange two folders in one step. The killed process may then leave the old
+    other folder. Some file systems cannot exchange two folders in one step. The killed process may then leave the old
     folder under another name: call `recover_folder` before reading. With `fresh`, only an empty folder may be at
     `path`. Raises OSError when writing fails.
     """

@@ -1,4 +1,4 @@
-"""Content hashes: one string for all inputs of a stage, which changes exactly when an input changes."""
+"""Content hashes: one string for all inputs of a stage. The string changes exactly when an input changes."""
 
 from __future__ import annotations
 

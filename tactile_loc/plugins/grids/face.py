@@ -142,7 +142,10 @@ def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.
 
 
 def count_turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
-    """Return how many rotations about a unit normal (3,), in the object frame, map the object onto itself, or inf."""
+    """Return the number of rotations about a unit normal (3,), in the object frame, that map the object onto itself.
+
+    The number is inf if the object is rotationally symmetric about the normal.
+    """
     axis = symmetry.continuous_axis
     if axis is None:
         return int(np.isclose(symmetry.rotations @ normal, normal, atol=1e-3).all(axis=1).sum())

@@ -151,7 +151,7 @@ def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
 
 @njit(fast=True)
 def _draw(p, envelope):
-    """Lower the map to one triangle with corners (3, 3) of column, row, height."""
+    """Lower the map's heights to a triangle where the triangle is lower. A corner is (column, row, height)."""
     rows, columns = envelope.shape
     ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
     area = ax * by - ay * bx

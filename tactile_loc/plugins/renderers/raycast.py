@@ -151,7 +151,7 @@ def _find_pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> 
 
 
 def _find_span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> slice:
-    """Return the pixels with centres between the least and the greatest slope, with one more at each end."""
+    """Return the pixels with centres between the least and the greatest slope, and one more pixel at each end."""
     first, last = np.clip([slopes.min() * f + c - 1.5, slopes.max() * f + c + 1.5], 0, size)
     return slice(int(first), int(np.ceil(last)))
 

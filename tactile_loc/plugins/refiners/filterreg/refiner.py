@@ -60,7 +60,8 @@ class Mixtures:
     def make_mixture(self, sigma_mm: float, merged: bool) -> Mixture:
         """Return the mixture with one Gaussian for each point or, if `merged`, for each box that is one sigma wide.
 
-        Merged points are faster and hardly change the sums: Gaussians one sigma apart add up to a nearly even density.
+        With merged points, the sums take less time and hardly change, because Gaussians one sigma apart add up to a
+        nearly even density.
         """
         rows = self._merge(sigma_mm) if merged else self._rows
         cell = max(REACH * sigma_mm, float(self._extent[:2].max()) / MOST_COLUMNS)
@@ -121,7 +122,7 @@ class FilterRegRefiner(CloudRefiner):
         return moving.results()
 
     def _anneal(self, target: Cloud) -> Iterator[tuple[Mixture, bool]]:
-        """Yield the target's mixture for each iteration, and whether its standard deviation is the last one."""
+        """Yield the target's mixture for each iteration, and whether its standard deviation is the smallest."""
         options, mixtures = self.options, Mixtures(target, self.options.outlier)
         sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0
         while sigma > last and done < options.iterations:
