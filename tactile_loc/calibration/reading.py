@@ -110,9 +110,9 @@ def find_contact_shape(
     falsely measured for the untouched gel, metres.
 
     The gel follows the object in the contact. Around the contact, its skirt slopes to the untouched surface.
-    `find_contact` separates contact and skirt. The shape is cut at the indentation that gives the same contact area,
-    so its press depth is smaller than the full press depth. The full press depth becomes the shape's `indentation_m`. If the
-    indentation has no skirt (`sees_skirt` is False), all pixels above the detection limit are in contact.
+    `find_contact` separates contact and skirt. The shape is cut at the indentation that gives the same contact area, so
+    its press depth is smaller than the full press depth. The full press depth becomes the shape's `indentation_m`. If
+    the indentation has no skirt (`sees_skirt` is False), all pixels above the detection limit are in contact.
 
     Raises NoContactError when the press depth is below the detection limit.
     """
