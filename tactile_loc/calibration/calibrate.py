@@ -1,4 +1,4 @@
-"""Calibrates a sensor: trains on most presses, measures the errors on the rest, and stores both."""
+"""Calibrates a sensor: trains an estimator on most presses and measures its errors on the others."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
-HELD_OUT = 0.2  # share of the presses
-FEWEST = 5  # presses, including one that is held out
+HELD_OUT = 0.2  # share of the presses on which the errors are measured
+FEWEST = 5  # fewest presses for a calibration: four for training and one held out
 STAGE_VERSION, RECORD = 4, "held-out"
-LOOKED_AT = 60  # most presses for which the health is measured
+LOOKED_AT = 60  # largest number of presses for which the health is measured
 
 
 @dataclass(frozen=True)
 class PressErrors:
     """An estimator's errors for one press. Lengths are in metres; unknown errors are NaN.
 
-    `slope_deg` is the mean absolute error of the surface's angles along x and y in the contact, degrees (NaN for an
-    estimator without slopes). `depth_m` is the RMS error of the indentation in the contact (NaN if the label is not
-    absolute), and `shape_m` is the same after subtracting the mean error. `untouched_m` is the RMS indentation where
-    the gel is untouched.
+    `slope_deg` is the mean absolute error of the surface's angles along x and y in the contact, degrees. It is NaN for
+    an estimator without slopes. `depth_m` is the RMS error of the indentation in the contact. It is NaN if the label is
+    not absolute. `shape_m` is the RMS error in the contact after the mean error is subtracted. `untouched_m` is the RMS
+    of the estimated indentation where the gel is untouched.
     """
 
     slope_deg: float
@@ -51,7 +51,10 @@ class PressErrors:
 
 
 def average_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
-    """Return the mean of each error over the presses for which it is known; errors that are never known are omitted."""
+    """Return the mean of each error over the presses for which the error is known.
+
+    Errors that are unknown for all presses are omitted.
+    """
     found = {f.name: [getattr(e, f.name) for e in errors] for f in fields(PressErrors)}
     known = {name: [v for v in values if np.isfinite(v)] for name, values in found.items()}
     return {name: float(np.mean(values)) for name, values in known.items() if values}
@@ -59,7 +62,11 @@ def average_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """An estimator, the numbers of the held-out presses, its errors on them, and the usual health."""
+    """A trained estimator with its errors.
+
+    `held_out` holds the numbers of the presses that were not used for training. `errors` are the estimator's errors on
+    these presses. `usual` is the worst health of the training presses.
+    """
 
     estimator: GelEstimator
     held_out: tuple[int, ...]
@@ -78,9 +85,10 @@ def calibrate(
     options: dict[str, Any] | None = None, seed: int = 0, progress: Progress | None = None,
     checkpoints: Checkpoints | None = None,
 ) -> Calibrated:  # fmt: skip
-    """Train the named estimator on four fifths of the presses, drawn by `seed`, and measure its errors on the rest.
+    """Train the named estimator on four fifths of the presses, and measure its errors on the other presses.
 
-    `background` (H, W, 3) is the image of the untouched gel. Raises CalibrationError when there are too few presses.
+    The training presses are drawn at random with `seed`. `background` (H, W, 3) is the image of the untouched gel.
+    Raises CalibrationError when there are fewer than FEWEST presses.
     """
     if len(presses) < FEWEST:
         raise CalibrationError(f"there are {len(presses)} presses; a calibration needs at least {FEWEST}, better 30")
@@ -96,14 +104,17 @@ def calibrate(
 
 
 def _measure_usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
-    """Return the worst health of the training presses, or of a sample of them."""
+    """Return the worst health of the training presses. It is measured for at most LOOKED_AT presses."""
     some = learned[:: -(-len(learned) // LOOKED_AT)]
     images = (presses.read_press(number)[0] for number in some)
     return find_worst(measure_health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
 
 
 def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Split `count` presses into the numbers of training presses and of held-out presses, both sorted."""
+    """Draw the held-out presses from `count` presses. Return the numbers of the training and the held-out presses.
+
+    Both tuples are sorted.
+    """
     drawn = np.random.default_rng(seed).permutation(count)
     few = max(1, round(HELD_OUT * count))
     return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))
@@ -132,7 +143,10 @@ def calibrate_stage(
     presses: PressFolder, folder: Path, estimator: str, options: dict[str, Any], seed: int, store: StageStore,
     progress: Progress,
 ) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate with a folder of presses, or load the stored result. Return the estimator and its error record."""
+    """Calibrate with a folder of presses, or load the stored result.
+
+    Return the estimator and a record of its errors, as JSON values.
+    """
     inputs = {
         "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
         "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
@@ -146,7 +160,11 @@ def learn_stage(
     presses: LabelledPresses, geometry: SensorGeometry, background: Image, inputs: dict[str, Any], estimator: str,
     options: dict[str, Any], seed: int, store: StageStore, progress: Progress,
 ) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate with presses, or load the stored result. `inputs` (JSON values) identifies presses and sensor."""
+    """Calibrate with presses, or load the stored result.
+
+    `inputs`, JSON values, identify the presses and the sensor in the store. Return the estimator and a record of its
+    errors, as JSON values.
+    """
     kind = load_estimator(estimator)
     chosen = validate_estimator_options(kind, options)
     described: dict[str, Any] = {"estimator": estimator, "options": chosen.model_dump(mode="json"), "seed": seed}

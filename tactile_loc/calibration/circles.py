@@ -1,12 +1,15 @@
-"""Finds the visible circle of a ball in an image of the gel, for any light.
+"""Finds the visible circle of a ball in an image of the gel, under any light.
 
-There are three steps, from robust to exact. First, a matched filter of coloured ramps finds the position and the
-approximate size. Under any light, the colour in a ball's imprint changes with the offset from its middle. Then a fit of
-this model refines position and size. Last, the steepest fall of the colour is found along each of many rays, and a
-circle is fitted robustly to these points. This circle does not depend on a model of the light.
+The search has three steps, from robust to exact:
 
-Pixels count from the image's upper left corner, so the first pixel's centre is (0.5, 0.5). A `change` is an image's
-difference from the untouched gel, (H, W, 3) float32 counts, with zero median.
+1. A matched filter finds the position and the approximate size. The filter is a coloured ramp, because the colour
+   change in a ball's imprint is roughly proportional to the offset from the centre, under any light.
+2. A fit of ramps refines position and size.
+3. On each of RAYS rays from the centre, the steepest drop of the colour change is found. A circle is fitted robustly to
+   these points. This step needs no model of the light.
+
+The origin of pixel coordinates is the image's upper left corner, so the first pixel's centre is (0.5, 0.5). A `change`
+is an image minus the image of the untouched gel: (H, W, 3) float32, counts of 255, with median 0.
 """
 
 from __future__ import annotations
@@ -23,14 +26,14 @@ Array = NDArray[np.float64]
 
 COARSE_PX, COARSER_PX = 80, 40  # longer image side for finding a ball, and for measuring concentration
 SMALLEST_PX, SIZES = 2.5, 12  # smallest radius of the filters in coarse pixels, and number of radii
-LARGEST = 0.5  # largest radius, share of the image's shorter side
-FALL = 6  # the ramp is u / (1 + u^FALL) with the distance u in radii
-REACH = 2.0  # radii over which the ramp is fitted
-FITTED = 1500  # most pixels in a fit
+LARGEST = 0.5  # largest radius of the filters, share of the image's shorter side
+FALL = 6  # a ramp is u / (1 + u^FALL) at the distance u from its centre, in radii
+REACH = 2.0  # ramps are fitted to the pixels within this distance from the centre, in radii
+FITTED = 1500  # largest number of pixels in a fit
 RAYS = 90
 BAND, STEP = (0.75, 1.25), 0.01  # range and step of the search for the rim, radii
-FINE, SKIRT = 0.04, 0.3  # radii: features of the rim are larger than the first and smaller than the second
-TUKEY = 4.0  # deviations from the circle beyond which a ray does not count
+FINE, SKIRT = 0.04, 0.3  # smallest and largest feature that counts as a rim, in radii
+TUKEY = 4.0  # distance from the circle beyond which a ray does not count, in standard deviations
 ROUNDS = 15
 
 
@@ -49,7 +52,7 @@ class Circle:
         return np.asarray(np.hypot(x + 0.5 - self.x_px, y + 0.5 - self.y_px))
 
     def measure_overhang_px(self, shape: tuple[int, int]) -> float:
-        """Return the distance by which the circle extends beyond an image (H, W), pixels; negative if it is inside."""
+        """Return the distance, pixels, by which the circle extends beyond an image (H, W). It is negative inside."""
         height, width = shape
         nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
         return self.radius_px - nearest
@@ -59,8 +62,8 @@ class Circle:
 class Imprint:
     """A possible imprint of a ball.
 
-    `likeness` is the share of the colour's variance within REACH radii that a ball's imprint explains. `contrast` is
-    the root mean square of the colour's change in the circle, counts.
+    `likeness` is the share of the change's variance within REACH radii that the model of a ball's imprint explains.
+    `contrast` is the root mean square of the change in the circle, counts.
     """
 
     circle: Circle
@@ -69,16 +72,16 @@ class Imprint:
 
 
 def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float32:
-    """Return the difference of colours (H, W, 3) from the untouched gel's, counts, minus its median."""
+    """Return an image minus that of the untouched gel, (H, W, 3), counts, shifted to a median of 0 in each colour."""
     change = np.asarray(image, np.float32) - np.asarray(untouched, np.float32)
     return np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
 
 
 def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint | None:
-    """Return the strongest imprint of a colour change (H, W, 3), approximately, or None without a change.
+    """Return the strongest imprint in a colour change (H, W, 3), or None if the change is 0 everywhere.
 
-    Pixels that are `hidden` (H, W) count as untouched. The imprint need not be a ball's: the caller decides. `find_rim`
-    finds the visible circle near it.
+    The imprint's circle is approximate; `find_rim` refines it. The imprint need not be that of a ball: check its
+    likeness and contrast. Pixels that are marked in `hidden` (H, W) count as untouched.
     """
     seen = change if hidden is None else np.where(hidden[..., None], np.float32(0), change)
     coarse, step = _coarsen(seen, COARSE_PX)
@@ -97,7 +100,10 @@ def measure_contrast(change: Float32, circle: Circle) -> float:
 
 
 def measure_concentration(change: Float32) -> float:
-    """Return the share (0 ... 1) of a colour change (H, W, 3) that one imprint explains; 0 without a change."""
+    """Return the share (0 to 1) of a colour change (H, W, 3) that the best single imprint explains.
+
+    The share refers to the sum of squares. It is 0 if the change is 0 everywhere.
+    """
     coarse, _ = _coarsen(change, COARSER_PX)
     energy = float((coarse**2).sum())
     best = _match_filters(coarse)
@@ -105,7 +111,7 @@ def measure_concentration(change: Float32) -> float:
 
 
 def _coarsen(change: Float32, side: int) -> tuple[Float32, int]:
-    """Return the change averaged over blocks, and the block's side in pixels."""
+    """Return the change averaged over square blocks, and the side of a block in pixels."""
     step = max(1, round(max(change.shape) / side))
     rows, columns = (n // step for n in change.shape[:2])
     blocks = change[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
@@ -113,7 +119,7 @@ def _coarsen(change: Float32, side: int) -> tuple[Float32, int]:
 
 
 def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
-    """Return the energy that the best filter explains, and its position (x, y) and radius in blocks."""
+    """Return the energy that the best filter explains, and the filter's x, y and radius, all three in blocks."""
     height, width = coarse.shape[:2]
     margin = min(height, width) // 2
     padded = np.pad(coarse, [(margin, margin), (margin, margin), (0, 0)])
@@ -132,7 +138,7 @@ def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
 
 @lru_cache(maxsize=64)
 def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex128], ...]:
-    """Return the spectra of the two ramps, along x and along y, of unit energy."""
+    """Return the spectra of two ramps of unit energy, one along x and one along y."""
     y, x = (np.fft.fftfreq(n, 1 / n) for n in shape)
     u = np.hypot(*np.meshgrid(x, y)) / radius
     falls = np.where(u < REACH, 1 / (1 + u**FALL), 0)
@@ -141,9 +147,10 @@ def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.com
 
 
 def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
-    """Fit a circle, its ramps, their products and a plane to the change around it. Return it and the explained share.
+    """Fit a circle to the change around `start`. Return the circle and the explained share of the change's variance.
 
-    The amplitudes of each colour follow from the circle by linear least squares (variable projection).
+    The model consists of the circle's two ramps, their products and a plane. The amplitudes of these terms follow from
+    the circle by linear least squares, separately for each colour (variable projection).
     """
     from scipy.optimize import least_squares
 
@@ -164,7 +171,7 @@ def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
 
 
 def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
-    """Return a sample of pixels within REACH radii: x (P,), y (P,), and their colours' change (P, 3)."""
+    """Return a sample of the pixels within REACH radii: their x (P,), y (P,) and change (P, 3)."""
     rows, columns = np.nonzero(circle.measure_distance_px(change.shape[:2]) < REACH * circle.radius_px)
     chosen = np.s_[:: max(1, len(rows) // FITTED)]
     rows, columns = rows[chosen], columns[chosen]
@@ -173,7 +180,7 @@ def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
 
 
 def _build_ramps(x: Array, y: Array, values: Array) -> Array:
-    """Return the basis functions (P, 8) of the change around a circle (x, y, radius)."""
+    """Return the model's terms (P, 8) at pixels x (P,), y (P,) for a circle with `values` (x, y, radius), pixels."""
     dx, dy = (x - values[0]) / values[2], (y - values[1]) / values[2]
     falls = 1 / (1 + np.hypot(dx, dy) ** FALL)
     a, b = dx * falls, dy * falls
@@ -181,9 +188,10 @@ def _build_ramps(x: Array, y: Array, values: Array) -> Array:
 
 
 def find_rim(change: Float32, near: Circle) -> Circle:
-    """Return the circle, near a given one, on which the colour falls most steeply outwards.
+    """Return the circle near `near` along which the colour change drops most steeply outwards.
 
-    Only features narrower than SKIRT radii count. The gel fades slowly around a contact, which does not show its edge.
+    Only features narrower than SKIRT radii count. The change also fades slowly outside a contact, but this slow drop
+    does not show the contact's edge.
     """
     relief = _find_relief(change, near)
     angle = np.arange(RAYS) * 2 * np.pi / RAYS
@@ -200,7 +208,10 @@ def find_rim(change: Float32, near: Circle) -> Circle:
 
 
 def _find_relief(change: Float32, circle: Circle) -> Float32:
-    """Return the strength (H, W) of the change along its own colour, filtered to the size of a rim."""
+    """Return the strength (H, W) of the change, counts, reduced to features of the size of a rim.
+
+    The strength is the component of the change along the local mean colour.
+    """
     from scipy.ndimage import gaussian_filter
 
     fine, wide = max(1.0, FINE * circle.radius_px), SKIRT * circle.radius_px
@@ -211,7 +222,10 @@ def _find_relief(change: Float32, circle: Circle) -> Float32:
 
 
 def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array, Array]:
-    """Find the relief's steepest fall on each ray: offsets from the circle (RAYS,), pixels, and weights (RAYS,)."""
+    """Find the steepest drop of the relief on each ray.
+
+    Return the offsets (RAYS,) of these points from the circle, pixels, and their weights (RAYS,).
+    """
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     u = np.arange(BAND[0], BAND[1] + STEP / 2, STEP)
@@ -219,7 +233,7 @@ def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[
     x, y = circle.x_px + along * directions[:, 0], circle.y_px + along * directions[:, 1]
     heights = map_coordinates(relief, [y - 0.5, x - 0.5], order=1, cval=np.nan)
     fall = gaussian_filter(-np.gradient(heights, STEP, axis=0), (1, 1.5), mode=("nearest", "wrap"))
-    fall = np.where(np.isfinite(fall), fall, -np.inf)  # beyond the image
+    fall = np.where(np.isfinite(fall), fall, -np.inf)  # points beyond the image cannot be the steepest
     place = fall.argmax(axis=0)
     steepest = np.maximum(fall[place, np.arange(len(directions))], 0)
     ends = (place < 2) | (place > len(u) - 3)
@@ -228,9 +242,10 @@ def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[
 
 
 def _fit_move(directions: Array, off: Array, weight: Array) -> Array:
-    """Return the shift and growth (3,) that make a circle pass through points at offsets `off` (RAYS,) from it.
+    """Fit a circle to points at offsets `off` (RAYS,) from the present circle, pixels.
 
-    The fit is least squares. Tukey's weights exclude rays on which something else is steeper.
+    Return the shift along x and y and the growth of the radius (3,), pixels. The fit is by least squares. Tukey's
+    weights exclude rays on which something other than the rim is steepest.
     """
     robust = weight
     move: Array = np.zeros(3)

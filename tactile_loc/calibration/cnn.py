@@ -1,7 +1,8 @@
-"""Depth from the whole image, by six convolutions as in Bauza et al. (CoRL 2020), learned from simulated presses.
+"""Estimates the indentation from the whole image by six convolutions, after Bauza et al. (CoRL 2020), "the paper".
 
-Adam trains the network on random crops. The paper's loss is the RMS error of the indentation. Here the RMS error of its
-square root is added. This locates the border of a contact whose rounded rim rises slowly.
+Adam trains the network on random crops of images, usually of simulated presses. The paper's loss is the RMS error of
+the indentation. Here, the RMS error of the indentation's square root is added to the loss. This term improves the
+border of contacts whose rounded rim rises slowly.
 """
 
 from __future__ import annotations
@@ -32,18 +33,21 @@ Dilation = Annotated[int, Field(ge=1, le=256)]
 
 log = logging.getLogger(__name__)
 
-ON_CONTACT = 0.75  # share of crops with contact: most of an image is untouched, and easy to learn
-EDGE_WEIGHT = 0.9  # weight of the error of the indentation's root, to which a contact's shallow rim contributes
-EDGE_SHARE = 5e-3  # share of the maximal depth below which that root is nearly linear
-LEAST_STD = 1e-3  # least standard deviation of an input plane: constant planes are not amplified
+ON_CONTACT = 0.75  # share of crops that are chosen to show contact; the untouched gel is easy to learn
+EDGE_WEIGHT = 0.9  # weight of the square root's error in the loss
+EDGE_SHARE = 5e-3  # share of the maximal depth that is added before the square root, to limit the root's derivative
+LEAST_STD = 1e-3  # least standard deviation for the normalisation of an input, so that constant inputs stay small
 
 
 class GelNetwork(nn.Module):
-    """Maps features (N, PLANES, H, W) to indentations (N, H, W), both normalised by the statistics in its buffers.
+    """Maps features (N, PLANES, H, W) to normalised indentations (N, H, W).
+
+    The buffers hold the means and standard deviations of features and indentations.
 
     This is the paper's network: five convolutions of 3 x 3 pixels with ReLU, dropout, and one convolution of 1 x 1.
-    Plain convolutions see 11 px. That is too little in the middle of a flat contact: only its edge distinguishes it
-    from untouched gel. The default dilated convolutions see 63 px at the same cost.
+    Without dilation, each output depends on 11 x 11 px. This is too small an area in the middle of a flat contact,
+    because only the contact's edge differs from the untouched gel. With the default dilations, each output depends on
+    63 x 63 px, at the same cost.
     """
 
     input_mean: torch.Tensor
@@ -64,22 +68,23 @@ class GelNetwork(nn.Module):
         self.register_buffer("output_std", torch.ones(()))
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Return normalised indentations (N, H, W) of features (N, PLANES, H, W)."""
+        """Return normalised indentations (N, H, W) for features (N, PLANES, H, W)."""
         scaled = (features - self.input_mean) / self.input_std
         found: torch.Tensor = self.layers(scaled.contiguous(memory_format=torch.channels_last))  # twice as fast
         return found[:, 0]
 
     def predict_m(self, features: torch.Tensor) -> torch.Tensor:
-        """Return indentations (N, H, W) in metres, not below 0."""
+        """Return indentations (N, H, W), metres, at least 0, for features (N, PLANES, H, W)."""
         return (self(features) * self.output_std + self.output_mean).clamp(min=0)
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The presses in memory: images (N, H, W, 3), and indentations (N, H, W) as float16 shares of `deepest_m`, metres.
+    """The training presses, in memory.
 
-    `background` (H, W, 3) is the untouched gel. `fixed` (H, W, F) are features that no touch changes. `observed` (H, W)
-    marks the pixels that count.
+    `images` (N, H, W, 3) show the presses. `shares` (N, H, W) are the indentations divided by `deepest_m`, the
+    sensor's maximal depth in metres. `background` (H, W, 3) is the image of the untouched gel. `fixed` (H, W, FIXED)
+    are the features that no touch changes. `observed` (H, W) marks the pixels that the sensor observes.
     """
 
     images: NDArray[np.uint8]
@@ -91,7 +96,7 @@ class Samples:
 
     @classmethod
     def of(cls, problem: CalibrationProblem, fixed: NDArray[np.float32]) -> Samples:
-        """Collect the presses of a problem. Raises CalibrationError when no press shows contact."""
+        """Load the presses of a problem. Raises CalibrationError when no press shows contact."""
         geometry, deepest_m = problem.geometry, problem.geometry.max_depth_m
         images = np.empty((len(problem.presses), *geometry.shape, 3), np.uint8)
         shares = np.empty(images.shape[:3], np.float16)
@@ -106,16 +111,20 @@ class Samples:
     def draw_crops(
         self, chosen: NDArray[np.int64], rng: np.random.Generator, crop_px: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return features (B, F, h, w), indentations, metres, and observed pixels (B, h, w) of a crop of each press.
+        """Draw a random crop from each of the `chosen` presses (B,).
 
-        Crops are neither rotated nor mirrored, because the lamps are not.
+        Return features (B, PLANES, h, w), indentations (B, h, w), metres, and observed pixels (B, h, w). Crops are
+        neither rotated nor mirrored, because the lamps have fixed directions.
         """
         parts = [self._cut(press, *self._draw_window(press, rng, crop_px)) for press in chosen]
         seen, indentation_m, observed = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
         return seen.permute(0, 3, 1, 2), indentation_m, observed
 
     def _draw_window(self, press: int, rng: np.random.Generator, crop_px: int) -> tuple[slice, slice]:
-        """Return the rows and columns of a random crop; a share ON_CONTACT of crops contains a pixel in contact."""
+        """Return the rows and columns of a random crop.
+
+        If the press has contact, at least a share ON_CONTACT of its crops contain a pixel in contact.
+        """
         sides = np.minimum(crop_px, self.observed.shape)
         last = self.observed.shape - sides
         start = rng.integers(last + 1)
@@ -126,14 +135,14 @@ class Samples:
         return slice(top, bottom), slice(left, right)
 
     def _cut(self, press: int, rows: slice, columns: slice) -> tuple[NDArray[np.float32], ...]:
-        """Return features (h, w, F), indentation in metres and observed pixels (h, w) of a part of a press."""
+        """Return features (h, w, PLANES), indentation (h, w), metres, and observed pixels (h, w) of a press's crop."""
         place = rows, columns
         seen = stack_features(self.images[press][place], self.background[place], self.fixed[place])
         indentation_m = self.shares[press][place].astype(np.float32) * np.float32(self.deepest_m)
         return seen, indentation_m, self.observed[place].astype(np.float32)
 
     def normalise(self, network: GelNetwork) -> None:
-        """Set a network's statistics to those of all observed pixels."""
+        """Set a network's statistics to those of the observed pixels of all presses."""
         whole = slice(None)
         sums = np.zeros((2, 3 + self.fixed.shape[-1] + 1))
         for press in range(len(self.images)):
@@ -149,8 +158,11 @@ class Samples:
 
 
 class CnnTrainer:
-    """Trains a network on a problem. Each epoch has its own random stream from the seed, so a resumed training gives
-    the same result as an uninterrupted one."""
+    """Trains a network on the presses of a problem.
+
+    The random numbers of an epoch depend only on the seed and the epoch's number. A resumed training therefore gives
+    the same result as an uninterrupted training.
+    """
 
     def __init__(
         self, recipe: CnnEstimator.Options, problem: CalibrationProblem, network: GelNetwork, fixed: NDArray[np.float32]
@@ -162,7 +174,10 @@ class CnnTrainer:
         self.epoch = 0
 
     def run(self) -> None:
-        """Train, from the last checkpoint if there is one, and leave the network in eval mode. Raises TrainingError."""
+        """Train from the last checkpoint, if any, then set the network to evaluation mode.
+
+        Raises TrainingError when the loss becomes NaN.
+        """
         self.samples.normalise(self.network)
         self._resume()
         with self.problem.progress.task("training the network", self.recipe.epochs) as advance:
@@ -177,12 +192,12 @@ class CnnTrainer:
         self.network.eval()
 
     def _train_epoch(self) -> float:
-        """Train one epoch. Return the normalised RMS error. Raises TrainingError when it becomes NaN."""
+        """Train one epoch. Return the normalised RMS error. Raises TrainingError when the loss becomes NaN."""
         self.network.train()
         rng = np.random.default_rng([self.recipe.seed, self.epoch])
         losses = []
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(rng.integers(2**62)))  # dropout's
+            torch.manual_seed(int(rng.integers(2**62)))  # for the dropout
             for step, chosen in enumerate(np.array_split(rng.permutation(len(self.samples.images)), self.steps)):
                 losses.append(self._step(*self.samples.draw_crops(chosen, rng, self.recipe.crop_px), step))
                 if not math.isfinite(losses[-1]):
@@ -205,11 +220,11 @@ class CnnTrainer:
         return float(rms.detach())
 
     def _take_root(self, indentation_m: torch.Tensor) -> torch.Tensor:
-        """Return the root of an indentation's share of the maximal depth."""
+        """Return the square root of an indentation's share of the maximal depth, plus EDGE_SHARE under the root."""
         return (indentation_m.clamp(min=0) / self.samples.deepest_m + EDGE_SHARE).sqrt()
 
     def _schedule_rate(self, epochs_done: float) -> float:
-        """Return the learning rate: a cosine down to a hundredth."""
+        """Return the learning rate, which decreases along a cosine to a hundredth of the highest rate."""
         return self.recipe.rate * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
     def _save_checkpoint(self) -> None:
@@ -246,9 +261,9 @@ def _rms(off: torch.Tensor, observed: torch.Tensor) -> torch.Tensor:
 
 
 class CnnEstimator(GelEstimator):
-    """A convolutional network from colour difference, background and position to the indentation of the contact.
+    """Estimates the contact's indentation from colour difference, background and position by a convolutional network.
 
-    The indentation is 0 outside the contact, even where the gel slopes down around it.
+    The indentation is 0 outside the contact, even where the gel around the contact is pressed down, too.
     """
 
     name = "cnn"
@@ -276,11 +291,14 @@ class CnnEstimator(GelEstimator):
             self._network: GelNetwork = GelNetwork(chosen.channels, chosen.dilations, chosen.dropout).eval()
 
     def fit(self, problem: CalibrationProblem) -> None:
-        """Learn the contact's indentation at all observed pixels. Raises CalibrationError, TrainingError."""
+        """Learn the contact's indentation at all observed pixels.
+
+        Raises CalibrationError when no press shows contact, and TrainingError when the loss becomes NaN.
+        """
         CnnTrainer(self.options, problem, self._network, self._fixed).run()
 
     def read(self, image: Image) -> tuple[Float32, None]:
-        """Return the contact's indentation (H, W), metres, 0 outside the contact; and no slopes."""
+        """Return the contact's indentation (H, W), metres, and None, because slopes are not estimated."""
         planes = stack_features(image, self.untouched, self._fixed)
         with torch.inference_mode():
             found = self._network.predict_m(torch.from_numpy(planes).permute(2, 0, 1)[None])

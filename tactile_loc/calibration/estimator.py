@@ -1,6 +1,6 @@
-"""Estimators of the gel's indentation from its image: their input, training and storage.
+"""Estimators of the gel's indentation from its image: base class, input and storage.
 
-There are two: `photometric` and `cnn`.
+The estimators are `photometric` and `cnn`.
 """
 
 from __future__ import annotations
@@ -27,15 +27,18 @@ if TYPE_CHECKING:
 
 _HERE = "tactile_loc.calibration"
 ESTIMATORS = {"photometric": f"{_HERE}.photometric:PhotometricEstimator", "cnn": f"{_HERE}.cnn:CnnEstimator"}
-DIFFERENCE, FIXED = 3, 5  # planes that a touch changes, and constant planes
+DIFFERENCE, FIXED = 3, 5  # number of input planes that a touch changes, and of constant planes
 PLANES = DIFFERENCE + FIXED
-COLOUR_STEP = 64.0  # counts of 255 that scale a colour difference to one
+COLOUR_STEP = 64.0  # colour difference that is scaled to 1, counts of 255
 BACKGROUND_M = 2e-4  # standard deviation of the smoothing that removes the background's grain
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationProblem:
-    """An estimator's training data: presses on a sensor of `geometry`; `background` (H, W, 3) is its untouched gel."""
+    """An estimator's training data: labelled presses on a sensor with a `geometry`.
+
+    `background` (H, W, 3) is the image of the sensor's untouched gel.
+    """
 
     geometry: SensorGeometry
     background: Image
@@ -47,9 +50,9 @@ class CalibrationProblem:
 class GelEstimator(ABC):
     """Estimates the indentation of the gel from its image and an image of the untouched gel.
 
-    `background` (H, W, 3) is the untouched gel during training. Images are compared with `untouched`, which may be a
-    newer image of it. `sees_skirt` states whether the indentation includes the skirt, the gel that slopes down around
-    the contact.
+    `background` (H, W, 3) shows the untouched gel at the time of training. Images are compared with `untouched`, which
+    is the same image or a newer image of the untouched gel. `sees_skirt` states whether the indentation includes the
+    skirt. The skirt is the gel around the contact that is pressed down without touching the object.
     """
 
     name: ClassVar[str]
@@ -70,13 +73,13 @@ class GelEstimator(ABC):
 
     @abstractmethod
     def read(self, image: Image) -> tuple[Float32, Float32 | None]:
-        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, if it is integrated from slopes.
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless.
 
-        The indentation is about 0 where the gel is untouched.
+        The indentation is about 0 where the gel is untouched. The slopes are None if the estimator does not use slopes.
         """
 
     def read_indentation(self, image: Image) -> Float32:
-        """Return the indentation (H, W), metres, which is about 0 where the gel is untouched."""
+        """Return the indentation (H, W), metres. It is about 0 where the gel is untouched."""
         return self.read(image)[0]
 
     def save(self, path: Path) -> None:
@@ -87,7 +90,10 @@ class GelEstimator(ABC):
         save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors}, path)
 
     def load(self, path: Path) -> None:
-        """Read the network. Raises WeightsError for a file that is damaged or of another estimator."""
+        """Read the trained network from a safetensors file.
+
+        Raises WeightsError when the file is damaged or belongs to another estimator.
+        """
         from safetensors import SafetensorError
         from safetensors.torch import load_file
 
@@ -101,8 +107,10 @@ class GelEstimator(ABC):
 
 
 def load_estimator(name: str) -> type[GelEstimator]:
-    """Return the estimator named `name`. Raises CalibrationError for an unknown name, MissingLibraryError without
-    torch."""
+    """Return the class of the estimator named `name`.
+
+    Raises CalibrationError when the name is unknown, and MissingLibraryError when torch is not installed.
+    """
     if name not in ESTIMATORS:
         raise CalibrationError(
             f"there is no estimator {name!r}; choose one of {', '.join(ESTIMATORS)}.{did_you_mean(name, ESTIMATORS)}"
@@ -118,26 +126,32 @@ def load_estimator(name: str) -> type[GelEstimator]:
 
 
 def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> ComponentOptions:
-    """Return an estimator's options. Raises ConfigError for unknown or ill-typed options."""
+    """Return the validated options of an estimator. Raises ConfigError for unknown or ill-typed options."""
     chosen: ComponentOptions = validate_options(kind.Options, options, f"estimator {kind.name!r}")
     return chosen
 
 
 def scale_difference(image: Image, background: Image) -> Float32:
-    """Return the difference of an image (H, W, 3), or a part of it, from that of the untouched gel: about -1 to 1."""
+    """Return an image (H, W, 3) minus the background (H, W, 3), scaled to about -1 to 1.
+
+    Both may be crops of the whole images at the same place.
+    """
     return (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
 
 
 def stack_features(image: Image, background: Image, fixed: Float32) -> Float32:
-    """Return an estimator's input (H, W, PLANES), about -1 to 1, for an image (H, W, 3) or a part of it.
+    """Return an estimator's input (H, W, PLANES), about -1 to 1, for an image (H, W, 3) or a crop of an image.
 
-    It holds the colour's difference from the `background` (H, W, 3), and the constant planes `fixed` (H, W, 5).
+    The first planes are the colour difference from the `background` (H, W, 3). The others are `fixed` (H, W, FIXED).
     """
     return np.concatenate([scale_difference(image, background), fixed], axis=-1)
 
 
 def stack_fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
-    """Return the constant planes (H, W, 5): the smoothed background's colour, and the position; about -1 to 1."""
+    """Return the constant planes (H, W, FIXED): the smoothed background's colours and the pixels' x and y.
+
+    The values are between -1 and 1.
+    """
     from scipy.ndimage import gaussian_filter
 
     sigma = BACKGROUND_M / geometry.pixel_pitch_m

@@ -56,10 +56,10 @@ class _Record(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated sensor: `record` is the content of calibration.json; `folder` holds the weights.
+    """A calibrated sensor, as read from its `folder`, which holds the weights.
 
-    Images are compared with `untouched` (H, W, 3), an image of the untouched gel. It is the calibration's `background`
-    or a newer image.
+    `record` is the content of calibration.json. Images are compared with `untouched` (H, W, 3), an image of the
+    untouched gel. `untouched` is the calibration's `background` or a newer image.
     """
 
     geometry: SensorGeometry
@@ -70,29 +70,32 @@ class Calibration:
 
     @property
     def noise_m(self) -> float:
-        """Standard deviation of the estimated indentation of the untouched gel, metres."""
+        """The standard deviation of the estimated indentation where the gel is untouched, metres."""
         return float(self.record["noise_m"])
 
     @cached_property
     def false_press_m(self) -> float:
-        """Press depth that is falsely measured in the image of the untouched gel, metres."""
+        """The press depth that is falsely measured in the image of the untouched gel, metres."""
         return max(0.0, measure_press_m(self.estimator.read(self.untouched)[0], self.geometry))
 
     @property
     def camera_px(self) -> tuple[int, int]:
-        """Size (rows, columns) of the camera's own images, which are reduced to the sensor's size."""
+        """The size (rows, columns) of the camera's images before they are reduced to the sensor's size."""
         rows, columns = self.record.get("camera_px", self.geometry.shape)
         return int(rows), int(columns)
 
     @property
     def usual_health(self) -> Health | None:
-        """The worst health of the training presses; None if it is unknown."""
+        """The worst health of the training presses, or None if the record has none."""
         found = self.record.get("health")
         return None if found is None else Health.of_record(found)
 
     @cached_property
     def estimator(self) -> GelEstimator:
-        """The trained estimator. Raises WeightsError, MissingLibraryError."""
+        """The trained estimator.
+
+        Raises WeightsError when the weights cannot be read, and MissingLibraryError when torch is not installed.
+        """
         with name_source(self.folder / CALIBRATION):
             kind = load_estimator(self.record["estimator"])
             options = validate_estimator_options(kind, self.record["options"])
@@ -102,9 +105,10 @@ class Calibration:
         return estimator
 
     def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the indentation (H, W), metres, of an image (H, W, 3) of the camera's or the sensor's size.
+        """Return the indentation (H, W), metres, that an image shows.
 
-        Raises TouchError for an image of another sensor, or of a changed sensor. Logs a warning for a small change.
+        The image (H, W, 3) has the size of the camera's images or of the sensor. Raises TouchError when the image is of
+        another sensor, or when the sensor has changed much. Logs a warning when it has changed less.
         """
         image = require_image(image, self.untouched, self.camera_px)
         indentation, slopes = self.estimator.read(image)
@@ -124,16 +128,17 @@ class Calibration:
             ) from error
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the calibration, as JSON values."""
+        """Return JSON values that identify the calibration in store keys."""
         files = {name: hash_file(self.folder / name) for name in (BACKGROUND, WEIGHTS)}
         newer = {} if self.untouched is self.background else {"untouched": hash_arrays(image=self.untouched)}
         return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **files, **newer}
 
 
 def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
-    """Read a calibrated sensor; `zero` is a newer image of its untouched gel.
+    """Read a calibrated sensor from its folder. `zero` is the file of a newer image of the untouched gel.
 
-    Raises CalibrationError when a file is missing, damaged, or of another sensor; TouchError when `zero` is.
+    Raises CalibrationError when a file of the folder is missing or damaged, or when image sizes differ. Raises
+    TouchError when `zero` cannot be read, or when its image is of another sensor.
     """
     recover_folder(folder)
     if not os.path.isdir(folder):
@@ -175,7 +180,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
 
 
 def require_replaceable(folder: Path) -> None:
-    """Check that a calibrated sensor may be written to `folder`. Raises OutputError when it holds other files."""
+    """Check that a calibrated sensor may be written to `folder`. Raises OutputError if the folder holds other files."""
     if folder.exists() and not (folder.is_dir() and all(p.name in OURS or is_unfinished(p) for p in folder.iterdir())):
         raise OutputError(f"{folder} holds files other than a calibrated sensor's; choose another --out")
 
@@ -183,9 +188,10 @@ def require_replaceable(folder: Path) -> None:
 def write_calibration(
     folder: Path, geometry: SensorGeometry, background: Image, estimator: GelEstimator, record: dict[str, Any]
 ) -> Path:
-    """Write a calibrated sensor as a folder, atomically; an existing calibrated sensor is replaced.
+    """Write a calibrated sensor to a folder atomically, and return the folder.
 
-    Raises OutputError when the folder holds other files or cannot be written.
+    A calibrated sensor that is already in the folder is replaced. Raises OutputError when the folder holds other files
+    or cannot be written.
     """
     require_replaceable(folder)
     options = estimator.options.model_dump(mode="json")

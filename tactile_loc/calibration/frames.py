@@ -1,7 +1,7 @@
-"""Reads images of presses without a table: the pictures in a folder, and chosen frames of a video.
+"""Reads images of presses that have no table yet: the pictures in a folder, and chosen frames of a video.
 
-Chosen frames show the untouched gel, and each touch at its deepest. They are written to a folder beside the video, so a
-table can name them.
+The chosen frames show the untouched gel, and each touch at its deepest. They are written to a folder beside the video,
+so that a table can name them.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
-QUIET = 0.1  # share of a video's frames that show the untouched gel: the frames nearest to its median
-TOUCHED = 0.3  # threshold of a touch, between the smallest change (0) and the largest (1)
-MOST_UNTOUCHED = 5  # chosen frames of the untouched gel
+QUIET = 0.1  # share of a video's frames, nearest to the median frame, that is taken as the untouched gel
+TOUCHED = 0.3  # change above which the gel is touched, between the smallest change (0) and the largest (1)
+MOST_UNTOUCHED = 5  # largest number of chosen frames of the untouched gel
 
 Frames = NDArray[np.float32]
 
@@ -42,8 +42,8 @@ def read_frames(source: Path) -> tuple[Path, list[Frame]]:
     """Return the folder of a source's pictures, and the pictures as frames in the order of their names.
 
     The source is a folder of pictures and videos, or a video. A video's chosen frames are written to the folder
-    NAME-frames beside it. Raises CalibrationError when there are no pictures, when one cannot be read, or when they
-    differ in size.
+    NAME-frames beside the video. Raises CalibrationError when there are no pictures, when a picture cannot be read, or
+    when pictures differ in size.
     """
     if not os.path.exists(source):
         raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
@@ -92,9 +92,10 @@ def _require_one_size(frames: Iterable[Frame], folder: Path) -> list[Frame]:
 
 
 def take_frames(video: Path) -> Path:
-    """Write the chosen frames of a video to the folder NAME-frames beside it, and return the folder.
+    """Write the chosen frames of a video to the folder NAME-frames beside the video, and return the folder.
 
-    An existing folder is kept unchanged. Raises CalibrationError when the video cannot be read or shows no change.
+    A folder that already exists is returned unchanged. Raises CalibrationError when the video cannot be read or shows
+    no touch.
     """
     folder = name_frames_folder(video)
     if folder.is_dir():
@@ -123,10 +124,11 @@ def _shrink(image: Image) -> Frames:
 
 
 def choose_frames(thumbnails: Frames) -> list[int]:
-    """Return the numbers of the frames (N, h, w, 3) of a video that show the untouched gel, or a touch at its deepest.
+    """Return the numbers of the frames that show the untouched gel, or a touch at its deepest.
 
-    A touch is a sequence of frames with a change above TOUCHED. Its deepest frame has the largest change. The result is
-    empty when no frame stands out.
+    `thumbnails` (N, h, w, 3) are all frames of a video, reduced in size. A touch is a sequence of frames with a change
+    above TOUCHED. The deepest frame of a touch has the largest change. The result is empty when no frame differs
+    clearly from the others.
     """
     typical = np.median(thumbnails[:: max(1, len(thumbnails) // 200)], axis=0)
     nearest = np.argsort(_measure_changes(thumbnails, typical))[: max(1, round(QUIET * len(thumbnails)))]

@@ -1,7 +1,8 @@
-"""Labelled presses: the gel's indentation and slope at each pixel, under a press of known shape.
+"""Labelled presses: the gel's indentation and slope at each pixel, under an object of known shape.
 
-The indentation is the depth of the surface below the untouched gel, metres. The slope is its derivative along x and y
-of the sensor frame, unitless. Labels are approximate for a pinhole camera: they refer to the untouched surface.
+The indentation is the depth of the surface below the untouched gel, metres. The slope is the indentation's derivative
+along x and y of the sensor frame, unitless. Labels for a pinhole camera are approximate, because the image scale is
+that at the untouched surface.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SKIRT = 2.5  # contact radii beyond which the gel is untouched
+SKIRT = 2.5  # distance from a ball's centre beyond which the gel is untouched, in radii of the visible circle
 LARGEST_BALL_M = 1.0
 STEEPEST = 0.98  # largest radius of a contact, share of the ball's radius
 SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouched
@@ -30,11 +31,11 @@ SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouch
 
 @dataclass(frozen=True, eq=False)
 class PressLabel:
-    """One press: `indentation_m` (H, W) float32 and `slope` (H, W, 2) float32, `contact` (H, W) bool.
+    """The label of one press: `indentation_m` (H, W) and `slope` (H, W, 2), float32, and `contact` (H, W), bool.
 
     `known` (H, W) marks the pixels at which the label holds. The skirt between contact and untouched gel is unknown.
-    The depth of a ball's visible circle is also unknown. Then `absolute` is False, and the whole contact is deeper than
-    the label by a constant.
+    `absolute` is False for a ball, because the depth of a ball's visible circle is unknown. The true indentation in the
+    contact is then larger than the label by an unknown constant.
     """
 
     indentation_m: Float32
@@ -47,12 +48,13 @@ class PressLabel:
 def label_ball(
     geometry: SensorGeometry, centre_px: tuple[float, float], radius_px: float, ball_radius_m: float
 ) -> PressLabel:
-    """Return the label of a ball, given the centre (x, y) and radius of its visible circle in pixels of the image.
+    """Return the label of a ball from its visible circle in the image, with centre (x, y) and radius in pixels.
 
-    Let rho be the distance from the centre on the surface, r the circle's radius and R the ball's. The indentation is
-    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. On a curved gel, the ball's centre is shifted: the ball
-    becomes parallel to the gel at the circle's centre, and the rim's mean indentation 0. Raises CalibrationError when
-    the circle is larger than the ball or its centre is outside the image.
+    Let rho be the distance from the centre on the surface, r the radius of the circle and R the radius of the ball. The
+    indentation is sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside the circle and 0 outside. On a curved gel, the ball's
+    centre is shifted until the ball's surface is parallel to the gel at the circle's centre. The mean indentation of
+    the rim is then 0. Raises CalibrationError when the circle is larger than the ball, or when the circle's centre is
+    outside the image.
     """
     height, width = geometry.shape
     if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
@@ -89,15 +91,19 @@ def label_ball(
 
 
 def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
-    """Return the mean of depths (H, W), metres, within `width_m` of a circle of radius r."""
+    """Return the mean of depths (H, W), metres, at the pixels within `width_m` of a circle with radius r, metres.
+
+    `rho2` (H, W) are the squared distances from the circle's centre, m^2.
+    """
     along = np.abs(np.sqrt(rho2) - r) < width_m
     return float(pushed_m[along].mean()) if along.any() else 0.0
 
 
 def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
-    """Return the label of the scene's object at a pose (4, 4), brought to contact and pressed `press_depth_m` metres.
+    """Return the label of the scene's object, pressed into the gel.
 
-    Raises CalibrationError when the object does not touch the sensor at this pose, or the press depth is not positive.
+    The object is moved along z from the pose (4, 4), metres, until it is pressed `press_depth_m` metres deep. Raises
+    CalibrationError when the object does not touch the sensor, or when the press depth is not positive.
     """
     if not press_depth_m > 0:
         raise CalibrationError(f"the press depth is {1e3 * press_depth_m:g} mm; it must be positive")
@@ -108,17 +114,17 @@ def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m
 
 
 def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
-    """Return the label of an indentation (H, W), metres, that is known in the contact (H, W)."""
+    """Return the label of a press with an indentation (H, W), metres, and a contact (H, W)."""
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
     slope = differentiate(indentation_m, geometry).astype(np.float32)
     away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
-    inside = binary_erosion(contact)  # without the border, where the slope is half that of the step
+    inside = binary_erosion(contact)  # without the border, where central differences halve the slope of a step
     return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))
 
 
 class LabelledPresses(ABC):
-    """Images of known presses. Small sets are in memory; large sets may be read or rendered on demand."""
+    """A set of images of presses with their labels. Large sets may read images on demand."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -126,20 +132,20 @@ class LabelledPresses(ABC):
 
     @abstractmethod
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and its label."""
+        """Return the image (H, W, 3) and the label of a press."""
 
     def name(self, number: int) -> str:
         """Return the name of a press for messages and pictures."""
         return f"press {number}"
 
     def read_presses(self) -> Iterator[tuple[Image, PressLabel]]:
-        """Yield every press."""
+        """Yield the image and the label of every press."""
         return (self.read_press(number) for number in range(len(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen(LabelledPresses):
-    """A subset of presses, by number."""
+    """A subset of the presses in `whole`: the presses with these `numbers`, in this order."""
 
     whole: LabelledPresses
     numbers: Sequence[int]
@@ -148,7 +154,7 @@ class Chosen(LabelledPresses):
         return len(self.numbers)
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and its label."""
+        """Return the image (H, W, 3) and the label of a press."""
         return self.whole.read_press(self.numbers[number])
 
     def name(self, number: int) -> str:

@@ -1,9 +1,9 @@
-"""Estimates slope from colour, pixel by pixel, and integrates it to height. It learns from a few dozen presses of a
-ball.
+"""Estimates the gel's slope from the colour of each pixel, and integrates the slopes to heights.
 
-This is photometric stereo with measured instead of modelled light, after Johnson and Adelson (CVPR 2009). Wang et al.
-found that a small network and few presses are enough (GelSight Wedge, ICRA 2021). Poisson integration gives the
-heights. The drift is estimated where the gel is untouched, and subtracted.
+The network learns from a few dozen presses of a ball. The method is photometric stereo with measured instead of
+modelled light, after Johnson and Adelson (CVPR 2009). Wang et al. (GelSight Wedge, ICRA 2021) found that a small
+network and few presses are enough. Poisson integration gives the heights. The drift of the heights is estimated where
+the gel is untouched, and subtracted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tactile_loc.core.errors import CalibrationError, TrainingError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.component import ComponentOptions
 
-SMOOTHINGS_PX = (1.0, 3.0)  # of the colour difference: one against noise, one for a small neighbourhood
+SMOOTHINGS_PX = (1.0, 3.0)  # Gaussian widths that smooth the colour difference: against noise, and for the surroundings
 FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
 OUTLIER_RAD = 0.1  # error of the angle above which the loss is linear
 STEPS_A_PRESS, MOST_STEPS = 100, 5000
@@ -37,7 +37,7 @@ REPORT_EVERY = 50  # steps
 
 
 class SlopeNetwork(nn.Module):
-    """Slopes (N, 2) of features (N, FEATURES): a linear map, which extrapolates, plus a nonlinear correction."""
+    """Maps features (N, FEATURES) to slopes (N, 2) by a linear map, which extrapolates, plus a nonlinear correction."""
 
     def __init__(self, hidden: int) -> None:
         super().__init__()
@@ -46,14 +46,13 @@ class SlopeNetwork(nn.Module):
         self.bent = nn.Sequential(*layers)
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Return slopes (N, 2), unitless."""
+        """Return slopes (N, 2), unitless, for features (N, FEATURES)."""
         slopes: torch.Tensor = self.linear(features) + self.bent(features)
         return slopes
 
 
 class PhotometricEstimator(GelEstimator):
-    """A network from each pixel's colour difference, background and position to its slope; the slopes are
-    integrated."""
+    """Estimates each pixel's slope from its colour difference, background and position, and integrates the slopes."""
 
     name = "photometric"
 
@@ -76,7 +75,10 @@ class PhotometricEstimator(GelEstimator):
             self._network: SlopeNetwork = SlopeNetwork(self.options.hidden)
 
     def fit(self, problem: CalibrationProblem) -> None:
-        """Learn the slopes of pixels in contact and some untouched pixels. Raises CalibrationError, TrainingError."""
+        """Learn the slopes of the pixels in contact and of some untouched pixels.
+
+        Raises CalibrationError when no press shows contact, and TrainingError when the loss becomes NaN.
+        """
         features, slopes = self._collect_samples(problem)
         angles = slopes.atan()
         generator = torch.Generator().manual_seed(self.options.seed)
@@ -107,7 +109,7 @@ class PhotometricEstimator(GelEstimator):
         return torch.cat(parts).numpy().reshape(*image.shape[:2], 2)
 
     def read(self, image: Image) -> tuple[Float32, Float32]:
-        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, from which it follows."""
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that were integrated."""
         slopes = self.estimate_slopes(image)
         return find_indentation(slopes, self.geometry), slopes
 
@@ -119,7 +121,10 @@ class PhotometricEstimator(GelEstimator):
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)
 
     def _collect_samples(self, problem: CalibrationProblem) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return features (P, FEATURES) and slopes (P, 2) of all known pixels in contact and of some untouched ones."""
+        """Return features (P, FEATURES) and slopes (P, 2) of the training pixels.
+
+        These are all pixels in contact with a known label, and some untouched pixels.
+        """
         rng = np.random.default_rng(self.options.seed)
         features, slopes, touched = [], [], 0
         for image, label in problem.presses.read_presses():

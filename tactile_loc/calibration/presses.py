@@ -1,6 +1,6 @@
-"""Presses as folders of images, a table of labels and a sensor file (see docs/sensors.md), and public sets of presses.
+"""Reads folders of presses, and converts public sets of presses to such folders.
 
-Public sets in several formats can be converted to such a folder.
+A folder of presses holds images, a table of labels and a sensor file: see docs/sensors.md.
 """
 
 from __future__ import annotations
@@ -33,17 +33,20 @@ KINDS = {
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
     "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
 }
-MOST_READ_PX = 200  # longer image side: twice as many pixels take four times as long, without better poses
+MOST_READ_PX = 200  # longer image side; twice this size takes four times as long and does not improve the poses
 SAME_SHAPE = 0.01  # largest relative difference of the aspect ratio of a smaller image
 FOR_MEDIAN = 9  # fewest presses, at different places, whose median shows the untouched gel
 DEEPEST_MM = 1.5  # assumed maximal depth of the sensor of a public set
-Rows = Iterable[tuple[str, tuple[float, float, float] | None]]  # images' names, and circles: x, y, radius
-HALF = 0.5  # public sets count pixels from the centre of the first; tactile-loc from its corner
+Rows = Iterable[tuple[str, tuple[float, float, float] | None]]  # an image's name and circle (x, y, radius), px
+HALF = 0.5  # pixel centres are at whole numbers in public sets, and at half integers in tactile-loc
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A row of the table: its position for messages, its image and kind, and the values of the columns."""
+    """A row of a folder's table.
+
+    `where` names the table and the line, for messages. `kind` is a key of KINDS. `values` maps columns to their texts.
+    """
 
     where: str
     folder: Path
@@ -53,13 +56,13 @@ class Row:
 
     @property
     def mesh(self) -> Path:
-        """The path of the pressed mesh. Raises CalibrationError when the row has none."""
+        """The path of the pressed mesh. Raises CalibrationError when the row names no mesh."""
         if not self.values.get("mesh"):
             raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
         return self.folder / self.values["mesh"]
 
     def read_number(self, column: str) -> float:
-        """Return a column's value. Raises CalibrationError when it is missing or not a finite number."""
+        """Return the number in a column. Raises CalibrationError when it is missing or not finite."""
         text = self.values.get(column, "")
         try:
             value = float(text)
@@ -73,9 +76,10 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PressFolder(LabelledPresses):
-    """The presses of a table, with images in memory at the size of `geometry`.
+    """The presses of a table, with their images in memory.
 
-    `camera` is the geometry of the camera's own images. The table refers to its pixels.
+    `images` have the size of `geometry`. `camera` is the geometry of the images as they were taken. The circles in the
+    table are in pixels of `camera`.
     """
 
     rows: tuple[Row, ...]
@@ -89,7 +93,7 @@ class PressFolder(LabelledPresses):
         return len(self.rows)
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and its label. Raises CalibrationError with the row of an impossible label."""
+        """Return the image (H, W, 3) and the label of a press. Raises CalibrationError as `label` does."""
         return self.images[number], self.label(number)
 
     def name(self, number: int) -> str:
@@ -97,7 +101,7 @@ class PressFolder(LabelledPresses):
         return self.rows[number].image.name
 
     def label(self, number: int) -> PressLabel:
-        """Return the label of a press. Raises CalibrationError with the row when it is impossible."""
+        """Return the label of a press. Raises CalibrationError, which names the row, when the label is impossible."""
         row = self.rows[number]
         try:
             if row.kind == "ball":
@@ -109,7 +113,7 @@ class PressFolder(LabelledPresses):
             raise CalibrationError(f"{row.where}: {error}") from error
 
     def place_circle(self, number: int) -> tuple[tuple[float, float], float, float]:
-        """Return the centre (x, y) and radius of a ball's circle on the surface, and the ball's radius, metres."""
+        """Return the centre (x, y) and radius of a ball's circle on the surface, and the ball's radius; all in m."""
         (x, y), radius_px, ball_m = self._scale_circle(self.rows[number])
         sx, sy = self.geometry.scale_at_surface
         centre_m = (x - self.geometry.cx) / sx, (y - self.geometry.cy) / sy
@@ -143,11 +147,11 @@ class PressFolder(LabelledPresses):
 def read_presses(
     folder: Path, camera: SensorGeometry, median_background: bool = False, size_px: tuple[int, int] | None = None
 ) -> PressFolder:
-    """Read a folder of presses with the table `presses.csv`, taken by a sensor of geometry `camera`.
+    """Read a folder of presses with the table `presses.csv`, taken by a sensor with the geometry `camera`.
 
     With `size_px` (width, height), images and sensor are reduced to that size. The background is the mean of the
-    table's background images. With `median_background`, it is the pixelwise median of all presses. This needs at least
-    FOR_MEDIAN presses at different places. Raises CalibrationError with the faulty row.
+    table's background images. With `median_background`, the background is the pixelwise median of all presses, of which
+    at least FOR_MEDIAN are needed. Raises CalibrationError, which names the faulty row, when the folder cannot be used.
     """
     table = folder / TABLE
     geometry = camera if size_px is None else _shrink_sensor(camera, size_px)
@@ -178,16 +182,20 @@ def read_presses(
 
 
 def choose_size_px(camera: SensorGeometry) -> tuple[int, int]:
-    """Return the size (width, height) to which a camera's images are reduced for reading, by merging whole pixels.
+    """Return the size (width, height), pixels, to which a camera's images are reduced before they are read.
 
-    For a gel about 20 mm wide, a pixel is then a tenth of a millimetre.
+    Each reduced pixel replaces a square of whole pixels. If the gel is about 20 mm wide, a reduced pixel shows about a
+    tenth of a millimetre.
     """
     merged = math.ceil(max(camera.shape) / MOST_READ_PX)
     return round(camera.width_px / merged), round(camera.height_px / merged)
 
 
 def _shrink_sensor(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGeometry:
-    """Return the sensor at a smaller image size (width, height). Raises CalibrationError for other sizes."""
+    """Return the sensor at a smaller image size (width, height), pixels.
+
+    Raises CalibrationError when the size is larger than the camera's or has another aspect ratio.
+    """
     width, height = size_px
     shares = width / camera.width_px, height / camera.height_px
     if not (min(shares) > 0 and max(shares) <= 1 and abs(shares[0] / shares[1] - 1) <= SAME_SHAPE):
@@ -257,9 +265,10 @@ def _read_image(row: Row, geometry: SensorGeometry) -> Image:
 
 
 def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write a folder of presses `out` from a set in one of FORMATS, and return its table's path.
+    """Convert a set of presses in one of FORMATS to a folder of presses `out`, and return the path of the table.
 
-    Raises CalibrationError when the set does not match its format. See `write_table` for circles larger than the ball.
+    Circles larger than the ball are reduced: see `write_table`. Raises CalibrationError when the set does not match
+    its format.
     """
     if format not in FORMATS:
         raise CalibrationError(f"there is no format {format!r}; choose one of {', '.join(FORMATS)}")
@@ -275,10 +284,11 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
 
 
 def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write a table of images, each with a ball's circle (x, y, radius) in pixels, or of the untouched gel.
+    """Write a table of images and return its path.
 
-    The image scale is approximate, so a circle may be larger than the ball. Such a circle is reduced to the largest
-    possible one. Raises OutputError when the file cannot be written.
+    Each row has an image's name and the ball's circle (x, y, radius), pixels, or None for the untouched gel. The image
+    scale is approximate, so a circle may be larger than the ball. Such a circle is reduced to the largest possible
+    circle. Raises OutputError when the file cannot be written.
     """
     largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
     lines: list[tuple[object, ...]] = [("image", "kind", *KINDS["ball"])]
@@ -296,7 +306,7 @@ def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float
 
 
 def write_sensor(folder: Path, mm_per_px: float) -> Path:
-    """Write `sensor.toml` for a set that was converted to `folder`, and return its path.
+    """Write `sensor.toml` for a set that was converted to `folder`, and return the path of `sensor.toml`.
 
     Pixels are square and `mm_per_px` mm wide. Raises CalibrationError or TouchError when an image cannot be read.
     """
@@ -308,7 +318,10 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
 
 
 def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
-    """Write `sensor.toml` for images of a shape (rows, columns) and scale, with the maximal depth DEEPEST_MM."""
+    """Write `sensor.toml` for images of a shape (rows, columns) and a scale, with the maximal depth DEEPEST_MM.
+
+    Return the path of `sensor.toml`.
+    """
     scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
     path = folder / SENSOR
     path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")
@@ -316,7 +329,10 @@ def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
 
 
 def _read_gs_sdk(source: Path, out: Path) -> Rows:
-    """Read gs_sdk: background.png, and for each press a folder with gelsight.png and label.npz (center, radius)."""
+    """Read a gs_sdk set: background.png, and for each press a folder with gelsight.png and label.npz.
+
+    label.npz holds the circle's center and radius.
+    """
     yield _copy_image(source / "background.png", out, "background.png"), None
     for label in sorted(source.glob("*/label.npz"), key=lambda path: (len(path.parent.name), path.parent.name)):
         values = load_npz(label)
@@ -326,7 +342,7 @@ def _read_gs_sdk(source: Path, out: Path) -> Rows:
 
 
 def _read_taxim(source: Path, out: Path) -> Rows:
-    """Read Taxim: a data pack (npz) with imgs, f0, touch_center and touch_radius."""
+    """Read a Taxim set: a data pack (npz) with imgs, f0, touch_center and touch_radius."""
     pack = load_npz(source)
     pack |= {name: pack[name].astype(np.uint8) for name in ("imgs", "f0")}
     yield write_image(out / "background.png", pack["f0"]).name, None
@@ -337,7 +353,10 @@ def _read_taxim(source: Path, out: Path) -> Rows:
 
 
 def _read_fots(source: Path, out: Path) -> Rows:
-    """Read FOTS: gelsight/*.png and csv/annotate.csv (img_names, center_x, center_y, radius); no untouched gel."""
+    """Read a FOTS set: gelsight/*.png and csv/annotate.csv (img_names, center_x, center_y, radius).
+
+    The set has no image of the untouched gel.
+    """
     with (source / "csv" / "annotate.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             name = Path(row["img_names"]).name
@@ -346,7 +365,7 @@ def _read_fots(source: Path, out: Path) -> Rows:
 
 
 def _read_circles(source: Path, out: Path) -> Rows:
-    """Read a text file of lines `image (x, y) radius`, and background_real.png or background.png."""
+    """Read a set with background_real.png or background.png, and a text file of lines `image (x, y) radius`."""
     for name in ("background.png", "background_real.png"):
         if (source / name).is_file():
             yield _copy_image(source / name, out, name), None

@@ -1,8 +1,8 @@
 """Reads images: checks that an image is this sensor's, measures the press depth, and finds the contact shape.
 
-The health of an image consists of two figures that grow with a worn gel or a moved lamp. The first compares the colour
-of the untouched gel. The second tests whether the estimated slopes are those of a surface: these sum to zero around any
-loop. Slopes that are estimated under different light do not.
+The health of an image consists of two figures, which increase when the gel wears or a lamp moves. The first figure is
+the change of the untouched gel's colour. The second is the share of the estimated slopes that fits no surface. The
+slopes of a surface sum to zero around any closed loop. Slopes that are estimated under changed light do not.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from tactile_loc.io.images import read_colour_image
 
 logger = logging.getLogger(__name__)
 
-SKIRT, MOST_SKIRT = 0.3, 0.75  # least and greatest depth of the contact's border, share of the press
+SKIRT, MOST_SKIRT = 0.3, 0.75  # least and greatest indentation of the contact's border, share of the press depth
 STEEP = 0.25  # least slope of the skirt, share of the steepest slope
-HANGING_M = 1 / 600  # slope over curvature: a ball's is half the distance from its tip
+HANGING_M = 1 / 600  # least ratio of slope to curvature in the skirt; on a ball it is half the distance from the tip
 SMOOTHING_M = 1e-4  # standard deviation of the smoothing of slope and curvature
-TIP_M = 3e-4  # side of the deepest square, which defines the press depth
+TIP_M = 3e-4  # the press depth is the least indentation in the deepest area of TIP_M x TIP_M
 LEAST_M = 5e-5  # no sensor distinguishes a lighter press from no contact
-ABOVE_NOISE = 4.0  # least press, in noise standard deviations
-ABOVE_FALSE = 1.5  # least press, times the false press of the untouched gel
-MOST_FALSE_M = 1e-4  # largest threshold from a false press: a larger one shows an unreliable image of the untouched gel
-BLACK, WHITE = 8, 253  # counts of 255
+ABOVE_NOISE = 4.0  # least press depth, in standard deviations of the noise
+ABOVE_FALSE = 1.5  # least press depth, as a multiple of the false press of the untouched gel
+MOST_FALSE_M = 1e-4  # largest threshold that follows from a false press; a larger one means an unreliable image
+BLACK, WHITE = 8, 253  # largest count of a black pixel, and least count of a saturated pixel, of 255
 STRANGE = 22  # largest median difference from the untouched gel, counts; presses have 2 to 19
 
 
 def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
-    """Return an image (H, W, 3) at a smaller size (rows, columns): each pixel is the mean of the pixels it covers."""
+    """Return an image (H, W, 3) at a smaller size (rows, columns), by averaging over the area of each new pixel."""
     from PIL import Image as Picture
 
     if image.shape[:2] == shape:
@@ -48,10 +48,11 @@ def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
 
 
 def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, int] | None = None) -> Image:
-    """Check an image against `background` (H, W, 3), the image of the untouched gel, and return it at that size.
+    """Check an image against the `background` (H, W, 3), and return the image at the background's size.
 
-    An image of the camera's own size `camera_px` (rows, columns) is reduced. Raises TouchError for another size or
-    type, and for an image that is black, mostly saturated, or unlike the background everywhere.
+    The background is an image of the untouched gel. An image of the camera's size `camera_px` (rows, columns) is
+    reduced. Raises TouchError for another size or type, and for an image that is black, mostly saturated, or different
+    from the background everywhere.
     """
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
@@ -82,7 +83,7 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
 
 
 def read_zero(path: Path) -> Image:
-    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
+    """Read a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
     image = read_colour_image(path)
     if image is None:
         raise TouchError(f"{path} is not a colour image; give PNG or JPEG with three channels as --zero")
@@ -90,7 +91,10 @@ def read_zero(path: Path) -> Image:
 
 
 def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> float:
-    """Return the press depth of an indentation (H, W), metres: the least depth of the deepest area TIP_M^2."""
+    """Return the press depth, metres, of an indentation (H, W), metres.
+
+    It is the least indentation of the deepest pixels that together cover an area of TIP_M x TIP_M.
+    """
     pixels = max(1, round((TIP_M / geometry.pixel_pitch_m) ** 2))
     observed = np.sort(indentation_m[geometry.observed_mask])
     return float(observed[-min(pixels, len(observed))])
@@ -100,13 +104,17 @@ def find_contact_shape(
     indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True,
     false_press_m: float = 0.0,
 ) -> ContactShape:  # fmt: skip
-    """Return the contact shape of an indentation (H, W), metres, with noise `noise_m`, standard deviation in metres.
+    """Return the contact shape that an indentation (H, W), metres, shows.
 
-    `false_press_m`, metres, is the press depth that is falsely measured for the untouched gel. The gel follows the
-    object except at the skirt, which slopes from the contact's edge to the untouched surface. `find_contact` separates
-    the two. The shape is cut at the lighter press that gives this contact area, so a steep edge stays in place; the
-    shape's indentation is the full press. Without a skirt (`sees_skirt` False), pixels above the noise are in contact.
-    Raises NoContactError when the gel is not pressed.
+    `noise_m` is the standard deviation of the indentation's noise, metres. `false_press_m` is the press depth that is
+    falsely measured for the untouched gel, metres.
+
+    The gel follows the object in the contact. Around the contact, its skirt slopes to the untouched surface.
+    `find_contact` separates contact and skirt. The shape is cut at the indentation that gives the same contact area, so
+    its press depth is smaller than the full press depth. The full press depth becomes the shape's `indentation_m`. If
+    the indentation has no skirt (`sees_skirt` is False), all pixels above the detection limit are in contact.
+
+    Raises NoContactError when the press depth is below the detection limit.
     """
     press = measure_press_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
@@ -135,8 +143,9 @@ def find_contact_shape(
 def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
     """Mark the pixels (H, W) of an indentation (H, W), metres, at which the gel touches the object.
 
-    The gel bends over a contact's rim. The skirt is steep, and straight or bent the other way: its slope is more than
-    HANGING_M times its curvature. At a wall, the border is the wall's edge.
+    At the rim of a contact, the gel is bent around the object. The skirt is steep, and it is straight or bent the
+    opposite way: its slope is more than HANGING_M times its curvature. At a steep wall of the object, the contact ends
+    at the wall's edge.
     """
     from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
 
@@ -150,35 +159,37 @@ def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: S
     return np.isin(parts, deep[deep > 0])
 
 
-SMOOTHING_PX = 2.0  # of the difference from the untouched gel: removes the camera's noise
-QUIETEST = 0.3  # share of the image that a large contact leaves untouched
+SMOOTHING_PX = 2.0  # standard deviation of the smoothing that removes the camera's noise
+QUIETEST = 0.3  # share of the image that even a large contact leaves untouched
 STEEP_SLOPE = 0.1  # least slope that counts: smaller slopes are mostly noise
 FEWEST_STEEP = 0.01  # least share of steep pixels in the image
-LEAST_LIGHT, LEAST_UNFIT = 3.0, 0.1  # least usual values: counts, and a share
-WARNED, REFUSED = 1.5, 2.5  # times the worst of the calibration's presses
+LEAST_LIGHT, LEAST_UNFIT = 3.0, 0.1  # least usual values of the two figures: counts, and a share
+WARNED, REFUSED = 1.5, 2.5  # ratios to the calibration's worst press above which an image is doubtful or unusable
 
 
 @dataclass(frozen=True)
 class Health:
     """The health of a sensor in one image (H, W, 3).
 
-    `light` is the QUIETEST quantile of the difference from the untouched gel, counts: the lamps light the whole image,
-    and a large contact leaves this share untouched. `unfit` is the share of the steep slopes that fits no surface (root
-    of the share of squares), NaN when too few pixels are steep.
+    `light` is the QUIETEST quantile of the pixels' differences from the untouched gel, counts. A changed lamp changes
+    the whole image, but even a large contact leaves this share of the pixels untouched.
+
+    `unfit` is the share of the steep slopes that fits no surface: the RMS of the residuals divided by the RMS of the
+    slopes. It is NaN if slopes are not estimated or too few pixels are steep.
     """
 
     light: float
     unfit: float
 
     def compare(self, usual: Health) -> float:
-        """Return the larger ratio of both figures to those of the calibration's worst press, `usual`."""
+        """Divide both figures by those of `usual`, the calibration's worst press, and return the larger ratio."""
         return float(np.fmax(self._compare_light(usual), self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
 
     def _compare_light(self, usual: Health) -> float:
         return self.light / max(usual.light, LEAST_LIGHT)
 
     def explain(self, usual: Health) -> str:
-        """Return the worse of both figures in words."""
+        """Return the cause that the worse of the two figures suggests, in words."""
         worse_light = self._compare_light(usual) >= self.compare(usual)
         return "the light has changed" if worse_light else "the slopes fit no surface"
 
@@ -188,12 +199,12 @@ class Health:
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Health:
-        """Return the health from a record."""
+        """Return the health that `record` returned as JSON values."""
         return cls(*(np.nan if record[name] is None else float(record[name]) for name in ("light", "unfit")))
 
 
 def measure_health(image: Image, untouched: Image, slopes: Float32 | None, geometry: SensorGeometry) -> Health:
-    """Return the health of an image (H, W, 3), with the estimated `slopes` (H, W, 2) if there are any."""
+    """Return the health of an image (H, W, 3), given the estimated `slopes` (H, W, 2), or None without slopes."""
     from scipy.ndimage import gaussian_filter
 
     difference = np.moveaxis(image.astype(np.float32) - untouched, -1, 0)
@@ -203,7 +214,10 @@ def measure_health(image: Image, untouched: Image, slopes: Float32 | None, geome
 
 
 def _measure_unfit(slopes: Float32, geometry: SensorGeometry) -> float:
-    """Return the share of the steep slopes (H, W, 2) that the nearest surface does not explain."""
+    """Return the share of the steep slopes (H, W, 2) that the nearest surface does not explain.
+
+    The share is NaN when too few pixels are steep.
+    """
     steep = np.hypot(slopes[..., 0], slopes[..., 1]) > STEEP_SLOPE
     if np.count_nonzero(steep) < FEWEST_STEEP * steep.size:
         return float(np.nan)
@@ -212,14 +226,17 @@ def _measure_unfit(slopes: Float32, geometry: SensorGeometry) -> float:
 
 
 def find_worst(presses: Iterable[Health]) -> Health:
-    """Return the worst of each figure over several presses."""
+    """Return the largest value of each figure over several presses."""
     lights, unfits = zip(*((one.light, one.unfit) for one in presses), strict=True)
     known = [value for value in unfits if np.isfinite(value)]
     return Health(max(lights), max(known, default=float(np.nan)))
 
 
 def require_healthy(found: Health, usual: Health) -> None:
-    """Log a warning for an image that is worse than the calibration's presses. Raises TouchError if much worse."""
+    """Compare an image's health with that of the calibration's worst press.
+
+    Logs a warning when the ratio is above WARNED. Raises TouchError when the ratio is above REFUSED.
+    """
     figure = found.compare(usual)
     if figure <= WARNED:
         return

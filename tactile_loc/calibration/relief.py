@@ -1,10 +1,12 @@
-"""Measures the surface of a curved gel from presses of a ball all over it.
+"""Measures the surface of a curved gel from presses of a ball all over the gel.
 
-In the middle of a ball's imprint, the slope is that of the untouched gel. Around it, the ball's shape is known. So the
-imprints relate differences of colours to differences of slopes. With distant lamps, equal colours mean equal slopes
-everywhere, so the colours of the untouched gel show its slopes. The map from colours to slopes and the gel's surface, a
-polynomial in x and y, are learned together. Colours do not determine a tilt of the whole surface: the gel is assumed
-level in the middle of the image.
+In the middle of a ball's imprint, the slope equals that of the untouched gel. Elsewhere in the imprint, the ball's
+shape determines how the slope differs from the slope in the middle. The imprints therefore relate differences of colour
+to differences of slope. If the lamps are distant, equal colours mean equal slopes everywhere. The colours of the
+untouched gel then determine the gel's slopes.
+
+Two things are learned together: a network from colours to slopes, and the gel's surface as a polynomial in x and y.
+Colours do not determine the tilt of the whole surface, so the gel is assumed to be level in the middle of the image.
 """
 
 from __future__ import annotations
@@ -22,21 +24,25 @@ from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
-DEGREES = range(2, 5)  # of the polynomial; lower degrees are a plane
+DEGREES = range(2, 5)  # degrees of the polynomial's terms; lower degrees are a plane
 EXPONENTS = [(degree - j, j) for degree in DEGREES for j in range(degree + 1)]
-HIDDEN, STEPS, PIXELS = 32, 400, 2048  # of the network, and of its training
-RATE, RELIEF_RATE, DECAY = 3e-3, 2e-2, 0.992
-SMOOTHING_PX = 1.0  # of the colours, against noise
-INNER = 0.95  # share of a visible circle without its rim
-STEEPEST = 0.15  # least height above the ball's equator, share of its radius, that limits the slope
+HIDDEN, STEPS, PIXELS = 32, 400, 2048  # units of each hidden layer, training steps, and pixels in each step
+RATE, RELIEF_RATE, DECAY = 3e-3, 2e-2, 0.992  # learning rates of network and polynomial, and their factor per step
+SMOOTHING_PX = 1.0  # standard deviation of the smoothing of the colours, against noise
+INNER = 0.95  # share of a visible circle's radius that is used: the rim is left out
+STEEPEST = 0.15  # limit of a ball's slope: least height above the ball's equator, share of the ball's radius
 OUTLIER = 0.1  # error of the slope above which the loss is linear
-FEWEST = 8  # balls
-UNIT_M = 1e-3  # of the polynomial's coefficients
+FEWEST = 8  # fewest presses of a ball
+UNIT_M = 1e-3  # unit of the polynomial's coefficients
 
 
 class _Pixels(NamedTuple):
-    """Pixels in imprints or of the untouched gel: `colours` (P, 3); `offset_m` (P, 2) from the imprint's middle; the
-    ball's `radius_m` (P, 1), NaN if untouched; the polynomial's `slopes` (P, 2, K) there or in the imprint's middle."""
+    """Pixels in balls' imprints or of the untouched gel.
+
+    `colours` (P, 3) are standardized. `offset_m` (P, 2) is the offset from the imprint's middle, metres. `radius_m`
+    (P, 1) is the ball's radius, metres, or NaN for the untouched gel. `slopes` (P, 2, K) are the slopes of the
+    polynomial's terms: at the pixel for the untouched gel, and otherwise in the imprint's middle.
+    """
 
     colours: torch.Tensor
     offset_m: torch.Tensor
@@ -45,9 +51,9 @@ class _Pixels(NamedTuple):
 
 
 def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None = None) -> Float32:
-    """Return the relief (H, W), metres, of the gel on which balls were pressed: 0 at its highest point.
+    """Return the relief (H, W), metres, of the gel on which balls were pressed. The relief is 0 at its highest point.
 
-    Raises CalibrationError when there are fewer than FEWEST balls.
+    Raises CalibrationError when there are fewer than FEWEST presses of a ball.
     """
     balls = [number for number, row in enumerate(presses.rows) if row.kind == "ball"]
     if len(balls) < FEWEST:
@@ -63,7 +69,7 @@ def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None 
 
 
 def _fit_polynomial(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float64]:
-    """Return the polynomial's coefficients (K,), in UNIT_M."""
+    """Fit network and polynomial to the pixels, and return the polynomial's coefficients (K,), in UNIT_M."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         layers = [nn.Linear(3, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 2)]
@@ -87,7 +93,7 @@ def _fit_polynomial(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[n
 
 
 def _predict_slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
-    """Return the slopes (P, 2) of the surface at pixels, given the relief's coefficients (K,)."""
+    """Return the slopes (P, 2) of the gel's surface at the pixels, given the relief's coefficients (K,)."""
     rest = -(pixels.slopes @ relief)
     untouched = torch.isnan(pixels.radius_m)
     radius_m = torch.where(untouched, 1.0, pixels.radius_m)

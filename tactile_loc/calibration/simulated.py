@@ -1,6 +1,7 @@
 """Calibration in simulation only: two boards are pressed on a sensor with known lamps, without a robot or a ball.
 
-There are as many presses as in Bauza et al. (CoRL 2020, appendix), half of them with each board.
+Half of the presses are made with each board. For the estimator `cnn`, the default number of presses is that of Bauza et
+al. (CoRL 2020, appendix).
 """
 
 from __future__ import annotations
@@ -31,17 +32,19 @@ from tactile_loc.store.workspace import Workspace
 
 STAGE_VERSION = 3
 PIECES = "images-{:04d}", "indentation-{:04d}"  # names of a shard's arrays
-SHARD = 64  # presses that are rendered, saved and resumed together; each shard has its own lamps
+SHARD = 64  # number of presses that are rendered and saved together, with the same lamps
 DEEPEST = 65535  # indentations are 16-bit shares of the sensor's maximal depth
-VARIATION = 0.25  # of the lamps, relative to the spread between sensors of one make
+VARIATION = 0.25  # variation of the lamps between shards, relative to the spread between sensors of one make
 PRESSES = {"photometric": 200, "cnn": 2000}  # default numbers of presses
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPresses(LabelledPresses):
-    """Presses of the boards on a sensor, in shards of SHARD presses: `images` (S, H, W, 3) and `codes` (S, H, W).
+    """Presses of the boards on a sensor, in shards of at most SHARD presses.
 
-    `background` (H, W, 3) is the untouched gel of all presses. `key` identifies the set.
+    Each shard has `images` (S, H, W, 3) and `codes` (S, H, W), the indentations in steps of 1/DEEPEST of the maximal
+    depth. `background` (H, W, 3) is the image of the untouched gel for all presses. `key` identifies the set in the
+    store.
     """
 
     geometry: SensorGeometry
@@ -54,7 +57,7 @@ class SimulatedPresses(LabelledPresses):
         return sum(len(shard) for shard in self.images)
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and its label, the indentation of the contact: press - depth, metres."""
+        """Return the image (H, W, 3) and the label of a press. The labelled indentation is 0 outside the contact."""
         shard, place = divmod(number, SHARD)
         indentation = self.codes[shard][place] * np.float32(self.geometry.max_depth_m / DEEPEST)
         label = label_surface(indentation, indentation > 0, self.geometry)
@@ -71,8 +74,9 @@ def simulate_presses(
 ) -> SimulatedPresses:  # fmt: skip
     """Press the boards `count` times on a sensor, or load the stored presses of the same `seed`.
 
-    `variation` (unitless) scales the difference between each shard's lamps and `optics` (see `Optics.vary`). The
-    untouched gel is that of `optics` in all shards. Raises TouchError when the boards leave no imprint on the sensor.
+    `variation` (unitless) scales the difference between each shard's lamps and `optics` (see `Optics.vary`). All shards
+    have the same image of the untouched gel, which is rendered with `optics`. Raises TouchError when the boards leave
+    no imprint on the sensor.
     """
     renderer = registry().create("renderer", "heightmap", {})
     untouched = render_background(geometry, optics)
@@ -110,10 +114,11 @@ def _split_shards(count: int) -> list[int]:
 
 
 def find_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
-    """Return the geometry of a sensor, by its name or its file (.toml), and the optics named `lamps`.
+    """Return the geometry of a sensor, given its name or its file (.toml), and the optics named `lamps`.
 
-    The default optics are the sensor's own, or generic ones. Raises SensorError, ConfigError or UnknownPluginError for
-    unknown names, CalibrationError for a sensor without simulated images.
+    By default, the optics are those of the sensor, or generic optics for a sensor file. Raises ConfigError for unknown
+    `lamps`, SensorError for a sensor file that cannot be read, and CalibrationError for another sensor that cannot be
+    simulated.
     """
     chosen = find_optics(lamps) if lamps else choose_optics(sensor)
     if sensor.endswith(".toml"):
@@ -128,7 +133,7 @@ def find_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, 
 
 
 def find_camera_px(sensor: str) -> list[int] | None:
-    """Return the native size (rows, columns) of a named sensor's images, or None for a sensor file."""
+    """Return the size (rows, columns) of the images that a named sensor's camera takes, or None for a sensor file."""
     return list(registry().create("sensor", sensor, {}).native.shape) if sensor in OPTICS else None
 
 
@@ -136,10 +141,11 @@ def calibrate_simulated(
     geometry: SensorGeometry, lamps: Optics, count: int | None, estimator: str, options: dict[str, Any], seed: int,
     store: StageStore, progress: Progress | None = None,
 ) -> tuple[SimulatedPresses, GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate on `count` presses of the simulated boards, by default PRESSES, or load the stored result.
+    """Calibrate on `count` presses of the simulated boards, or load the stored result.
 
-    Return the presses, the estimator, and a record of JSON values: its errors, and the optics. Raises CalibrationError,
-    ConfigError or TrainingError.
+    The default number of presses is in PRESSES. Return the presses, the estimator, and a record of the estimator's
+    errors and the optics, as JSON values. Raises ConfigError for wrong options, CalibrationError for too few presses,
+    and TrainingError when the training fails.
     """
     validate_estimator_options(load_estimator(estimator), options)  # reports wrong options before rendering
     watcher = progress or Progress()

@@ -1,4 +1,4 @@
-"""Slopes of a surface, the surface with given slopes, and the gel's indentation."""
+"""Slopes of a surface, integration of slopes to a surface, and the gel's indentation."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Float32 = NDArray[np.float32]
 
 ROUNDS = 3
 DRIFT_M = 2.5e-3  # standard deviation of the Gaussian that smooths the drift
-TOUCHED_M = 4e-5  # an indentation of this depth is not drift
-TOUCHED_SLOPE = 0.05  # least slope of a touched pixel; the walls of a light press of a flat face have about 0.1
-RISING_SLOPE = 0.02  # least mean slope at the border of a plateau
-SMOOTHING_M = 1.2e-4  # of the slope, for finding where the gel is touched
-NOISES = 4.0  # threshold of signal, in medians of the magnitude
-LEAST_UNTOUCHED = 0.05  # least untouched share of the image beside plateaus
+TOUCHED_M = 4e-5  # least indentation of a touched pixel; drift is smaller
+TOUCHED_SLOPE = 0.05  # least slope of a touched pixel; the border of a lightly pressed flat face has about 0.1
+RISING_SLOPE = 0.02  # least mean slope at the border of a plateau, towards the plateau
+SMOOTHING_M = 1.2e-4  # standard deviation of the smoothing of slopes before steep pixels are found
+NOISES = 4.0  # threshold between noise and signal, as a multiple of the median magnitude
+LEAST_UNTOUCHED = 0.05  # least share of the image that must be left untouched if plateaus are to count
 COARSE_PX = 80  # longer image side for estimating the drift
 
 
@@ -30,15 +30,15 @@ def differentiate(height_m: NDArray[np.floating], geometry: SensorGeometry) -> N
 
 
 def integrate(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:
-    """Return the surface (H, W), metres, with zero mean, whose slopes are nearest to the given ones (H, W, 2).
+    """Return the surface (H, W), metres, with zero mean, whose slopes are nearest to the given slopes (H, W, 2).
 
-    This is least squares with free borders: the Poisson equation with given slopes across the border, solved by a
-    cosine transform. Each step between two pixels is the mean of their slopes.
+    The surface is the least-squares solution with free borders. It solves a Poisson equation, by a cosine transform.
+    The wanted step from one pixel to the next is the mean of the slopes at the two pixels.
     """
     from scipy.fft import dctn, idctn
 
     sx, sy = geometry.scale_at_surface
-    across, down = slope[..., 0] / sx, slope[..., 1] / sy  # metres a pixel
+    across, down = slope[..., 0] / sx, slope[..., 1] / sy  # metres per pixel
     steps_x = np.pad(0.5 * (across[:, 1:] + across[:, :-1]), [(0, 0), (1, 1)])
     steps_y = np.pad(0.5 * (down[1:] + down[:-1]), [(1, 1), (0, 0)])
     divergence = np.diff(steps_x, axis=1) + np.diff(steps_y, axis=0)
@@ -49,12 +49,14 @@ def integrate(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[
 
 
 def find_indentation(slope: NDArray[np.floating], geometry: SensorGeometry) -> Float32:
-    """Return the indentation (H, W), metres, of a surface with slopes (H, W, 2): zero where the gel is untouched.
+    """Return the indentation (H, W), metres, of a surface with slopes (H, W, 2): about 0 where the gel is untouched.
 
     Small errors of the slopes add up to a slow drift of the surface, which may exceed a light imprint. The drift is
-    measured where the gel is untouched, smoothed, and continued under the imprint. A pixel is touched if it is steep,
-    or deep after most of the drift is subtracted, or enclosed by such pixels. An imprint that crosses the image's
-    border is a plateau: the steep pixels rise towards it.
+    measured where the gel is untouched, smoothed, and continued under the imprint.
+
+    A pixel counts as touched if it is steep, if it is deep after the drift is subtracted, or if touched pixels enclose
+    it. An imprint that crosses the image's border is not enclosed. It is found as a plateau: a flat part towards which
+    the steep pixels rise.
     """
     surface = integrate(slope, geometry)
     steepness = _measure_steepness(slope, geometry)
@@ -69,7 +71,10 @@ def find_indentation(slope: NDArray[np.floating], geometry: SensorGeometry) -> F
 
 
 def _fill_holes(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the marked pixels (H, W) and the pixels they enclose, four times as fast as scipy's binary_fill_holes."""
+    """Return the marked pixels (H, W) and the pixels that they enclose.
+
+    The function is four times as fast as scipy's binary_fill_holes.
+    """
     from scipy.ndimage import label
 
     parts, count = label(~marked)
@@ -80,7 +85,7 @@ def _fill_holes(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _find_plateaus(steep: NDArray[np.bool_], slope: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Return the flat parts (H, W) towards which the steep pixels (H, W) rise, if enough untouched gel is left."""
+    """Mark the flat parts (H, W) towards which the steep pixels (H, W) rise, if they leave enough untouched gel."""
     from scipy.ndimage import label
 
     parts, count = label(~steep)
@@ -107,14 +112,14 @@ def _measure_steepness(slope: NDArray[np.floating], geometry: SensorGeometry) ->
 
 
 def _choose_threshold(values: NDArray[np.float64], least: float) -> float:
-    """Return the threshold of signal, at least `least`, for magnitudes that are mostly noise."""
+    """Return the threshold between noise and signal, at least `least`, for magnitudes that are mostly noise."""
     return max(least, NOISES * float(np.median(values.ravel()[::4])) if values.size else least)
 
 
 def _fit_drift(
     surface_m: NDArray[np.float64], untouched: NDArray[np.bool_], geometry: SensorGeometry
 ) -> NDArray[np.float64]:
-    """Return the smooth surface (H, W), metres, through the untouched pixels (H, W), continued elsewhere."""
+    """Return a smooth surface (H, W), metres, that fits the untouched pixels (H, W) and continues between them."""
     step = max(1, round(max(geometry.shape) / COARSE_PX))
     sigma = DRIFT_M / (step * geometry.pixel_pitch_m)
     weight = untouched.astype(float)
@@ -127,7 +132,7 @@ def _fit_drift(
 
 @lru_cache(maxsize=8)
 def _weigh_gaussian(blocks: int, sigma: float) -> NDArray[np.float64]:
-    """Return weights (blocks, blocks) of a Gaussian of `sigma` blocks, with the border values continued."""
+    """Return the matrix (blocks, blocks) that smooths by a Gaussian of `sigma` blocks and continues border values."""
     from scipy.ndimage import gaussian_filter1d
 
     return np.asarray(gaussian_filter1d(np.eye(blocks), sigma, axis=0, mode="nearest", truncate=6))
@@ -135,13 +140,19 @@ def _weigh_gaussian(blocks: int, sigma: float) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _weigh_linear(blocks: int, step: int, pixels: int) -> NDArray[np.float64]:
-    """Return weights (pixels, blocks) for linear interpolation between the middles of blocks, constant at the ends."""
+    """Return the matrix (pixels, blocks) that interpolates linearly between the middles of blocks.
+
+    The values are constant beyond the first and the last middle.
+    """
     middles = (np.arange(blocks) + 0.5) * step - 0.5
     return np.stack([np.interp(np.arange(pixels), middles, one) for one in np.eye(blocks)], axis=1)
 
 
 def _average_blocks(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-    """Return the means of blocks of `step` x `step` pixels of (H, W); incomplete blocks repeat the last pixels."""
+    """Return the means of an image (H, W) over blocks of `step` x `step` pixels.
+
+    Incomplete blocks at the border are filled with the image's last pixels.
+    """
     height, width = image.shape
     padded = np.pad(image, [(0, -height % step), (0, -width % step)], mode="edge")
     blocks = padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step)

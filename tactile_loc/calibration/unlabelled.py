@@ -1,7 +1,7 @@
-"""Presses without labels: finds the images of the untouched gel, and a ball in each other image.
+"""Labels presses of a ball: finds the images of the untouched gel, and the ball's circle in each other image.
 
-In comparison with the untouched gel, most images show one imprint and nothing else. Without an image of the untouched
-gel, it is composed from the parts of all images that are far from their imprints, with smooth transitions.
+Most images must differ from the untouched gel by one imprint only. If no image shows the untouched gel, an image of the
+gel is composed from the other images, except their parts near imprints. The transitions between the parts are smooth.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from tactile_loc.io.images import write_image
 from tactile_loc.store.files import write_atomically
 
 UNTOUCHED = "untouched-gel.png"  # the composed image of the untouched gel
-LIKENESS, CONTRAST = 0.65, 4.0  # least values of a ball: share of the change explained, and counts
-BLURRED = 0.45  # least likeness of a ball beside another
-QUIET, STILL = 0.2, 0.5  # largest change of an untouched image with and without a ball, share of the usual contrast
-SECOND = 0.35  # least contrast of a second ball, share of the first one's
+LIKENESS, CONTRAST = 0.65, 4.0  # least likeness of a ball's imprint, and least contrast, counts
+BLURRED = 0.45  # least likeness of a ball's imprint if there is a second ball in the image
+QUIET, STILL = 0.2, 0.5  # limits of an untouched image's change if it looks like a ball or not, share of usual contrast
+SECOND = 0.35  # least contrast of a second ball, share of the first ball's contrast
 APART = 2.2  # radius of the area that belongs to an imprint, in radii of the imprint
-OUTSIDE = 0.1  # share of the radius that may lie beyond the border
-EXPOSED, MOST_EXPOSED = 253, 0.25  # counts of 255, and share of the circle's pixels and colours
+OUTSIDE = 0.1  # largest part of a circle's radius that may lie beyond the image's border
+EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
 OVERSIZED = "larger than the ball"
 TOO_LARGE = 1.3  # largest radius of a circle with its skirt, in radii of the ball
-MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share that it explains of change and pixels, and counts
+MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share of change and pixels it explains, and texture, counts
 ALIKE = 0.25  # least gain of correlation by a large shift
 LEAST_FREE = 0.1  # least untouched share of the image for measuring a shift
-TRIED, JUDGES = 6, 10  # images tried as the untouched gel, and images for judging them
-KEPT = 6  # images from which an untouched pixel is composed
-AWAY = (1.3, 2.0)  # distances from an imprint, radii: the gel is touched within the first, hardly beyond the second
-ORDER = 5  # of the polynomial that fills pixels touched in all images
-PIECED = 2  # rounds of composing
-SHALLOWEST_MM = 0.05  # least depth of the deepest press: smaller depths show a wrong radius of the ball
+TRIED, JUDGES = 6, 10  # number of images tried as the untouched gel, and of images that are compared with them
+KEPT = 6  # number of images from which each pixel of the untouched gel is composed
+AWAY = (1.3, 2.0)  # distances from an imprint's centre, radii: touched within the first, hardly beyond the second
+ORDER = 5  # degree of the polynomial that fills in pixels that are touched in all images
+PIECED = 2  # number of times that the untouched gel is composed, each time with better circles
+SHALLOWEST_MM = 0.05  # least depth of the deepest press; a smaller depth shows that the ball's radius is wrong
 HOW_TO_PRESS = "press the ball so that its whole imprint is in the image, and add an image of the untouched gel"
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FoundPress:
-    """An image of a press and its circle, if found. `dropped` is the reason why the press is not used, or empty."""
+    """An image of a press and the ball's circle, if found. `dropped` states why the press is not used, or is empty."""
 
     frame: Frame
     circle: Circle | None
@@ -70,7 +70,11 @@ class FoundPress:
 
 @dataclass(frozen=True, eq=False)
 class FoundPresses:
-    """The untouched gel (H, W, 3) uint8, the names of its images, if any, and the presses of a folder."""
+    """The untouched gel and the presses that were found in a folder.
+
+    `untouched` (H, W, 3) uint8 shows the untouched gel. `untouched_names` are the images from which it was averaged. It
+    is empty if `untouched` was composed from images of presses.
+    """
 
     untouched: Image
     untouched_names: tuple[str, ...]
@@ -87,8 +91,8 @@ def find_presses(
 ) -> FoundPresses:
     """Find the untouched gel and each ball's circle in images (H, W, 3) of one camera, in any order.
 
-    `ball_px` is the ball's radius in pixels, if known: much larger circles are rejected. Raises CalibrationError when
-    no image shows a ball, when the camera moves between most images, or when there are too few images.
+    `ball_px` is the ball's radius in pixels, if known; much larger circles are dropped. Raises CalibrationError when no
+    image shows a ball, when the camera moved in most images, or when there are too few images.
     """
     if len(frames) < 3:
         raise CalibrationError(
@@ -137,9 +141,9 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
 
 
 def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
-    """Return the least and the largest press depth, mm, from the balls' visible circles.
+    """Estimate the least and the largest press depth, mm, from the balls' visible circles.
 
-    Raises CalibrationError when even the deepest press would be too shallow for this radius.
+    Raises CalibrationError when even the largest depth is below SHALLOWEST_MM.
     """
     radii_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
     depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - np.minimum(radii_mm, STEEPEST * ball_radius_mm) ** 2)
@@ -152,7 +156,10 @@ def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: fl
 
 
 def _choose_reference(images: Sequence[Image]) -> Float32:
-    """Return the image, median, or smoothed median against which single imprints explain the changes best."""
+    """Return the best approximation (H, W, 3) of the untouched gel: an image, the median image or a smoothed median.
+
+    Relative to the best approximation, single imprints explain the largest share of the images' changes.
+    """
     stack = np.stack(images[:: max(1, len(images) // 40)])
     median = np.median(stack, axis=0).astype(np.float32)
     off = [float(np.abs(compare_colours(image, median)).mean()) for image in images]
@@ -168,7 +175,7 @@ def _is_ball(imprint: Imprint | None) -> TypeGuard[Imprint]:
 
 
 def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint | None]) -> list[int]:
-    """Return the numbers of the images whose strongest change is below that of a usual ball."""
+    """Return the numbers of the untouched images: their strongest change is far below the contrast of a usual ball."""
     contrasts = [imprint.contrast for imprint in imprints if _is_ball(imprint)]
     if not contrasts:
         return []
@@ -181,7 +188,7 @@ def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[
 
 
 def _measure_strongest(change: Float32) -> float:
-    """Return the largest smoothed change (H, W, 3) of any pixel, counts."""
+    """Smooth a change (H, W, 3), and return the largest change of a pixel, counts."""
     from scipy.ndimage import uniform_filter
 
     side = max(3, max(change.shape) // 40)
@@ -189,7 +196,10 @@ def _measure_strongest(change: Float32) -> float:
 
 
 def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
-    """Compose the untouched gel (H, W, 3), counts, from images that are all touched somewhere."""
+    """Compose the untouched gel (H, W, 3), counts, from images that all show a press.
+
+    Raises CalibrationError when too few images show a ball.
+    """
     balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if _is_ball(i)]
     if not balls:
         raise CalibrationError(f"no image shows one whole ball: {HOW_TO_PRESS}")
@@ -208,7 +218,10 @@ def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None])
 
 
 def _merge_away(balls: Sequence[tuple[Image, Circle]]) -> Float32:
-    """Return the median of the KEPT images with the farthest ball, for each pixel, and a smooth fit near the balls."""
+    """Return the untouched gel (H, W, 3): for each pixel, the median of the KEPT images whose balls are farthest away.
+
+    A smooth fit replaces the median at pixels where a ball is near in one of these images.
+    """
     shape = balls[0][0].shape[:2]
     away = np.stack([circle.measure_distance_px(shape) / circle.radius_px for _, circle in balls]).astype(np.float32)
     order = np.argsort(-away, axis=0)[:KEPT]
@@ -222,7 +235,7 @@ def _merge_away(balls: Sequence[tuple[Image, Circle]]) -> Float32:
 
 
 def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
-    """Return a robust polynomial fit of x and y to an image (H, W, 3) with pixel weights (H, W)."""
+    """Fit a polynomial in x and y robustly to an image (H, W, 3) with pixel weights (H, W), and return its values."""
     height, width = image.shape[:2]
     y, x = (np.linspace(-1, 1, n) for n in (height, width))
     powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
@@ -234,7 +247,7 @@ def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
 
 
 def _judge(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPress:
-    """Find the ball in an image, or the reason why the image cannot be used."""
+    """Find the ball's circle in an image, or the reason why the image cannot be used."""
     change = compare_colours(frame.image, reference)
     imprint = find_imprint(change)
     around = None
@@ -269,7 +282,8 @@ def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float
 def _measure_shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
     """Return the shift of the gel's texture outside the touched pixels (H, W), pixels; 0 without a clear shift.
 
-    Small shifts are found by least squares of the change on the gel's gradients, large ones by correlation.
+    A small shift is found by least squares: the change is a multiple of the gel's gradients. A large shift is found by
+    correlation.
     """
     free = np.ones(change.shape[:2], bool) if touched is None else ~touched
     gel, seen = _extract_details(reference), _extract_details(change)
@@ -288,7 +302,10 @@ def _measure_shift(change: Float32, reference: Float32, touched: Mask | None) ->
 
 
 def _measure_large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
-    """Return the shift in whole pixels that clearly increases the correlation of details (H, W, 3), or 0."""
+    """Return the length of the shift by whole pixels that increases the correlation of details (H, W, 3), or 0.
+
+    The result is 0 if no shift increases the correlation by more than ALIKE.
+    """
     one, other = (values * free[..., None] for values in (seen, gel))
     spectra = np.fft.rfft2(one, axes=(0, 1)) * np.conj(np.fft.rfft2(other, axes=(0, 1)))
     alike = np.fft.irfft2(spectra.sum(axis=2), s=free.shape)
@@ -303,10 +320,10 @@ def _fit_robustly(
     terms: NDArray[np.floating], values: NDArray[np.floating], first: NDArray[np.floating],
     scale: Callable[[float], float], rounds: int,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return them with the robust weights (P,).
+    """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return the factors and the robust weights (P,).
 
-    The weights are the `first` ones (P,) times Tukey's function of the residual. `scale` maps the median residual to
-    the least residual with weight 0.
+    A robust weight is the weight in `first` (P,) times Tukey's function of the residual. `scale` maps the median
+    residual to the least residual with weight 0.
     """
     weight = first
     for _ in range(rounds):
@@ -318,17 +335,18 @@ def _fit_robustly(
 
 
 def _extract_details(image: Float32) -> Float32:
-    """Return an image (H, W, 3) without its noise and without slow changes, such as the light's."""
+    """Return the details of an image (H, W, 3), without noise and without slow changes such as those of the light."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(image, (1, 1, 0)) - gaussian_filter(image, (6, 6, 0)), np.float32)
 
 
 def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write `presses.csv` of the used presses, and the composed untouched gel if no image shows it.
+    """Write `presses.csv` with the used presses, and return its path.
 
-    Raises CalibrationError when there is a table already, OutputError when a file cannot be written. See `write_table`
-    for circles larger than the ball.
+    If no image shows the untouched gel, the composed image is written, too. Circles larger than the ball are reduced:
+    see `write_table`. Raises CalibrationError when there is a table already, and OutputError when a file cannot be
+    written.
     """
     table = folder / TABLE
     if table.exists():

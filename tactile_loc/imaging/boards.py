@@ -1,7 +1,7 @@
 """Two calibration boards: plates with simple raised shapes, for pressing a sensor in simulation.
 
-The idea is from Bauza et al. (CoRL 2020, appendix); the shapes are our own. A board's frame has its origin in the
-middle of the plate's upper face, x along the longer side and z out of the raised side.
+The idea is from Bauza et al. (CoRL 2020, appendix), but the shapes are different. The origin of a board's frame is the
+middle of the plate's upper face. The x axis is along the plate's longer side, and z points out of the raised side.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 PLATE_M = (0.080, 0.060, 0.006)
 COLUMNS, ROWS, PITCH_M = 7, 5, 0.010
-HEIGHTS_M = (0.0020, 0.0025, 0.0030, 0.0035, 0.0040, 0.0035, 0.0030, 0.0025)  # neighbours can touch together
+HEIGHTS_M = (0.0020, 0.0025, 0.0030, 0.0035, 0.0040, 0.0035, 0.0030, 0.0025)  # similar for neighbours
 SCALES = (1.0, 0.6, 0.8, 0.45, 0.7)  # relative to a shape's full size, which fills its place on the plate
 LEANS_RAD = tuple(math.radians(d) for d in (0, 12, 0, 25, 6, 0, 18))  # tilts of consecutive shapes
 SUNK_M = 0.001  # overlap of the shapes with the plate, which leaves no gap
 GOLDEN_RAD = math.pi * (3 - math.sqrt(5))  # angle between neighbours' yaws, which never repeat
 MOST_TILT_RAD = math.radians(8)
-MIDDLE = 0.8  # share of the board, around its middle, that is placed over the sensor's middle
+MIDDLE = 0.8  # share of the board, around its middle, from which the point over the sensor's middle is drawn
 ABOVE_M = 0.001  # distance from the undeformed surface before a pose is brought to contact
 
 Shape = Callable[[float, float], "trimesh.Trimesh"]
@@ -40,8 +40,8 @@ def make_board(number: int) -> ObjectModel:
     """Return calibration board 1 or 2, metres. Raises ConfigError for another number.
 
     Board 1 has cylinders, boxes, cones, spherical caps, pairs of rods and caps with a slot. Board 2 has pyramids,
-    rings, ridges, steps, rods and rounded rings. Each has 35 shapes, 2 to 4 mm high, half of them leaning. Every shape
-    is closed and overlaps the plate without being united with it.
+    rings, ridges, steps, rods and rounded rings. Each board has 35 shapes, 2 to 4 mm high. About half of the shapes
+    lean. Every shape is a closed surface that overlaps the plate.
     """
     import trimesh
 
@@ -60,8 +60,9 @@ def make_board(number: int) -> ObjectModel:
 def draw_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
     """Draw poses `T_sensor_object` (count, 4, 4), metres, of a board with its raised side towards the sensor.
 
-    Yaw is arbitrary. Tilts are at most `MOST_TILT_RAD`, in any direction. Any part of the board may be over the middle
-    of the sensing rectangle. The whole board lies beyond the undeformed surface: bring the poses to contact.
+    Yaw is arbitrary. Tilts are at most `MOST_TILT_RAD`, in any direction. The point over the middle of the sensing
+    rectangle is drawn from the inner part of the board (see MIDDLE). At these poses, the board does not touch the gel:
+    bring them to contact.
     """
     from scipy.spatial.transform import Rotation
 
@@ -159,7 +160,7 @@ def _make_rods(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
 
 def _make_capsule(half_length_m: float, radius_m: float, height_m: float, aside_m: float) -> trimesh.Trimesh:
-    """Make a horizontal rod with its top at a height, and with straight walls below its axis."""
+    """Make a horizontal rod whose top is at `height_m`, with straight walls below the rod's axis."""
     ball = radius_m * _trace_hemisphere()
     x = half_length_m - radius_m
     upper = np.concatenate([ball + np.array([end, aside_m, height_m - radius_m]) for end in (-x, x)])

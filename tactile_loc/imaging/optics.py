@@ -1,8 +1,8 @@
 """The optics of a sensor (coloured lamps, the unpressed gel's curvature, the camera), and the optics of known makes.
 
 Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
-Lengths of the housing are in units of the field's radius (half the sensing rectangle's diagonal), so the same optics
-fit sensors of every size. Lengths on the surface are metres.
+Lengths in the housing are in units of the field's radius, which is half the sensing rectangle's diagonal. The same
+optics therefore fit sensors of every size. Lengths on the surface are in metres.
 """
 
 from __future__ import annotations
@@ -19,16 +19,18 @@ from tactile_loc.core.errors import ConfigError, did_you_mean
 
 Vector = tuple[float, float, float]
 
-NEAREST = 1.2  # least distance of a lamp, field radii: the lamps' model is wrong above the gel
+NEAREST = 1.2  # least distance of a lamp, field radii; the model of a lamp does not hold directly above the gel
 
 
 @dataclass(frozen=True)
 class Light:
-    """A coloured lamp. `direction` (3,) points from the middle of the surface to it: x right, y down, z to the camera.
+    """A coloured lamp.
 
-    `colour` (3,) is its red, green and blue in the camera. `strength` is the brightness, as a share of full white, of a
-    surface that faces the lamp in the middle of the field. `distance` is in field radii: the light falls off with the
-    inverse square, and infinity is even light. Raises ConfigError for impossible values.
+    `direction` (3,) points from the middle of the surface to the lamp: x right, y down, z to the camera. `colour` (3,)
+    is the lamp's red, green and blue as the camera records them. `strength` is the brightness, as a share of full
+    white, of a surface in the middle of the field that faces the lamp. `distance` is in field radii. The light falls
+    off with the inverse square of the distance, and a lamp at infinity gives even light. Raises ConfigError for
+    impossible values.
     """
 
     direction: Vector
@@ -53,7 +55,7 @@ class Light:
     def at(
         cls, azimuth_rad: float, elevation_rad: float, colour: Vector, strength: float, distance: float = math.inf
     ) -> Light:
-        """Return a light from its angles, radians: azimuth from image right towards image down, and elevation."""
+        """Return the light with an azimuth, from image right towards image down, and an elevation, both in radians."""
         flat = math.cos(elevation_rad)
         direction = (flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad))
         return cls(direction, colour, strength, distance)
@@ -85,11 +87,12 @@ class Light:
 class Optics:
     """The optics of a sensor. Brightness is a share of full white (255 counts).
 
-    `ambient` (3,) is light from all directions. `dome` is the unpressed gel's slope at the field's radius, unitless:
-    positive if it bulges towards the object. `specular` and `shininess` are the coating's gloss (Blinn and Phong: share
-    of each light, exponent). `vignetting` is the share of light lost at the field's radius. `blur_m` is the lens's blur
-    (standard deviation on the surface, metres). `read_noise` and `shot_noise` are standard deviations in 8-bit counts,
-    of every pixel and of a full white pixel. Raises ConfigError for impossible values.
+    `ambient` (3,) is light from all directions. `dome` is the unpressed gel's slope at the field's radius, unitless. It
+    is positive if the gel bulges towards the object. `specular` and `shininess` describe the coating's gloss, after
+    Blinn and Phong: the reflected share of each light, and the exponent. `vignetting` is the share of light lost at the
+    field's radius. `blur_m` is the standard deviation of the lens's blur on the surface, metres. `read_noise` is the
+    standard deviation of every pixel's noise, 8-bit counts. `shot_noise` is that of the additional noise of a full
+    white pixel. Raises ConfigError for impossible values.
     """
 
     lights: tuple[Light, ...]
@@ -115,7 +118,7 @@ class Optics:
             raise ConfigError(f"the optics' vignetting is {self.vignetting}; it must be from 0 to 1")
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings, which identify the optics, as JSON values. An infinite distance is None."""
+        """Return the settings as JSON values that identify the optics. An infinite distance becomes None."""
         lights = [
             {**asdict(v), "direction": list(v.direction), "colour": list(v.colour),
              "distance": v.distance if math.isfinite(v.distance) else None}
@@ -136,11 +139,11 @@ class Optics:
         return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
 
     def remove_noise(self) -> Optics:
-        """Return the same optics with a camera without noise."""
+        """Return the same optics without the camera's noise."""
         return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
 
     def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
-        """Return random optics of another sensor of this make, with other lights, exposure, curvature, blur and noise.
+        """Return random optics, as another sensor of this make may have: lights, exposure, dome, blur and noise differ.
 
         `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread. Raises ConfigError for a
         negative strength.
@@ -175,12 +178,15 @@ def _require_share(name: str, value: float) -> None:
 
 
 def _arrange(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
-    """Return lights of (azimuth, elevation, strength, colour), angles in degrees, at one distance in field radii."""
+    """Return the lights of `lamps`, each (azimuth, elevation, strength, colour), at one distance in field radii.
+
+    Angles are in degrees.
+    """
     return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
 
 
 GENERIC = "gelslim"
-OPTICS = {  # matched to photos of balls pressed into one sensor of each make; others differ: see `Optics.vary`
+OPTICS = {  # matched to photos of balls pressed into one sensor of each make; other sensors differ: see `Optics.vary`
     "gelslim": Optics(
         _arrange((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
         ambient=(0.03, 0.35, 0.03), dome=0.3, vignetting=0.35, blur_m=4e-5, read_noise=1.0, shot_noise=2.0,

@@ -1,4 +1,4 @@
-"""From the gel's surface to the camera's image: normals, Lambert's law, gloss, lens and camera noise."""
+"""Renders the camera's image of the gel's surface: normals, Lambert's law, gloss, lens and camera noise."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def render_images(
 ) -> Image:
     """Return the camera's images (N, H, W, 3) uint8 RGB of indentations (N, H, W), metres.
 
-    `background` (H, W, 3) uint8 is a photo of the unpressed sensor. If it is given, the press's change is added to it.
-    Outside the sensing rectangle only the lens's blur changes pixels. Raises ConfigError for images that do not fit the
-    sensor.
+    `background` (H, W, 3) uint8 is a photo of the unpressed sensor. If it is given, the simulated change is added to
+    the photo. Outside the sensing rectangle, a press changes pixels only by the lens's blur. Raises ConfigError for
+    images that do not fit the sensor.
     """
     indentation = np.asarray(indentation_m, np.float32)
     if indentation.ndim != 3 or indentation.shape[1:] != geometry.shape:
@@ -57,7 +57,7 @@ def render_background(geometry: SensorGeometry, optics: Optics) -> Image:
 def measure_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Float32, Float32]:
     """Return the indentation's slopes (N, H, W) along x and y, unitless, by central differences.
 
-    They are zero outside the sensing rectangle.
+    The slopes are zero outside the sensing rectangle.
     """
     gel = Gel.of(geometry)
     slope_x, slope_y = np.zeros_like(indentation_m), np.zeros_like(indentation_m)
@@ -81,14 +81,17 @@ class _Field:
         self.whole = whole
 
     def compute_brightness(self, indentation_m: Float32, optics: Optics) -> Float32:
-        """Return the brightness (3, N, H, W) in counts, neither clipped nor noisy."""
+        """Return the brightness (3, N, H, W), counts, of gels with indentations (N, H, W), metres.
+
+        The brightness is neither clipped nor noisy.
+        """
         relief_m = self.geometry.relief_m
         below_m = indentation_m if relief_m is None else indentation_m - relief_m
         slope_x, slope_y = measure_slopes(below_m, self.geometry)
-        if relief_m is None:  # the gel's curve is not known from the geometry
+        if relief_m is None:  # then the dome describes the gel's curvature
             slope_x += np.float32(optics.dome) * self.x
             slope_y += np.float32(optics.dome) * self.y
-        upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)  # the normal's share towards the camera
+        upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)  # the normal's component towards the camera
         counts = np.empty((3, *indentation_m.shape), np.float32)
         counts[:] = np.reshape(optics.ambient, (3, 1, 1, 1))
         for light in optics.lights:
@@ -104,9 +107,10 @@ class _Field:
         return counts
 
     def _shade(self, light: Light, slope_x: Float32, slope_y: Float32, upright: Float32, optics: Optics) -> Float32:
-        """Return the share (N, H, W) of one light of strength 1 that the surface reflects: Lambert's law and gloss.
+        """Return the share (N, H, W) of a light of strength 1 that the surface reflects, by Lambert's law and gloss.
 
-        The normal, towards the camera, is (-slope_x, -slope_y, 1) / length, as are the light's axes.
+        The normal is (-slope_x, -slope_y, 1) / length. The z axes of normals and of the light's direction point towards
+        the camera.
         """
         x, y, z, falloff = self._aim(light)
         shade: Float32 = slope_x * -x
@@ -115,14 +119,17 @@ class _Field:
         shade *= upright
         np.maximum(shade, 0, out=shade)
         if optics.specular > 0:
-            length = np.sqrt(x * x + y * y + (1 + z) ** 2)  # of the vector halfway between light and camera
+            length = np.sqrt(x * x + y * y + (1 + z) ** 2)  # length of the sum of the directions to light and camera
             half = np.maximum(((1 + z) - x * slope_x - y * slope_y) * upright / length, 0)
             shade += np.where(shade > 0, np.float32(optics.specular) * half ** np.float32(optics.shininess), 0)
         shade *= falloff
         return shade
 
     def _aim(self, light: Light) -> tuple[Any, Any, Any, Any]:
-        """Return the unit vector from each pixel to a light, and its fall-off, 1 in the middle; broadcast to (H, W)."""
+        """Return the unit vectors (x, y, z) from the pixels to a light, and the light's fall-off at the pixels.
+
+        All four broadcast to (H, W). The fall-off is 1 in the middle of the field.
+        """
         direction = np.asarray(light.direction, np.float64) / np.linalg.norm(light.direction)
         if math.isinf(light.distance):
             x, y, z = (np.float32(v) for v in direction)

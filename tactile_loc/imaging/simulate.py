@@ -22,15 +22,15 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 BATCH = 16
-LIGHTEST = 0.3  # share of the maximal depth
+LIGHTEST = 0.3  # least press depth, share of the maximal depth
 LEAST_CONTACT = 0.01  # least share of the observed pixels in contact
-MOST_ROUNDS = 100  # of drawing presses with enough contact
+MOST_ROUNDS = 100  # largest number of attempts to draw presses with enough contact
 
 
 class BoardPresses(NamedTuple):
-    """Presses of a board: `images` (N, H, W, 3) uint8 RGB, and the truth in metres.
+    """Presses of a board: `images` (N, H, W, 3) uint8 RGB, and the true indentations and press depths in metres.
 
-    `indentation_m` (N, H, W) float32 is press - depth in the contact, else 0; `press_depth_m` is (N,) float64.
+    `indentation_m` (N, H, W) float32 is 0 outside the contact. `press_depth_m` is (N,) float64.
     """
 
     images: Image
@@ -47,10 +47,10 @@ def render_touches(
     softness_m: float = SOFTNESS_M,
     background: Image | None = None,
 ) -> Image:
-    """Return images (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at presses (N,), metres.
+    """Return images (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at press depths (N,), metres.
 
-    `softness_m` is the gel's (see `press_gel`). `background` (H, W, 3) uint8 is a photo of the unpressed sensor (see
-    `render_images`). Raises ConfigError for sizes that do not fit.
+    `softness_m` is the softness of the gel (see `press_gel`). `background` (H, W, 3) uint8 is a photo of the unpressed
+    sensor (see `render_images`). Raises ConfigError for sizes that do not fit.
     """
     surface = press_gel(depth_m, press_depth_m, geometry, softness_m)
     return render_images(surface, geometry, optics, rng, background)
@@ -66,9 +66,9 @@ def press_boards(
 ) -> Iterator[BoardPresses]:
     """Yield `count` presses of the calibration boards in batches of at most `BATCH`, alternating between the boards.
 
-    Poses are `draw_board_poses` in contact; they do not depend on the optics. Press depths are uniform between
-    `LIGHTEST` of the maximal depth and the maximal depth. Raises ConfigError for a negative count, TouchError when
-    hardly any press leaves an imprint.
+    Poses are drawn by `draw_board_poses` and brought to contact. They do not depend on the optics. Press depths are
+    drawn uniformly between `LIGHTEST` of the maximal depth and the maximal depth. Raises ConfigError for a negative
+    count, and TouchError when hardly any press leaves an imprint.
     """
     if count < 0:
         raise ConfigError(f"the number of presses is {count}; it must be zero or positive")
@@ -81,7 +81,7 @@ def press_boards(
 
 
 def _draw_presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Float32, NDArray[np.float64]]:
-    """Draw contact depths (count, H, W) of a board, and their presses (count,), metres, all with enough contact."""
+    """Draw contact depths (count, H, W) of a board and their press depths (count,), metres, all with enough contact."""
     geometry = scene.geometry
     depths, presses = np.empty((0, *geometry.shape), np.float32), np.empty(0)
     for _ in range(MOST_ROUNDS):

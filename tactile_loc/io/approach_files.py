@@ -1,4 +1,4 @@
-"""Approaches, touches that could be made, as a TOML file: the sensor's start pose, press and cost of each."""
+"""Reads approaches from a TOML file. An approach is a touch that could be made: its start pose, press and cost."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ TRAVEL_M = 0.1
 class Approach:
     """A touch that could be made: the sensor starts at `T_base_sensor` (4, 4), and moves along its z until contact.
 
-    Then it presses by `press_m`, or as deep as the previous touch if that is None. Without contact it stops after
-    `travel_m`. `cost`, in any unit, is positive, and infinite if the pose cannot be reached. Lengths are in metres.
-    Raises ConfigError if the start is not a rigid transform.
+    The sensor then presses `press_m` deep. If `press_m` is None, it presses as deep as in the previous touch. Without
+    contact, it stops after `travel_m`. `cost`, in any unit, is positive, and infinite if the pose cannot be reached.
+    Lengths are in metres. Raises ConfigError if `T_base_sensor` is not a rigid transform.
     """
 
     T_base_sensor: Pose
@@ -62,9 +62,11 @@ class _ApproachTable(PoseKeys):
 def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tuple[Approach, ...]:
     """Read the `[[approach]]` tables of a TOML file, in their order.
 
-    The sensor starts at `T_base_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`: these need the
-    previous touch's sensor pose, the argument `T_base_sensor` (4, 4). Or it starts at `T_sensor_next`, in the frame of
-    the previous touch's sensor. Raises ConfigError, which names the file and the approach.
+    A table gives the sensor's start pose in the base frame or in the sensor frame of the previous touch. In the base
+    frame, the keys are `T_base_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`. In the sensor
+    frame, the key is `T_sensor_next` (4, 4), metres. A start pose in the base frame needs the sensor's pose in the
+    previous touch, which is the argument `T_base_sensor` (4, 4). Raises ConfigError, which names the file and the
+    approach, when a table is wrong.
     """
     path = Path(path)
     approaches = []
@@ -79,7 +81,7 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
 
 
 def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
-    """Return the start pose in the base frame, or in the previous touch's sensor frame if its pose is unknown."""
+    """Return the start pose in the base frame, or in the previous touch's sensor frame if that touch has no pose."""
     T = read_pose(keys, keys.T_base_sensor, "T_base_sensor")
     motion = read_pose(PoseKeys(), keys.T_sensor_next, "T_sensor_next")
     if motion is not None:

@@ -27,7 +27,7 @@ class _Strict(BaseModel):
 
 
 class SlotConfig(_Strict):
-    """One slot: the component's name and its options. In TOML, a table with `name` and the options beside it."""
+    """One slot: the component's name and its options. In TOML, this is a table with `name` and the options."""
 
     name: str
     options: dict[str, Any] = Field(default_factory=dict)
@@ -35,7 +35,7 @@ class SlotConfig(_Strict):
     @model_validator(mode="before")
     @classmethod
     def _unfold(cls, value: Any) -> Any:
-        """Accept "icp" and {name = "icp", max_iterations = 30} beside the full form."""
+        """Accept "icp" and {name = "icp", max_iterations = 30} as well as the full form."""
         if isinstance(value, str):
             return {"name": value}
         if isinstance(value, dict) and "options" not in value:
@@ -54,7 +54,7 @@ class ObjectConfig(_Strict):
 
 
 class TouchConfig(_Strict):
-    """The touch: a file, and its depths' unit and press depth (mm) if the file does not state them.
+    """The touch: a file, and the unit and the press depth (mm) of its depths if the file does not state them.
 
     Without a file, a touch is simulated with `noise`.
     """
@@ -66,31 +66,32 @@ class TouchConfig(_Strict):
 
     @property
     def press_depth_m(self) -> float | None:
-        """The press depth, metres; None if the file states it."""
+        """The press depth, metres, or None if the file states the press depth."""
         return scale(self.press_depth_mm)
 
 
 WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # the grid for tasks that need listed poses: the paper's protocol, and sweeps
-OF_WHOLE = {"encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16})}  # defaults with WHOLE
+OF_WHOLE = {"encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16})}  # for WHOLE
 
 
 def choose_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
-    """Return the default component of a slot with the grid of this name."""
+    """Return the default component of a slot for the grid named `grid`."""
     chosen: SlotConfig = RunConfig.model_fields[slot].default
     return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
 
 
 class RunConfig(_Strict):
-    """Everything that decides a result.
+    """All settings that determine a result.
 
-    `shape_px`: longer image side of the grid's contact shapes, pixels.
-    `together`: how several touches refine a pose, "joint" (all at once) or "each" (the refiner, touch by touch).
-    `drop_outliers`: leave out a touch that contradicts the others.
-    `coverage`: return all modes of a set of poses that holds the true pose with this probability, 0 to 1.
-    `encoder`: the default depends on the grid.
-    `search`, `hypotheses`, `tracker`: numbers to tune; see their classes.
-    `drawing`: touches are compared with the object "pressed" into the gel, or just touching it, as in the "paper".
+    `shape_px` is the longer image side of the grid's contact shapes, pixels.
+    `together` selects how several touches refine a pose: "joint" (all at once), or "each" (touch by touch).
+    `drop_outliers` leaves out touches that contradict the others.
+    `coverage` (0 to 1) returns all modes of a set of poses that contains the true pose with this probability.
+    `encoder` has a default that depends on the grid.
+    `search`, `hypotheses` and `tracker` hold options to tune: see their classes.
+    `drawing` selects how the object is drawn for comparison with a touch: "pressed" into the gel, or just touching the
+    gel, as in the "paper".
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -131,7 +132,7 @@ class RunConfig(_Strict):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
-        """Validate nested values. Raises ConfigError, which names `source` and the allowed values."""
+        """Validate nested values. Raises ConfigError, which names `source` and the allowed values, for wrong values."""
         unknown = set(values) - set(cls.model_fields)
         if unknown:
             key = sorted(unknown)[0]
@@ -159,7 +160,7 @@ class RunConfig(_Strict):
 
 
 def find_sensor_kind(name: str) -> str | None:
-    """Return the component that reads the sensor at a path; None if `name` is a sensor's name."""
+    """Return the sensor component, "file" or "calibrated", that reads the path `name`; None if `name` is not a path."""
     if name in registry().names("sensor"):
         return None
     if name.endswith(".toml"):
@@ -171,7 +172,7 @@ def find_sensor_kind(name: str) -> str | None:
 def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
     """Split words into RunConfig's plain settings, such as "drawing=paper", and the other words.
 
-    Values are read as TOML, else as text.
+    Values are read as TOML. A value that is not valid TOML is text.
     """
     plain = RunConfig.model_fields.keys() - {*SLOTS, *TUNABLE, "object", "touch"}
     settings, others = {}, []
@@ -185,9 +186,10 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
 
 
 def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -> dict[str, dict[str, Any]]:
-    """Convert "slot.option=value" words to {slot: {option: value}}; values are read as TOML, else as text.
+    """Convert words such as "slot.option=value" to {slot: {option: value}}.
 
-    `tables` are the slots, and perhaps TUNABLE. Raises ConfigError for words of another form or an unknown slot.
+    Values are read as TOML. A value that is not valid TOML is text. `tables` lists the allowed names before the dot:
+    SLOTS, or SLOTS with TUNABLE. Raises ConfigError for words of another form, and for other names.
     """
     overrides: dict[str, dict[str, Any]] = {}
     for word in assignments:

@@ -1,6 +1,6 @@
-"""Images and arrays read from untrusted files: photos, masks, depths, .npy and .npz.
+"""Reads images and arrays from untrusted files: photos, masks, depths, .npy and .npz.
 
-Pickles are never loaded, no more memory is taken than the file fills, and damaged files are refused.
+Pickles are never loaded. Files that are damaged, or that state more data than they hold, are refused.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
 
-FORMATS = ".npz, .npy or 16-bit grey .png"  # of contact shapes
+FORMATS = ".npz, .npy or 16-bit grey .png"  # formats of contact shapes
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
-MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # of an image and of its sides; no camera behind a gel has more
-MOST_BYTES = 2**30  # of all arrays of one .npz
+MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # largest image and image side; no camera behind a gel takes larger images
+MOST_BYTES = 2**30  # largest size of all arrays in one .npz file
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DAMAGES = (
     EOFError, LookupError, SyntaxError, TypeError, RuntimeError, ArithmeticError, AttributeError, MemoryError,
     lzma.LZMAError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-UNREADABLE = (OSError, ValueError, TypeError)  # what reading a damaged file, or converting its arrays, raises
+UNREADABLE = (OSError, ValueError, TypeError)  # errors of reading a damaged file, or of converting its arrays
 
 
 def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
-    """Return a colour picture, or an .npy file of uint8, as an image (H, W, 3); None for any other file.
+    """Read an image (H, W, 3) from a colour picture or an .npy file of uint8. Return None for any other file.
 
-    Raises TouchError when the file is damaged.
+    Raises TouchError when the file is missing or damaged.
     """
     suffix = path.suffix.lower()
     if suffix not in (*IMAGE_SUFFIXES, ".npy"):
@@ -55,15 +55,15 @@ def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
 
 
 def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, NDArray[Any]]:
-    """Return the mode and the values of an image file, converted to Pillow's `mode` if one is named.
+    """Return the mode and the values of an image file, converted to Pillow's `mode` if `mode` is given.
 
-    Raises OSError, or ValueError when the file is damaged or enormous.
+    Raises OSError when the file cannot be read, and ValueError when it is damaged or too large.
     """
     from PIL import Image
 
     with _convert_damage(Image.DecompressionBombError), warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MOST_PIXELS is the limit
-        file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # a damaged length cannot pass its end
+        file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # its end limits a damaged length
         with Image.open(file) as image:
             width, height = image.size
             if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
@@ -74,7 +74,10 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
 
 
 def write_image(path: Path, values: NDArray[Any]) -> Path:
-    """Write uint8 values (H, W) or (H, W, 3), or uint16 (H, W), in the format of the suffix. Raises OSError."""
+    """Write an image in the format of the suffix, and return the path.
+
+    The values are uint8 (H, W) or (H, W, 3), or uint16 (H, W). Raises OSError when the file cannot be written.
+    """
     from PIL import Image
 
     Image.fromarray(values).save(path)
@@ -103,7 +106,10 @@ def summarize(error: BaseException) -> str:
 
 
 def load_npy(path: Path) -> NDArray[Any]:
-    """Return the array of an .npy file. Raises ValueError when the file is damaged or not .npy, and OSError."""
+    """Return the array of an .npy file.
+
+    Raises ValueError when the file is damaged or not .npy, and OSError when it cannot be opened.
+    """
     with path.open("rb") as file, _convert_damage():
         _require_filled(file, path.stat().st_size)
         file.seek(0)
@@ -112,7 +118,10 @@ def load_npy(path: Path) -> NDArray[Any]:
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file by name. Raises ValueError when it is damaged or not .npz, and OSError."""
+    """Return the arrays of an .npz file by name.
+
+    Raises ValueError when the file is damaged or not .npz, and OSError when it cannot be opened.
+    """
     with path.open("rb") as file, _convert_damage():
         _require_magic(file, b"PK")
         file.seek(0)
@@ -131,7 +140,7 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
 
 @contextmanager
 def _convert_damage(*others: type[Exception]) -> Iterator[None]:
-    """Raise ValueError for any of DAMAGES, and `others`, that the block raises: readers of damaged files raise them."""
+    """Convert the errors that damaged files cause in the block, DAMAGES and `others`, to ValueError."""
     try:
         yield
     except DAMAGES + others as error:

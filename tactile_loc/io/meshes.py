@@ -1,4 +1,4 @@
-"""Mesh files as ObjectModels: formats, units and symmetry. trimesh is imported when a file is read."""
+"""Reads mesh files as ObjectModels: formats, units and symmetry. trimesh is imported when a file is read."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ AGAIN = "export it again as a surface mesh"
 Units = Literal["m", "mm", "cm", "inch", "auto"]
 METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
 
-ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused: they could inflate without end
+ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused, because archives could inflate without end
 
-_detected: dict[str, SymmetryGroup] = {}  # by the surface's digest, since a sweep opens the same file many times
+_detected: dict[str, SymmetryGroup] = {}  # by the surface's digest; a sweep opens the same file many times
 
 
 class Surface(NamedTuple):
@@ -68,7 +68,7 @@ def read_surface(path: Path) -> Surface:
 
 
 def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) -> None:
-    """Raise ObjectError unless these are finite vertices (V, 3) and at least one triangle (F, 3) of them."""
+    """Raise ObjectError unless the vertices (V, 3) are finite and there is at least one valid triangle (F, 3)."""
     if len(faces) == 0:
         raise ObjectError(f"{path} has no faces; {AGAIN}")
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
@@ -82,7 +82,10 @@ def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) ->
 
 
 def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
-    """Return the symmetry of a surface: detected if declared "auto", else parsed and checked. Raises SymmetryError."""
+    """Return the symmetry of a surface: detected if `declared` is "auto", otherwise as declared.
+
+    Raises SymmetryError when `declared` cannot be parsed, or when the surface does not have the declared symmetry.
+    """
     from tactile_loc.core.objects.symmetry_detection import detect_symmetry, require_symmetry
 
     if declared == "auto":
@@ -102,10 +105,10 @@ def load_object(
 ) -> ObjectModel:  # fmt: skip
     """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
 
-    `units` is the file's unit; "auto" guesses it from the size. `symmetry` is declared ("none", "z2", "z6*x2", "zinf",
-    ...) and checked against the surface, or detected if "auto". Guesses and doubts are in the result's `notes`, and
-    logged as warnings. `read` reads the file; `judge` finds or checks the symmetry. Raises ObjectError or
-    SymmetryError.
+    `units` is the file's unit; "auto" guesses the unit from the size. A declared `symmetry` ("none", "z2", "z6*x2",
+    "zinf", ...) is checked against the surface; "auto" detects the symmetry. Guesses and doubts are logged as warnings
+    and kept in the result's `notes`. `read` reads the file, and `judge` finds or checks the symmetry. Raises
+    ObjectError when the mesh cannot be used, and SymmetryError when the declared symmetry is wrong.
     """
     demo = DEMO_OBJECTS.get(str(path))
     if demo is not None and not os.path.isfile(path):
@@ -128,9 +131,9 @@ def load_object(
 
 
 def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
-    """Return metres per file unit, and a note on a guess.
+    """Return metres per file unit, and a list with a note if the unit was guessed.
 
-    Sensors touch parts 4 mm to 1 m long: a length below 1 is read as metres, others as mm.
+    A length below 1 is taken as metres, any other length as mm, because touched objects are 1 mm to 1 m long.
     """
     if units not in get_args(Units):
         raise ObjectError(f"the unit {units!r} of {name} is unknown; give one of {', '.join(get_args(Units))}")

@@ -1,4 +1,7 @@
-"""The mount, a sensor's pose on a robot's flange, as a TOML file: found by `tactile-loc mount`, or from a drawing."""
+"""Reads and writes mounts as TOML files. A mount is a sensor's pose on a robot's flange.
+
+`tactile-loc mount` finds a mount from touches. A nominal mount is taken from a drawing.
+"""
 
 from __future__ import annotations
 
@@ -33,15 +36,18 @@ Covariance = Annotated[list[Six], Field(min_length=6, max_length=6)]
 class Mount:
     """A sensor's pose on the flange: `T_flange_sensor` (4, 4), metres.
 
-    `covariance` (6, 6), if known, is that of the sensor frame's origin x, y, z (m) and of a rotation vector (rad),
-    along the flange's axes.
+    `covariance` (6, 6) is the covariance of the sensor frame's origin x, y, z (m) and of a rotation vector (rad), both
+    along the flange's axes. It is None if unknown.
     """
 
     T_flange_sensor: NDArray[np.float64]
     covariance: NDArray[np.float64] | None = None
 
     def find_std_at(self, point_m: NDArray[np.float64]) -> tuple[float, float]:
-        """Return the standard deviations (m, rad) along and about an axis at a point (3,) of the sensor, or zeros."""
+        """Return the standard deviations of position (m) and rotation (rad) at a point (3,), m, in the sensor frame.
+
+        Each is the root mean square over the three axes. Both are 0 if the covariance is unknown.
+        """
         if self.covariance is None:
             return 0.0, 0.0
         there = move_covariance(self.covariance, self.T_flange_sensor[:3, :3] @ point_m)
@@ -50,7 +56,7 @@ class Mount:
 
 
 class MountTouchRecord(BaseModel):
-    """One touch that a mount was computed from; its residual is that of the gel's middle."""
+    """One of the touches from which a mount was computed. Residuals refer to the middle of the gel."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -64,7 +70,10 @@ class MountTouchRecord(BaseModel):
 
 
 class MountRecord(PoseKeys):
-    """The whole file; a nominal mount has only a pose. A field's description completes "key must be ..."."""
+    """The content of a mount's file. A nominal mount has only a pose.
+
+    A field's description completes "key must be ...".
+    """
 
     T_flange_sensor: Matrix | None = Field(default=None, description=MATRIX)
     covariance: Covariance | None = Field(
@@ -80,9 +89,10 @@ class MountRecord(PoseKeys):
 
 
 def read_mount(path: str | Path) -> Mount:
-    """Read a mount: `T_flange_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`.
+    """Read a mount from a TOML file.
 
-    Raises ConfigError when the file is missing, or a key is missing, unknown or wrong.
+    The pose is `T_flange_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`. Raises ConfigError
+    when the file is missing, or a key is missing, unknown or wrong.
     """
     path, values = Path(path), read_toml(path)
     with name_errors(path, MountRecord, values, "a mount"):

@@ -1,6 +1,6 @@
-"""Numbers of the search, the hypotheses and the tracker that a user may tune: tables of the configuration.
+"""Options of the search, the hypotheses and the tracker that a user may tune. Each class is a configuration table.
 
-On the command line they are set like a component's options: `-o search.registered=500`, `-o tracker.modes=4`.
+On the command line, these options are set like a component's options: `-o search.registered=500`, `-o tracker.modes=4`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class _Options(BaseModel):
 
 
 class SearchOptions(_Options):
-    """The search of a whole object: how many rotated places (places times yaws) it compares, registers and draws."""
+    """Options of the search of a whole object. A rotated place is a place of the object at one yaw."""
 
     candidates: int = Field(default=1000, ge=1, description="rotated places kept after matching one touch")
     candidates_together: int = Field(default=3000, ge=1, description="the same for each of several touches")
@@ -34,7 +34,7 @@ class SearchOptions(_Options):
 
 
 class HypothesisOptions(_Options):
-    """Which poses are refined, and when two poses count as one hypothesis."""
+    """Options that decide which poses are refined, and when two poses count as one hypothesis."""
 
     mode_radius: float = Field(default=2.0, gt=0, description="poses within this distance are one mode, grid spacings")
     start_radius: float = Field(default=0.25, gt=0, description="least distance between poses to refine, mode radii")
@@ -48,7 +48,7 @@ class HypothesisOptions(_Options):
 
 
 class TrackerOptions(_Options):
-    """Which modes the tracker follows, which touches share a contact, and when it searches."""
+    """Options that decide which modes the tracker follows, which touches share a contact, and when it searches."""
 
     modes: int = Field(default=8, ge=1, description="most modes to follow")
     certain: float = Field(default=CERTAIN, gt=0, lt=1, description="probability at which a mode is certain, 0 to 1")

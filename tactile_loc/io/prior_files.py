@@ -1,4 +1,4 @@
-"""Priors as TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half-space."""
+"""Reads priors from TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half-space."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ KIND = "'gaussian', 'region' or 'half-space'"
 @keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class FramedPrior:
-    """A prior in the frame that its file states: the sensor's or the base frame. `source` names the file."""
+    """A prior, and the frame that its file states: "sensor" or "base". `source` names the file."""
 
     prior: PosePrior
     frame: Frame
@@ -113,9 +113,9 @@ _KINDS: dict[str, type[_Gaussian | _Region | _HalfSpace]] = {
 def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     """Read a prior about an object's pose from a TOML file (mm and degrees).
 
-    `kind` is "gaussian", "region" or "half-space". A Gaussian prior respects the object's symmetry. A region holds the
-    object's centroid, or the point that the file gives. Raises ConfigError when the file is missing, or a key is
-    missing, unknown or ill-typed.
+    The key `kind` is "gaussian", "region" or "half-space". A Gaussian prior respects the object's symmetry. A region or
+    half-space contains the object's centroid, or the point of the object that the file gives. Raises ConfigError when
+    the file is missing, or a key is missing, unknown or ill-typed.
     """
     path, values = Path(path), read_toml(path)
     kind = values.get("kind")

@@ -1,6 +1,6 @@
-"""Sensors as files: a TOML file, or a calibration folder.
+"""Reads and writes sensors as TOML files, and recognises calibration folders.
 
-docs/files.md lists the keys; examples/my_sensor.toml is an example.
+docs/files.md lists the keys of a sensor file. examples/my_sensor.toml is an example.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
 from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
 from tactile_loc.store.files import recover_folder
 
-CALIBRATION = "calibration.json"  # every calibration folder holds it
+CALIBRATION = "calibration.json"  # a file that every calibration folder holds
 
 PositiveInt = Annotated[int, Field(gt=0)]
 
@@ -99,7 +99,7 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
 
 
 def _read_mask(path: Path) -> NDArray[np.bool_]:
-    """Read the mask (H, W) of observed pixels from a PNG: white (at least half) is observed."""
+    """Read the mask (H, W) of observed pixels from a PNG. Pixels that are at least half white are observed."""
     try:
         return load_image(path, "L")[1] >= 128
     except UNREADABLE as error:
@@ -133,7 +133,7 @@ def is_calibrated_sensor(folder: Path) -> bool:
 
 
 def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
-    """Write a sensor file, with its mask and surface beside it, and return the path. Raises OSError."""
+    """Write a sensor file, and its mask and surface beside it, and return the path. Raises OSError if that fails."""
     mm = 1e3
     values: dict[str, Any] = {"camera": geometry.camera, "image_size_px": [geometry.width_px, geometry.height_px]}
     if geometry.is_pinhole:

@@ -1,4 +1,4 @@
-"""TOML files: reading, kinds of numbers, poses, messages about wrong keys, and writing settings."""
+"""TOML files: reading values and poses, messages about wrong keys, and writing settings."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Four = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
 MATRIX = "four rows of four numbers (rotation without unit, translation in metres, last row 0 0 0 1)"
 POSITIVE_MM = "a positive number (mm)"
-NOT_TOML = (ValueError, RecursionError)  # also numbers of thousands of digits, and endless nesting
-UNIT_TOLERANCE = 1e-3  # of a quaternion's length, for one that is rounded to four digits
+NOT_TOML = (ValueError, RecursionError)  # tomllib raises RecursionError for deep nesting
+UNIT_TOLERANCE = 1e-3  # tolerance of a quaternion's length: its numbers may be rounded to four digits
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     try:
         if not os.path.exists(path):
             raise ConfigError(f"there is no file {path}; check the path")
-        if not os.path.isfile(path):  # a device or a pipe has no end
+        if not os.path.isfile(path):  # reading a device or a pipe may never end
             raise ConfigError(f"{path} is not a file; give a TOML file")
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -43,9 +43,10 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def list_tables(path: Path, values: dict[str, Any], name: str, needs: str, *others: str) -> list[dict[str, Any]]:
-    """Return the `[[name]]` tables of a file's values: at least one, and no other keys than `others`.
+    """Return the `[[name]]` tables of a file's values.
 
-    Raises ConfigError, which says what each table `needs`.
+    Raises ConfigError when there is no such table, or when the file has keys other than `name` and `others`. The
+    message contains `needs`, which describes the content of a table.
     """
     known = [name, *others]
     unknown = sorted(set(values) - set(known))
@@ -71,10 +72,11 @@ def parse_value(text: str) -> Any:
 def explain(
     error: ValidationError, model: type[BaseModel], values: dict[str, Any], what: str, decisive: str = ""
 ) -> str:
-    """Return a message that names the first wrong key of `what`, a table of `model`'s keys, and what is allowed.
+    """Return a message that names the first wrong key of a table, and the allowed values.
 
-    The key `decisive`, on which the others depend, comes first, then unknown keys, then ill-typed ones. A field's
-    description completes "key must be ...".
+    `values` is the table, whose keys are the fields of `model`. `what` names the table in the message. A wrong key
+    `decisive`, on which the other keys depend, comes first. Then come unknown keys, and then ill-typed values. A
+    field's description completes "key must be ...".
     """
     problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != decisive, p["type"] != "extra_forbidden"))
     key = str(problems[0]["loc"][0])
@@ -91,7 +93,7 @@ def name_errors(
     where: object, model: type[BaseModel], values: dict[str, Any], what: str,
     kind: type[TactileLocError] = ConfigError, decisive: str = "",
 ) -> Iterator[None]:  # fmt: skip
-    """Raise errors of the block, about a table of `model`'s keys, as a `kind` whose message begins with `where`.
+    """Convert errors of the block, which reads a table, to errors of class `kind` whose message begins with `where`.
 
     The other arguments are those of `explain`.
     """
@@ -104,7 +106,7 @@ def name_errors(
 
 
 def scale(value: float | None, factor: float = 1e-3) -> float | None:
-    """Return a value times a factor, by default from mm to metres; None if there is no value."""
+    """Return `value` times `factor`, or None if `value` is None. The default factor converts mm to metres."""
     return None if value is None else factor * value
 
 
@@ -124,9 +126,10 @@ class PoseKeys(BaseModel):
 
 
 def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
-    """Return the pose (4, 4), metres, of `matrix`, the key called `name`, or of the other keys; None if there is none.
+    """Return the pose (4, 4), metres, that a table gives by a matrix or by the other keys; None if it gives no pose.
 
-    R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError for a wrong or incomplete pose.
+    `matrix` is the value of the key named `name`. For `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises
+    ValueError for a wrong or incomplete pose.
     """
     given = [key for key in ("xyz_mm", "rpy_deg", "quaternion_wxyz") if getattr(keys, key) is not None]
     if matrix is not None:
@@ -148,7 +151,7 @@ def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: st
 
 
 def name_pose_keys(matrix: str) -> str:
-    """Return how to give a pose: by the key of this name, or by the other keys."""
+    """Return advice for a message: a pose is given by the key named `matrix`, or by the other keys."""
     return f"give {matrix}, or xyz_mm with either rpy_deg or quaternion_wxyz"
 
 
@@ -166,9 +169,9 @@ def _read_rotation(keys: PoseKeys) -> NDArray[np.float64]:
 
 
 def format_toml(configuration: Mapping[str, Any]) -> str:
-    """Return a resolved configuration as TOML, without unset values. A slot's options stand beside its name.
+    """Return a resolved configuration as TOML, without unset values.
 
-    A list of tables becomes an array of tables.
+    A slot becomes one table with its name and its options. A list of tables becomes an array of tables.
     """
     plain = {
         key: value for key, value in configuration.items() if not isinstance(value, Mapping) and not _find_tables(value)
@@ -184,7 +187,7 @@ def format_toml(configuration: Mapping[str, Any]) -> str:
 
 
 def _find_tables(value: Any) -> Sequence[Mapping[str, Any]]:
-    """Return a list that holds nothing but tables, or an empty one."""
+    """Return the value if it is a list of tables only, otherwise an empty tuple."""
     is_array = isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value)
     return value if is_array else ()
 

@@ -1,4 +1,4 @@
-"""A list of touches of one object as a TOML file: each touch's file, sensor and sensor pose."""
+"""Reads a list of touches of one object from a TOML file: each touch's file, sensor and sensor pose."""
 
 from __future__ import annotations
 
@@ -35,11 +35,12 @@ Pose = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ListedTouch:
-    """One touch of a list: its file, and the list's other entries for it, None where there is none.
+    """One touch of a list: its file and its other entries. Missing entries are None.
 
     `sensor` is a name, or the path of a .toml file or of a calibration folder. `unit` is the unit of the depths.
-    `T_base_sensor` (4, 4), metres, is from the list, from the flange's pose `T_base_flange` (4, 4) and `mount`, or from
-    the touch's own file. The standard deviations of its error, metres and radians, leave out the mount's error.
+    `T_base_sensor` (4, 4), metres, comes from the list, or from the flange's pose `T_base_flange` (4, 4) and `mount`,
+    or from the touch's file. `T_base_sensor_std_m` and `T_base_sensor_std_rad` are the standard deviations of the
+    pose's error, without the error of the mount.
     """
 
     path: Path
@@ -66,13 +67,15 @@ class _TouchTable(PoseKeys):
 
 
 def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTouch, ...]:
-    """Read the `[[touch]]` tables of a TOML file, in their order; paths in it are relative to it.
+    """Read the `[[touch]]` tables of a TOML file, in their order. Paths in the file are relative to its folder.
 
-    The sensor's pose is `T_base_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`, or
-    `T_base_flange` with the touch's or the list's `mount` file. If there are several touches, each needs a pose, here
-    or in its own .npz file. With `of_flange`, each needs T_base_flange, and no mount is read. Raises ConfigError when
-    the list is missing or not TOML. Raises TouchError, which names the list and the touch's number, when a table is
-    wrong or a file or pose is missing.
+    The sensor's pose is given in one of three ways: `T_base_sensor` (4, 4), metres; `xyz_mm` with `rpy_deg` or
+    `quaternion_wxyz`; or `T_base_flange` (4, 4), metres, with a `mount` file for the touch or for the list. If there
+    are several touches, each touch needs a pose, in the list or in the touch's .npz file. With `of_flange`, each touch
+    needs `T_base_flange`, and no mount is read.
+
+    Raises ConfigError when the list is missing or not TOML. Raises TouchError, which names the list and the touch's
+    number, when a table is wrong or a file or pose is missing.
     """
     path, values = Path(path), read_toml(path)
     tables = list_tables(path, values, "touch", "its path", "mount")
@@ -113,7 +116,7 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
 
 
 def _choose_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount | None:
-    """Return the touch's own mount, else the list's; None if the touch has no flange pose."""
+    """Return the mount of the touch, or else the mount of the list, or None if the touch has no flange pose."""
     if keys.T_base_flange is None:
         if keys.mount is not None:
             raise ValueError("mount has no effect without T_base_flange; give the flange's pose, too")
@@ -134,7 +137,10 @@ def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:
 
 
 def _find_sensor(sensor: str | None, folder: Path) -> str | None:
-    """Return a sensor's path if there is one, else its name: a plain folder may have the name of a sensor."""
+    """Return the path of a sensor file or calibration folder if there is one, otherwise the sensor's name.
+
+    Any other folder is ignored, because it may have the name of a sensor by chance.
+    """
     if sensor is None:
         return None
     place = folder / sensor

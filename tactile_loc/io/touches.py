@@ -1,4 +1,4 @@
-"""Touch files: contact shapes as npz, npy or 16-bit PNG, described in docs/files.md.
+"""Reads and writes touch files: contact shapes as npz, npy or 16-bit PNG. docs/files.md describes the formats.
 
 Pickles are never loaded, and units are never guessed.
 """
@@ -39,7 +39,10 @@ LARGEST_INDENTATION_M = 0.05
 
 @dataclass(frozen=True, eq=False)
 class FileContents:
-    """The contents of a file: depths (H, W), press depth and indentation in `unit`, None if unknown; poses, metres."""
+    """The contents of a touch file. A value that the file does not give is None.
+
+    `depth` (H, W), `press_depth` and `indentation` are in `unit`. The poses (4, 4) are in metres.
+    """
 
     depth: NDArray[Any]
     unit: str | None = None
@@ -50,7 +53,7 @@ class FileContents:
 
 
 def read_contents(path: Path) -> FileContents:
-    """Read an .npz, .npy or 16-bit grey .png file. Raises TouchError for any other file, and for a damaged one."""
+    """Read an .npz, .npy or 16-bit grey .png file. Raises TouchError for any other file, and for a damaged file."""
     readers = {".npz": _read_npz, ".npy": lambda path: FileContents(load_npy(path)), ".png": _read_png}
     suffix = path.suffix.lower()
     require_file(path)
@@ -81,7 +84,7 @@ def _read_npz(path: Path) -> FileContents:
 
 
 def _find_depth(arrays: Mapping[str, NDArray[Any]], path: Path) -> NDArray[Any]:
-    """Return the array `depth`, else the only array of two or more dimensions that is not a pose."""
+    """Return the array `depth`, or else the only array with two or more dimensions that is not a pose."""
     if "depth" in arrays:
         return arrays["depth"]
     maps = [a for name, a in arrays.items() if a.ndim >= 2 and not name.startswith("T_")]
@@ -123,10 +126,10 @@ def read_contact_shape(
 ) -> ContactShape:
     """Read a contact shape (H, W) from an .npz, .npy or 16-bit .png file.
 
-    `max_depth_m` is the sensor's maximal depth, metres. `unit` ("m", "mm" or "um") is needed if the file has none.
-    `press_depth_m` is the press depth, metres, if the file has none; by default it is taken from the shape (see
-    `contact_shape_from_array`). A file with its own press depth is cut at `press_depth_m`, which must be lighter.
-    Raises TouchError when the file holds no contact shape.
+    `max_depth_m` is the sensor's maximal depth, metres. `unit` ("m", "mm" or "um") is needed if the file states no
+    unit. If the file states no press depth, `press_depth_m`, metres, is the press depth. By default, it is taken from
+    the shape (see `contact_shape_from_array`). If the file states a press depth, the shape is cut at `press_depth_m`,
+    which must be smaller. Raises TouchError when the file holds no contact shape.
     """
     path = Path(path)
     return _build_shape(read_contents(path), path, max_depth_m, unit, press_depth_m)
@@ -135,9 +138,9 @@ def read_contact_shape(
 def read_touch(
     path: str | Path, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None
 ) -> Touch:
-    """Read a touch taken by `sensor`: a contact shape, as `read_contact_shape` does, or a colour image.
+    """Read a touch of `sensor` from a file with a contact shape (see `read_contact_shape`) or a colour image.
 
-    A calibrated sensor converts the image to a contact shape. The poses (4, 4), metres, are those of the file. Raises
+    A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. Raises
     TouchError when the file is not a touch, does not fit the sensor, shows no contact, or is in contact everywhere.
     """
     path = Path(path)
@@ -159,8 +162,9 @@ def touch_from_image(
 ) -> Touch:
     """Return the touch that a sensor reads from an image (H, W, 3) uint8, or from depths (H, W) in metres.
 
-    `press_depth_m` is the press depth of depths, metres, or a lighter one at which an image's contact shape is cut.
-    Raises NoContactError when nothing touches, and TouchError when the sensor cannot read the image.
+    For depths, `press_depth_m`, metres, is the press depth. The contact shape of an image is cut at `press_depth_m`,
+    which must be smaller than the image's press depth. Raises NoContactError when nothing touches the gel, and
+    TouchError when the sensor cannot read the image.
     """
     if image.ndim == 2 and image.dtype.kind == "f" and press_depth_m is not None:
         shape = contact_shape_from_array(image, sensor.geometry.max_depth_m, press_depth_m, name)
@@ -219,7 +223,7 @@ def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path) -> flo
 
 
 def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> ContactShape:
-    """Cut at a lighter press depth: a shape that is cut already shows nothing deeper."""
+    """Cut a shape at a smaller press depth, metres. Raises TouchError for a larger depth, which the shape lacks."""
     if press_depth_m is None:
         return shape
     if not 0 < press_depth_m <= shape.press_depth_m * (1 + 1e-6):

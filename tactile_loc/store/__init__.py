@@ -1,1 +1,1 @@
-"""Results of stages on disk: keys, artifacts, workspaces, whole-or-nothing files."""
+"""Results of stages on disk: keys, artifacts, workspaces, and files that are written atomically."""

@@ -22,17 +22,17 @@ from tactile_loc.store.keys import StageKey, hash_file, write_canonical_json
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
-_MEMBER = "array"  # of a packed array's file, which is an ordinary npz
-_LEVEL = 1  # of compression: higher levels take several times as long and save a twentieth
+_MEMBER = "array"  # name of the array in a packed file, which is an ordinary npz
+_LEVEL = 1  # compression level; higher levels take several times as long and save 5 % of the size
 
 
 class DamagedError(StoreError):
-    """An artifact is incomplete or differs from its manifest; the message is only the reason."""
+    """An artifact is incomplete or differs from its manifest. The message contains the reason only."""
 
 
 @dataclass(frozen=True)
 class FileRecord:
-    """Size in bytes and SHA-256 (hex) of one file."""
+    """The size in bytes and the SHA-256 (hex) of one file."""
 
     size: int
     sha256: str
@@ -40,7 +40,7 @@ class FileRecord:
 
 @dataclass(frozen=True)
 class Artifact:
-    """The stored result of one stage, read-only; `StageStore.get` and `StageStore.build` return it."""
+    """The stored result of one stage, read-only, as `StageStore.get` and `StageStore.build` return it."""
 
     path: Path
     key: StageKey
@@ -65,10 +65,10 @@ class Artifact:
         return self.path / name
 
     def load_array(self, name: str, mmap: bool = True) -> NDArray[Any]:
-        """Return the array stored as `<name>.npy`, mapped read-only from the disk, or in memory if not `mmap`.
+        """Return the array stored as `<name>.npy` or, packed, as `<name>.npz`.
 
-        A packed array, `<name>.npz`, is always in memory. Raises StoreError when there is no such array or it cannot be
-        read; pickled objects are never loaded.
+        With `mmap`, an .npy file is mapped read-only from the disk. Otherwise, and for packed arrays, the array is read
+        into memory. Pickled objects are never loaded. Raises StoreError when the array is missing or cannot be read.
         """
         packed = f"{name}.npz" in self.files
         path = self.find_file(f"{name}.npz" if packed else f"{name}.npy")
@@ -91,9 +91,9 @@ class Artifact:
             raise StoreError(f"{path} cannot be read ({error}); remove {self.path} and run again") from error
 
     def read_signature(self) -> tuple[tuple[int, int], ...]:
-        """Return (mtime_ns, size) of the manifest and of every file; any ordinary write changes them.
+        """Return (mtime_ns, size) of the manifest and of every file. Any ordinary write changes these numbers.
 
-        Raises DamagedError when a file is missing or its size is not the recorded one.
+        Raises DamagedError when a file is missing or its size differs from the recorded size.
         """
         try:
             stats = [(self.path / name).stat() for name in (MANIFEST, *self.names)]
@@ -105,7 +105,7 @@ class Artifact:
         return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
 
     def verify(self) -> None:
-        """Compare every file's checksum with the manifest's. Raises DamagedError if one differs."""
+        """Compare every file's checksum with the manifest. Raises DamagedError if a checksum differs."""
         for name, record in self.files.items():
             try:
                 found = hash_file(self.path / name)
@@ -116,7 +116,7 @@ class Artifact:
 
 
 def write_packed(path: Path, array: NDArray[Any]) -> None:
-    """Write an array of any shape, without Python objects, compressed; equal arrays give equal bytes."""
+    """Write an array of any shape, without Python objects, to a compressed file. Equal arrays give equal files."""
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as file,
         file.open(f"{_MEMBER}.npy", "w", force_zip64=True) as member,
@@ -125,7 +125,10 @@ def write_packed(path: Path, array: NDArray[Any]) -> None:
 
 
 def read_packed(path: Path) -> NDArray[Any]:
-    """Return the array that `write_packed` wrote. Raises OSError, and ValueError for any other file."""
+    """Return the array that `write_packed` wrote.
+
+    Raises OSError when the file cannot be opened, and ValueError when it holds no packed array.
+    """
     try:
         with np.load(path, allow_pickle=False) as file:
             array: NDArray[Any] = file[_MEMBER]
@@ -135,7 +138,7 @@ def read_packed(path: Path) -> NDArray[Any]:
 
 
 def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -> None:
-    """Write the manifest of the files in a folder, with its own checksum. Raises OSError."""
+    """Write the manifest of an artifact's files, with a checksum of the manifest. Raises OSError if that fails."""
     manifest: dict[str, Any] = {
         "format": _FORMAT,
         "stage": key.stage,

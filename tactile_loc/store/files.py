@@ -1,4 +1,4 @@
-"""Atomic writing of files and folders: they are written beside their final place, synced, and renamed."""
+"""Atomic writing of files and folders: each is written beside its final place, synced, and renamed."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path of the same name near `path`; sync it and rename it if the block succeeds.
+    """Yield a temporary path of the same name near `path`. If the block succeeds, sync the file and move it to `path`.
 
-    If anything fails, an older file at `path` stays intact and nothing is left beside it. Files left by a killed
-    process are removed by the next replacement. Raises OSError.
+    If anything fails, an older file at `path` stays intact, and the temporary file is removed. The next replacement of
+    `path` removes temporary files of killed processes. Raises OSError when writing fails.
     """
     with _make_folder_beside(path) as folder:
         temporary = folder / path.name
@@ -38,14 +38,14 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
-    """Yield an empty folder near `path`; sync it and put it in place of `path` if the block succeeds.
+    """Yield an empty folder near `path`. If the block succeeds, sync the folder and put it in place of `path`.
 
-    If the process is killed at any time, either the old or the new folder is complete, and the next replacement removes
-    the rest. If the file system cannot exchange two folders in one step, the old one may be left aside:
-    `recover_folder`, called before reading, puts it back. With `fresh`, only an empty folder may be at `path`. Raises
-    OSError.
+    If the process is killed at any time, either the old or the new folder is complete. The next replacement removes the
+    other folder. Some file systems cannot exchange two folders in one step. The killed process may then leave the old
+    folder under another name: call `recover_folder` before reading. With `fresh`, only an empty folder may be at
+    `path`. Raises OSError when writing fails.
     """
-    path = path.resolve()  # of a link, its target is replaced
+    path = path.resolve()  # if it is a link, the link's target is replaced
     recover_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -63,12 +63,12 @@ def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
         recover_folder(path)
         if os.path.lexists(path):
             with suppress(OSError):
-                delete(_name_aside(path))  # the old folder, now replaced
+                delete(_name_aside(path))  # the old folder, which has been replaced
 
 
 def recover_folder(path: Path) -> None:
-    """Put back the folder that a killed `replace_folder` had set aside, if its place is empty."""
-    with suppress(OSError, ValueError):  # there is none, its name is invalid, or another process was faster
+    """Put back the old folder that a killed `replace_folder` had renamed, if there is no folder at `path`."""
+    with suppress(OSError, ValueError):  # no such folder, an invalid name, or another process was faster
         path = path.resolve()
         aside = _name_aside(path)
         if not os.path.lexists(path) and aside.is_dir():
@@ -76,30 +76,33 @@ def recover_folder(path: Path) -> None:
 
 
 def remove_abandoned(folder: Path, names: str = "*") -> None:
-    """Remove temporary folders of killed processes from a folder, for files whose names match a pattern.
+    """Remove the temporary folders that killed processes left in a folder for files whose names match a pattern.
 
-    Their locks are free; folders that are still in use stay.
+    A temporary folder that a process still uses is locked, and stays.
     """
     for pattern in (f"{_TEMPORARY}new-{names}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{names}"):
         for left in folder.glob(pattern):
             with suppress(OSError), _open_folder(left) as descriptor:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if in use, or without locks
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if in use, or if locks are unsupported
                 if _is_at(left, descriptor):
-                    delete(left)  # while it is locked, so that no process begins to use it
+                    delete(left)  # under the lock, so that no process begins to use the folder
 
 
 def is_unfinished(path: Path) -> bool:
-    """Return whether a name is that of a temporary folder of this module."""
+    """Return whether a path has the name of a temporary folder of this module."""
     return path.name.startswith(_TEMPORARY)
 
 
 def read_json(path: Path) -> Any:
-    """Return the value in a JSON file. Raises OSError, and ValueError if it is not JSON or nested too deeply."""
+    """Return the value in a JSON file.
+
+    Raises OSError when the file cannot be read, and ValueError when it is not JSON or nested too deeply.
+    """
     return parse_json(path.read_bytes())
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value of a JSON text. Raises ValueError if it is not JSON or nested too deeply."""
+    """Return the value of a JSON text. Raises ValueError when the text is not JSON or nested too deeply."""
     try:
         return json.loads(text)
     except RecursionError as error:
@@ -107,7 +110,7 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def delete(path: Path) -> None:
-    """Delete a file, or a folder with its contents. Raises OSError."""
+    """Delete a file, or a folder with its contents. Raises OSError if that fails."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -115,15 +118,15 @@ def delete(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write a folder's entries to the disk, if the file system can."""
+    """Sync a folder's list of files to the disk, if the file system supports this."""
     with suppress(OSError), _open_folder(folder) as descriptor:
         os.fsync(descriptor)
 
 
 def require_writable(folder: Path) -> None:
-    """Check that files can be written to `folder`, which need not exist yet, without leaving any.
+    """Check that files can be written to `folder`, which need not exist yet. No file is left behind.
 
-    Raises OutputError if a file is in its way or the nearest existing folder is not writable.
+    Raises OutputError when a file is in the way of the folder, or when the nearest existing folder is not writable.
     """
     existing = folder.absolute()
     while not os.path.lexists(existing):
@@ -141,7 +144,8 @@ def require_writable(folder: Path) -> None:
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     """Call `write` with a temporary path of the same suffix, rename the file to `path`, and return `path`.
 
-    Its folder is made if needed. Raises OutputError if writing fails; an older file at `path` then stays intact.
+    The folder of `path` is made if needed. Raises OutputError when writing fails. An older file at `path` then stays
+    intact.
     """
     with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -161,11 +165,10 @@ def guard_output(path: Path) -> Iterator[None]:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder, so that other processes wait until the block ends, and files that belong together are written
-    together.
+    """Lock a folder until the block ends. Other processes that lock the folder wait.
 
-    The folder is made if needed, and no file is put there. Without locks in the file system, processes do not wait.
-    Raises OutputError if the folder cannot be made.
+    A process can thus write several files that belong together. The folder is made if needed, and no file is put there.
+    If the file system does not support locks, processes do not wait. Raises OutputError when the folder cannot be made.
     """
     with guard_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -179,21 +182,21 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def write_json(path: Path, value: Any) -> Path:
-    """Write a value as indented JSON, atomically, and return the path. Raises OutputError."""
+    """Write a value as indented JSON, atomically, and return the path. Raises OutputError if that fails."""
     text = json.dumps(value, indent=1) + "\n"
     return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 @contextmanager
 def _make_folder_beside(path: Path) -> Iterator[Path]:
-    """Yield an empty folder beside `path`, locked until the block ends, and then removed.
+    """Yield an empty folder beside `path`. The folder is locked until the block ends, and then removed.
 
-    The folder's name is always the same, so the rest of a killed process is found without listing all files. Listing
-    would be slow in a folder of many files.
+    The folder usually has the same name for the same `path`. Leftovers of a killed process are therefore found without
+    listing all files, which would be slow in a folder of many files.
     """
     folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
     descriptor = _claim(folder)
-    while descriptor is None:  # another process uses it, or was killed
+    while descriptor is None:  # another process uses the folder, or was killed
         remove_abandoned(path.parent, glob.escape(path.name))
         folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if os.path.lexists(folder) else folder
         descriptor = _claim(folder)
@@ -208,7 +211,7 @@ def _make_folder_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _raise_by_number() -> Iterator[None]:
-    """Raise OSError for errors of Rust libraries that name a system error only in words: "... (os error 28)"."""
+    """Convert errors of Rust libraries that name a system error only in their text, "... (os error 28)", to OSError."""
     try:
         yield
     except Exception as error:
@@ -219,7 +222,10 @@ def _raise_by_number() -> Iterator[None]:
 
 
 def _claim(folder: Path) -> int | None:
-    """Make a folder and lock it; None if it exists, or another process has just removed it as abandoned."""
+    """Make a folder, lock it and return its descriptor.
+
+    Return None if the folder exists already, or if another process has just removed it as abandoned.
+    """
     try:
         folder.mkdir()
     except FileExistsError:
@@ -237,7 +243,7 @@ def _claim(folder: Path) -> int | None:
 
 
 def _is_at(folder: Path, descriptor: int) -> bool:
-    """Return whether a path still leads to an open folder."""
+    """Return whether `folder` is still the path of the open folder `descriptor`."""
     try:
         return os.path.samestat(folder.stat(), os.fstat(descriptor))
     except OSError:
@@ -249,7 +255,7 @@ def _name_aside(path: Path) -> Path:
 
 
 def _swap(new: Path, path: Path) -> None:
-    """Exchange two folders: in one step if the kernel and the file system can, otherwise through a third path."""
+    """Exchange two folders: in one step if kernel and file system support this, otherwise through a third path."""
     if _exchange(new, path):
         return
     aside = _name_aside(path)
@@ -261,7 +267,7 @@ def _swap(new: Path, path: Path) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two paths in one step, as Linux can on most file systems, and return whether that succeeded."""
+    """Try to exchange two paths in one step, as Linux can on most file systems. Return whether that succeeded."""
     here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2

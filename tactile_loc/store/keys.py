@@ -1,4 +1,4 @@
-"""Content hashes: one string for a stage's inputs, which changes exactly when they change."""
+"""Content hashes: one string for all inputs of a stage. The string changes exactly when an input changes."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True)
 class StageKey:
-    """The origin of an artifact: the stage, the version of its code, and everything it depends on.
+    """The origin of an artifact: the stage, the version of the stage's code, and all inputs of the stage.
 
-    Two keys are equal when their digests are. The inputs are copied, so later changes of the mapping do not affect the
-    key. Give large inputs by their hash (`hash_arrays`, `hash_file`, another key's digest). Raises StoreError if the
-    stage is not a plain name or an input is not a finite JSON value.
+    Two keys are equal when their digests are equal. The inputs are copied, so later changes of the mapping do not
+    affect the key. Replace large inputs by their hash (`hash_arrays`, `hash_file`, another key's digest). Raises
+    StoreError if the stage is not a plain name or an input is not a finite JSON value.
     """
 
     stage: str = field(compare=False)
     version: int = field(compare=False)
     inputs: Mapping[str, JsonValue] = field(compare=False)
     label: str = field(default="", compare=False)
-    """A name for people, such as the object's; not part of the key."""
+    """A name for people, such as the name of the object. It is not part of the key."""
     digest: str = field(init=False)
-    """SHA-256, 64 hexadecimal digits, over the canonical JSON of stage, version and inputs."""
+    """The SHA-256, 64 hexadecimal digits, of the canonical JSON of stage, version and inputs."""
 
     def __post_init__(self) -> None:
         if not _STAGE_NAME.fullmatch(self.stage):
@@ -58,7 +58,7 @@ class StageKey:
 def write_canonical_json(value: JsonValue) -> str:
     """Return the canonical JSON text of a value: keys sorted, no spaces, ASCII only, floats by `repr`, tuples as lists.
 
-    Raises StoreError for NaN, an infinity, a key that is not a string, or a value of another type than JSON's.
+    Raises StoreError for NaN, an infinity, a key that is not a string, or a value that JSON cannot represent.
     """
     return json.dumps(_copy_plain(value, "the value"), sort_keys=True, separators=(",", ":"))
 
@@ -90,7 +90,7 @@ def hash_file(path: Path) -> str:
 
 
 def _copy_plain(value: object, where: str) -> Any:
-    """Return a deep copy of JSON types only. Raises StoreError, which names the place of any other type."""
+    """Return a deep copy of a JSON value. Raises StoreError, which names the place, for a value of another type."""
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float) and math.isfinite(value):

@@ -1,4 +1,4 @@
-"""Files that grow by whole lines, so that they stay readable whenever the program ends."""
+"""Files that grow by whole lines, so that they stay readable if the program is killed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from typing import IO
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store.files import guard_output
 
-LONGEST = 1_000_000  # bytes of a line
+LONGEST = 1_000_000  # largest length of a line, bytes
 
 
 def open_locked(path: Path) -> IO[bytes]:
-    """Open a file for reading and appending, with a lock. Raises OutputError if that fails."""
+    """Open a file for reading and appending, and lock it. Raises OutputError if that fails."""
     with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b")
@@ -31,7 +31,7 @@ def open_locked(path: Path) -> IO[bytes]:
 
 
 def add_line(file: IO[bytes], line: str) -> None:
-    """Add a line to a file of `open_locked`, completely or not at all. Raises OutputError if that fails."""
+    """Append a line to a file of `open_locked`, completely or not at all. Raises OutputError if this fails."""
     descriptor, text = file.fileno(), line.encode() + b"\n"
     size = os.fstat(descriptor).st_size
     try:
@@ -46,10 +46,10 @@ def add_line(file: IO[bytes], line: str) -> None:
 
 @contextmanager
 def open_json_lines(path: Path) -> Iterator[Callable[[str], None]]:
-    """Yield a function that appends a value, as JSON without line breaks, to a file of JSON lines.
+    """Open a file of JSON lines, and yield a function that appends a JSON text without line breaks.
 
     An incomplete last line, left by a killed process, is removed. Raises OutputError when the file cannot be written,
-    or another process uses it.
+    or when another process uses the file.
     """
     with open_locked(path) as file:
         _end_last_line(file.fileno())
@@ -57,7 +57,7 @@ def open_json_lines(path: Path) -> Iterator[Callable[[str], None]]:
 
 
 def _end_last_line(descriptor: int) -> None:
-    """End the last line with a line break; remove it if it is not JSON."""
+    """End the last line with a line break, or remove the line if it is not JSON."""
     size = os.fstat(descriptor).st_size
     start = max(0, size - LONGEST)
     last = os.pread(descriptor, size - start, start).rpartition(b"\n")[2]

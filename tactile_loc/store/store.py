@@ -1,7 +1,7 @@
-"""The stage store: each stage's result is in a folder named by the hash of its inputs.
+"""The stage store: the result of a stage is in a folder that is named by the hash of the stage's inputs.
 
-`<root>/<stage>/<16 hex digits>/` holds a finished artifact, and `<16 hex digits>.partial/` an unfinished or interrupted
-one. `<16 hex digits>.lock` prevents two processes from building the same artifact.
+`<root>/<stage>/<16 hex digits>/` holds a finished artifact. `<16 hex digits>.partial/` holds the pieces of an
+unfinished artifact. `<16 hex digits>.lock` prevents two processes from building the same artifact.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _SETTLED_NS = 2_000_000_000  # the coarsest clock of common file systems ticks e
 
 @dataclass(frozen=True)
 class Entry:
-    """One folder of the store: an artifact, or the rest of an interrupted build if not `complete`."""
+    """One folder of the store. If not `complete`, it holds the pieces of an unfinished build."""
 
     stage: str
     digest: str
-    """The first 16 digits, as for `StageStore.remove`."""
+    """The first 16 digits of the key's digest."""
     nbytes: int
     created: datetime
     """Time of the end of the build or, if incomplete, of its last saved piece, UTC."""
@@ -48,7 +48,7 @@ class Entry:
 
 
 class StageStore:
-    """Results of stages on disk, found by their `StageKey`, and rebuilt only if their inputs change.
+    """Results of stages on disk. A result is found by its `StageKey`, and built again only if an input changes.
 
     The folder is created at the first build. `built` lists the keys that this instance built, in order.
     """
@@ -61,8 +61,8 @@ class StageStore:
     def get(self, key: StageKey) -> Artifact | None:
         """Return the artifact of this key, or None if there is none.
 
-        An incomplete or altered artifact is removed, with a warning. Checksums are read once per instance, and again
-        when a file's time or size has changed. Raises StoreError if a damaged artifact cannot be removed.
+        An incomplete or altered artifact is removed, with a warning. Checksums are verified once per instance, and
+        again when a file's time or size has changed. Raises StoreError if a damaged artifact cannot be removed.
         """
         try:
             return self._open(key)
@@ -74,11 +74,11 @@ class StageStore:
             return self._open_or_remove(key)
 
     def build(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
-        """Return the artifact of this key; if there is none, `make` builds it in a workspace.
+        """Return the artifact of this key. If there is none, call `make` to build it in a workspace.
 
-        If another process is building it, wait for its artifact. After an interruption or an exception, the pieces that
-        `make` saved stay in the workspace for the next build. Raises StoreError if the artifact cannot be stored, for
-        instance on a full disk, and the errors of `make`.
+        If another process is building the artifact, wait for that process. After an interruption or an exception, the
+        pieces that `make` saved stay in the workspace for the next build. Raises StoreError if the artifact cannot be
+        stored, for instance on a full disk. Errors of `make` are raised unchanged.
         """
         artifact = self.get(key)
         if artifact is None:
@@ -89,14 +89,14 @@ class StageStore:
         return artifact
 
     def entries(self) -> list[Entry]:
-        """Return the folders of the store, finished or not, ordered by stage and digest, without reading checksums."""
+        """Return the folders of the store, finished or not, ordered by stage and digest. No checksum is verified."""
         folders = [path for path in sorted(self.root.glob("*/*")) if _ENTRY.fullmatch(path.name) and path.is_dir()]
         return [_read_entry(folder) for folder in folders]
 
     def remove(self, digest: str) -> int:
-        """Remove the folders of this digest (all or the first 16 digits), and return their size, bytes.
+        """Remove the folders of this digest (all or the first 16 digits), and return their total size, bytes.
 
-        Raises StoreError if the artifact is being built now or cannot be removed.
+        Raises StoreError if a process is building the artifact, or if a folder cannot be removed.
         """
         found = [entry for entry in self.entries() if entry.digest == digest[:16]]
         for entry in found:
@@ -108,7 +108,7 @@ class StageStore:
         return sum(entry.nbytes for entry in found)
 
     def is_being_built(self, entry: Entry) -> bool:
-        """Return whether a process is building or removing this entry now. Raises StoreError if that is unknown."""
+        """Return whether a process is building or removing this entry now. Raises StoreError if the lock fails."""
         lock = self._try_lock(entry.path.with_suffix(""))
         if lock is None:
             return True
@@ -119,7 +119,7 @@ class StageStore:
         return self.root / key.stage / key.short
 
     def _open(self, key: StageKey) -> Artifact | None:
-        """Return the artifact, verified, or None if there is none; raise DamagedError if it must not be read."""
+        """Return the verified artifact, or None if there is none. Raises DamagedError if the artifact is damaged."""
         folder = self._find_folder(key)
         if not os.path.lexists(folder):
             return None
@@ -129,7 +129,7 @@ class StageStore:
         signature = artifact.read_signature()
         if self._verified.get(key.digest) != signature:
             artifact.verify()
-            # A write within the clock's tick could leave the time unchanged: trust only older times.
+            # A second write within one tick of the clock would leave the time unchanged, so only older times count.
             if time.time_ns() - max(mtime_ns for mtime_ns, _ in signature) > _SETTLED_NS:
                 self._verified[key.digest] = signature
         return artifact
@@ -164,7 +164,7 @@ class StageStore:
         return artifact
 
     def _lock(self, key: StageKey) -> AbstractContextManager[object]:
-        """Return the lock of a key, held until its block ends; wait for another process if necessary."""
+        """Acquire the lock of a key and return it, as a context manager that releases it. Wait if it is taken."""
         lock = self._try_lock(self._find_folder(key))
         if lock is None:
             logger.info("stage %s is being built by another process; waiting for it", key)
@@ -173,7 +173,7 @@ class StageStore:
         return lock
 
     def _try_lock(self, folder: Path) -> AbstractContextManager[object] | None:
-        """Return the lock of an artifact's folder, held until its block ends, or None if it is taken."""
+        """Acquire the lock of an artifact's folder and return it, as a context manager, or None if it is taken."""
         from filelock import Timeout
 
         with guard_store(f"stage {folder.parent.name} {folder.name}", folder.parent):
@@ -185,17 +185,20 @@ class StageStore:
 
 
 def find_root() -> Path:
-    """Return the store's folder: `$TACTILE_LOC_STORE`, else `tactile-loc` in `$XDG_CACHE_HOME` or in `~/.cache`."""
+    """Return the store's folder: `$TACTILE_LOC_STORE`, or else `tactile-loc` in the user's cache.
+
+    The user's cache is `$XDG_CACHE_HOME`, or else `~/.cache`.
+    """
     if chosen := os.environ.get("TACTILE_LOC_STORE"):
         return Path(chosen).expanduser().absolute()
     return find_user_cache() / "tactile-loc"
 
 
 def _make_lock(folder: Path) -> FileLock:
-    """Return the lock of an artifact's folder, not yet taken.
+    """Make the lock of an artifact's folder. The lock is not acquired.
 
-    The operating system releases the lock of a process that ends. The lock's file stays: if it were deleted, two
-    processes could hold the lock of one name.
+    The operating system releases the locks of a process that ends. The lock's file is never deleted, because two
+    processes could then hold the lock at the same time.
     """
     from filelock import FileLock
 
@@ -220,7 +223,7 @@ def _read_entry(folder: Path) -> Entry:
 
 
 def _measure_size(folder: Path) -> int:
-    """Return the bytes of all files in a folder and its subfolders, except files that vanish meanwhile."""
+    """Return the total size, bytes, of the files in a folder and its subfolders. Files that vanish do not count."""
     nbytes = 0
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):

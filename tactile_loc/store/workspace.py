@@ -1,4 +1,4 @@
-"""The folder in which a stage is being built; its finished pieces survive an interruption."""
+"""The folder in which a stage is being built. Pieces that are finished survive an interruption."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None)  # numpy reports a short
 
 
 class Workspace:
-    """The folder in which one artifact is being built; `StageStore.build` passes it to the function that builds.
+    """The folder in which one artifact is being built. `StageStore.build` passes it to the function that builds.
 
     Every piece is written atomically (temporary file, fsync, rename) and recorded with its checksum. The artifact
-    consists of the pieces saved in this build, or loaded from an interrupted one, except those with `keep=False`. Other
-    files in the folder are deleted when the build ends. Use it from one thread at a time.
+    consists of the pieces that this build saved, or loaded from an interrupted build. Pieces with `keep=False` are left
+    out. Other files in the folder are deleted when the build ends. Use a workspace from one thread at a time.
     """
 
     def __init__(self, path: Path, key: StageKey) -> None:
         self.path = path
         self._key = key
         self._kept: set[str] = set()
-        self._pieces = self._read_pieces()  # file name -> accepted checksums, the newest first
+        self._pieces = self._read_pieces()  # file name -> accepted checksums, newest first
 
     def load(self, name: str, keep: bool = True) -> NDArray[Any] | None:
-        """Return the array saved under this name, now or by an interrupted build; None if missing or damaged."""
+        """Return the array that this build or an interrupted build saved under a name; None if missing or damaged."""
         for read, file_name in ((np.load, f"{name}.npy"), (read_packed, f"{name}.npz")):
             path = self.load_file(file_name, keep)
             if path is not None:
@@ -61,7 +61,7 @@ class Workspace:
         return None
 
     def load_file(self, file_name: str, keep: bool = True) -> Path | None:
-        """Return the path of the file saved under this name, now or earlier; None if missing or damaged."""
+        """Return the path of a file that this build or an interrupted build saved; None if missing or damaged."""
         if file_name not in self._pieces:
             return None
         path = self.path / file_name
@@ -73,10 +73,11 @@ class Workspace:
         return path
 
     def save_array(self, name: str, array: NDArray[Any], keep: bool = True, packed: bool = False) -> None:
-        """Save an array of any shape as `<name>.npy`, or `packed`, compressed, as `<name>.npz`.
+        """Save an array of any shape as `<name>.npy` or, if `packed`, compressed as `<name>.npz`.
 
-        A packed array takes time to read and is never mapped. But mostly empty contact shapes then take a tenth of the
-        space. Raises StoreError if it holds Python objects, the name cannot be used, or writing fails.
+        A packed array takes longer to read and is never mapped. Contact shapes that are mostly empty take a tenth of
+        the space when packed. Raises StoreError when the array holds Python objects, the name cannot be used, or
+        writing fails.
         """
         if array.dtype.hasobject:
             raise StoreError(f"the array {name!r} of stage {self._key} holds Python objects; convert it to numbers")
@@ -86,9 +87,9 @@ class Workspace:
             self.save_file(f"{name}.npy", lambda path: np.save(path, array, allow_pickle=False), keep)
 
     def save_json(self, name: str, value: Any, keep: bool = True) -> None:
-        """Save a value as `<name>.json`, keys sorted.
+        """Save a value as `<name>.json`, with sorted keys.
 
-        Raises StoreError if it is not a finite JSON value, the name cannot be used, or writing fails.
+        Raises StoreError when the value is not a finite JSON value, the name cannot be used, or writing fails.
         """
         try:
             text = json.dumps(value, sort_keys=True, indent=1, allow_nan=False) + "\n"
@@ -97,9 +98,9 @@ class Workspace:
         self.save_file(f"{name}.json", lambda path: path.write_text(text), keep)
 
     def save_file(self, file_name: str, write: Callable[[Path], object], keep: bool = True) -> None:
-        """Save a file of any format: `write(path)` writes it at a temporary path of the same suffix.
+        """Save a file of any format. `write` gets a temporary path of the same suffix, and writes the file there.
 
-        Raises StoreError if the name cannot be used or writing fails.
+        Raises StoreError when the name cannot be used or writing fails.
         """
         if not _FILE_NAME.fullmatch(file_name) or file_name == MANIFEST:
             raise StoreError(f"{file_name!r} cannot name a file of stage {self._key}; use letters, digits, . - and _")
@@ -108,7 +109,7 @@ class Workspace:
             replace_file(self.path / file_name) as temporary,
         ):
             write(temporary)
-            # Recorded before the rename, with the previous checksum: a kill in between loses no piece.
+            # Both checksums, new and previous, are recorded before the rename: a kill in between loses no piece.
             self._pieces[file_name] = [hash_file(temporary), *self._pieces.get(file_name, [])[:1]]
             with replace_file(self.path / _PIECES) as pieces:
                 pieces.write_text(json.dumps(self._pieces))
@@ -123,7 +124,7 @@ class Workspace:
                 write_manifest(temporary, self._key, files)
 
     def is_finished(self) -> bool:
-        """Return whether the artifact is complete, by this build or one that was interrupted just before its end."""
+        """Return whether the artifact is complete. An interrupted build may have completed it just before its end."""
         try:
             artifact = read_artifact(self.path)
             artifact.verify()
@@ -132,7 +133,7 @@ class Workspace:
         return artifact.key == self._key
 
     def tidy(self) -> None:
-        """Delete files that are not part of the artifact; call it once the manifest is written."""
+        """Delete files that are not part of the artifact. Call this after the manifest is written."""
         with guard_store(f"the manifest of stage {self._key}", self.path):
             for path in set(self.path.iterdir()) - {self.path / name for name in read_artifact(self.path).files}:
                 if path.name != MANIFEST:
@@ -151,23 +152,23 @@ class Workspace:
 
 
 class WorkspaceCheckpoints(Checkpoints):
-    """Keeps a training's state in its stage's workspace, until the stage is finished."""
+    """Keeps the state of a training in the workspace of its stage until the stage is finished."""
 
     def __init__(self, work: Workspace) -> None:
         self._work = work
 
     def load(self) -> Path | None:
-        """Return the intact checkpoint of an interrupted build, if there is one."""
+        """Return the checkpoint of an interrupted build, or None if there is no intact checkpoint."""
         return self._work.load_file(_CHECKPOINT, keep=False)
 
     def save(self, write: Callable[[Path], object]) -> None:
-        """Replace the checkpoint atomically."""
+        """Replace the checkpoint atomically. `write` gets a temporary path, and writes the checkpoint there."""
         self._work.save_file(_CHECKPOINT, write, keep=False)
 
 
 @contextmanager
 def guard_store(what: str, folder: Path) -> Iterator[None]:
-    """Convert an OSError of the block to a StoreError about storing `what` in a folder."""
+    """Convert an OSError of the block to a StoreError: `what` cannot be stored in the folder."""
     try:
         yield
     except OSError as error:

@@ -1,1 +1,1 @@
-"""Images that come one after the other: cameras, videos, recordings and ROS messages."""
+"""Streams of images: cameras, videos, recordings and ROS messages."""

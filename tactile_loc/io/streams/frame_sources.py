@@ -1,6 +1,7 @@
 """Sources of live frames: a camera, a folder that receives images, or a video.
 
-A source gives either every frame in turn, or the newest: frames that arrive in between are dropped and counted.
+A source yields either every frame, or the newest frame each time. In the second case, older frames are dropped and
+counted.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
 SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
 POLL_S = 0.05
 SETTLED_S = 1.0  # an unreadable file that has not grown for this time is damaged, not incomplete
-LACKING, FEW = 0.02, 3  # share of a video's frames, and their least number, by which containers miscount
-LEAVES_S = 2.0  # time for a camera's thread to end
+LACKING, FEW = 0.02, 3  # allowed error of the number of frames in a video's header: share, and least number
+LEAVES_S = 2.0  # longest wait for the end of a reading thread
 
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
-    """One frame: an `image` (H, W, 3) uint8, or a file at `path`, or the `problem` that makes it unusable.
+    """One frame: an `image` (H, W, 3) uint8, or a file at `path`, or the `problem` that makes the frame unusable.
 
-    `number` counts all frames of the source from 0, including dropped ones. `time_s` is since 1970, or since the
-    beginning of a video.
+    `number` counts all frames of the source from 0, including dropped frames. `time_s` is the time since 1970, or since
+    the beginning of a video.
     """
 
     number: int
@@ -45,7 +46,10 @@ class SourceFrame:
     problem: TactileLocError | None = None
 
     def read_touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
-        """Return the touch that a sensor reads from the frame, as `read_touch` does. Raises TouchError."""
+        """Return the touch that a sensor reads from the frame. Raises TouchError when the frame is not a touch.
+
+        The arguments are those of the function `read_touch`, which reads a file.
+        """
         if self.problem is not None:
             raise self.problem
         if self.image is not None:
@@ -65,14 +69,14 @@ class FrameSource(Protocol):
 
     @property
     def dropped(self) -> int:
-        """The number of frames dropped so far, because newer ones had arrived."""
+        """The number of frames dropped so far, because newer frames had arrived."""
 
     def read_frames(self) -> Frames:
         """Yield frames as they arrive, until the source ends. Raises SourceError when the source is lost."""
 
 
 class _Newest:
-    """The newest of the frames that another thread reads; `dropped` counts frames that were never taken."""
+    """Holds the newest of the frames that another thread reads. `dropped` counts frames that were never taken."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -82,7 +86,10 @@ class _Newest:
         self.dropped = 0
 
     def follow(self, frames: Iterator[SourceFrame]) -> Frames:
-        """Yield the newest frame, again and again, to the end. Raises the error that ended the other thread."""
+        """Read the frames in another thread, and yield the newest frame each time, until the frames end.
+
+        Raises the error that ended the other thread.
+        """
         left = threading.Event()
         thread = threading.Thread(target=self._fill, args=(frames, left), name="frames", daemon=True)
         thread.start()
@@ -109,7 +116,7 @@ class _Newest:
             self._changed.notify()
 
     def _take(self) -> SourceFrame | None:
-        """Wait for a frame; return None at the end."""
+        """Wait for a frame and return it, or None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not None or self._ended)
             frame, self._frame = self._frame, None
@@ -119,7 +126,7 @@ class _Newest:
 
 
 class Camera:
-    """A camera that OpenCV opens, by its number or device name. It gives the newest frame."""
+    """A camera that OpenCV opens by a number or a device name. It yields the newest frame each time."""
 
     def __init__(self, device: str) -> None:
         self.device, self.about = device, f"camera {device}"
@@ -131,7 +138,7 @@ class Camera:
         return self._newest.dropped
 
     def read_frames(self) -> Frames:
-        """Yield the newest frame, again and again. Raises SourceError when the camera is missing or lost."""
+        """Yield the newest frame each time. Raises SourceError when the camera is missing or lost."""
         return self._newest.follow(self._grab(self._open()))
 
     def _open(self) -> Any:
@@ -163,7 +170,7 @@ class Camera:
 
 
 class Video:
-    """A video: every frame, or the newest at the video's own rate, as from a camera."""
+    """A video. It yields every frame, or, like a camera, the newest frame each time at the video's own rate."""
 
     def __init__(self, path: Path, every: bool) -> None:
         self.path, self.every, self.about = path, every, f"video {path}"
@@ -198,8 +205,8 @@ class Video:
 class ImageFolder:
     """A folder that receives images or contact shapes, ordered by the time of writing, then by name.
 
-    With `every`, each file that is there is a frame, and the source ends. Otherwise it gives the newest file, and waits
-    for more. A file that is written again is another frame.
+    With `every`, the source yields each file that is in the folder, and then ends. Otherwise it yields the newest file
+    each time, and waits for more files. A file that is written again is another frame.
     """
 
     def __init__(self, path: Path, every: bool) -> None:
@@ -219,7 +226,7 @@ class ImageFolder:
             time.sleep(POLL_S)
 
     def _list_waiting(self) -> list[tuple[int, Path]]:
-        """Return the files that are not frames yet, oldest first, each with its time of writing."""
+        """Return the files that were not yielded yet, oldest first, each with its time of writing, ns."""
         try:
             found = sorted((_read_time_ns(path), path) for path in self.path.iterdir() if _is_frame(path))
         except OSError as error:
@@ -234,7 +241,7 @@ class ImageFolder:
                 yield self._count(frame, when, path)
 
     def _take_newest(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
-        """Yield the newest readable file, and drop the older ones."""
+        """Yield the newest readable file, and drop the older files."""
         for place in reversed(range(len(waiting))):
             when, path = waiting[place]
             if (frame := self._read_frame(path)) is not None:
@@ -250,7 +257,7 @@ class ImageFolder:
         return replace(frame, number=self._number - 1)
 
     def _read_frame(self, path: Path) -> SourceFrame | None:
-        """Return a file as a frame; None while it may still be being written."""
+        """Return a file as a frame, or None while the file may be incomplete."""
         problem = None
         try:
             image = read_colour_image(path)
@@ -264,7 +271,7 @@ class ImageFolder:
         return SourceFrame(0, time.time(), path.name, image, path, problem)
 
     def _may_grow(self, path: Path) -> bool:
-        """Return whether an unreadable file has grown within the last SETTLED_S."""
+        """Return whether an unreadable file has grown within the last SETTLED_S seconds."""
         size, now = path.stat().st_size if path.exists() else -1, time.monotonic()
         before, since = self._growing.get(path.name, (size, now))
         self._growing[path.name] = (size, since if size == before else now)
@@ -276,7 +283,7 @@ def _is_frame(path: Path) -> bool:
 
 
 def _read_time_ns(path: Path) -> int:
-    """Return a file's time of writing, ns; 0 if it has just been removed."""
+    """Return a file's time of writing, ns, or 0 if the file has just been removed."""
     try:
         return path.stat().st_mtime_ns
     except FileNotFoundError:
@@ -284,9 +291,10 @@ def _read_time_ns(path: Path) -> int:
 
 
 def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSource:
-    """Return the source for a camera, or for a folder of images or a video at `path`: `every` frame, or the newest.
+    """Return the source for a camera, or for a folder of images or a video at `path`.
 
-    Raises SourceError when both or neither are given, `path` does not exist, or a camera is asked for `every` frame.
+    The source yields `every` frame, or the newest frame each time. Raises SourceError when `path` and `camera` are both
+    given or both missing, when `path` does not exist, or when `every` is set for a camera.
     """
     if path is not None and camera is None:
         if not path.exists():

@@ -1,4 +1,4 @@
-"""Recordings of ROS topics, without ROS: MCAP files and bags of ROS 1 and 2 are read, MCAP files are written."""
+"""Reads recordings of ROS topics (MCAP files, and bags of ROS 1 and 2), and writes MCAP files, without ROS."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Message:
     data: bytes
 
     def decode(self) -> Any:
-        """Return the message with its fields. Raises RecordingError when it is damaged or of an unknown encoding."""
+        """Return the message as an object. Raises RecordingError when it is damaged or has an unknown encoding."""
         topic = self.topic
         types = load_types(topic.message_encoding)
         if types is None:
@@ -53,7 +53,7 @@ class Message:
         read = types.deserialize_cdr if topic.message_encoding == CDR else types.deserialize_ros1
         try:
             return read(self.data, topic.type)
-        except Exception as error:  # generated code raises anything for damaged bytes
+        except Exception as error:  # generated code raises errors of any type for damaged bytes
             raise RecordingError(f"a message of {topic.name} is not a {topic.type}; record it again") from error
 
 
@@ -66,15 +66,16 @@ class Contents:
 
     @property
     def images(self) -> list[Topic]:
-        """The topics of images."""
+        """The topics that carry images."""
         return [topic for topic in self.counts if topic.type in IMAGE_TYPES]
 
 
 class Recording:
-    """A recording, read to its end, or to the first damage, which `damage` then describes.
+    """A recording: an MCAP file, a ROS 1 bag (.bag) or the folder of a ROS 2 bag.
 
-    It is an MCAP file, a ROS 1 bag (.bag) or the folder of a ROS 2 bag. Messages are in the order of the MCAP file, or
-    of a bag's times. Raises RecordingError when the file is missing or not a recording, and MissingLibraryError.
+    It is read to its end, or to the first damage, which `damage` then describes. Messages of an MCAP file are in the
+    file's order, and messages of a bag in the order of their times. Raises RecordingError when the file is missing or
+    not a recording, and MissingLibraryError when mcap or rosbags is not installed.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -90,7 +91,10 @@ class Recording:
             raise RecordingError(f"{self.path} is not a ROS 2 bag: it has no metadata.yaml; give {FORMATS}")
 
     def read_messages(self, *names: str) -> Iterator[Message]:
-        """Yield the messages of the topics of these names, or all. Raises RecordingError if none can be read."""
+        """Yield the messages of the topics with these names, or of all topics if no name is given.
+
+        Raises RecordingError when no message of the recording can be read.
+        """
         self.damage = ""
         found = 0
         for message in self._read_mcap() if self._in_mcap else self._read_bag():
@@ -108,7 +112,10 @@ class Recording:
         return Contents(counts, self.damage)
 
     def read_frame_tree(self) -> FrameTree:
-        """Return the tree of the frames in topics of type TFMessage. Raises FrameError when they make no tree."""
+        """Return the tree of the frames in topics of type TFMessage.
+
+        Raises FrameError when the transforms do not form a tree.
+        """
         tree = FrameTree()
         for message in self.read_messages():
             if message.topic.type == TF:
@@ -116,7 +123,7 @@ class Recording:
         return tree
 
     def read_extras(self) -> Iterator[Any]:
-        """Yield the attachments and metadata of an MCAP file, as the library mcap has them."""
+        """Yield the attachments and metadata of an MCAP file, as records of the library mcap."""
         from mcap.records import Attachment, Metadata
 
         if self._in_mcap:
@@ -137,7 +144,7 @@ class Recording:
                 yield Message(topics[record.channel_id], record.log_time, record.publish_time, record.data)
 
     def _read_records(self) -> Iterator[Any]:
-        """Yield the records of the data section, to its end or to the first damage."""
+        """Yield the records of the data section until it ends or is damaged."""
         from mcap.exceptions import EndOfFile
         from mcap.records import DataEnd
         from mcap.stream_reader import StreamReader
@@ -166,9 +173,10 @@ class Recording:
 
 
 def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topic:
-    """Return the topic of images called `name`, or the only one.
+    """Return the topic of images called `name`, or the only topic of images if `name` is None.
 
-    Raises RecordingError, which lists the topics, when there is no such topic, or several without a `name`.
+    Raises RecordingError, which lists the topics, when there is no such topic, or when `name` is None and there are
+    several topics of images.
     """
     topics = {topic.name: topic for topic in contents.images}
     if not topics:
@@ -232,9 +240,9 @@ class RecordingWriter:
 
 
 def write_recording(path: Path, write: Callable[[RecordingWriter], object]) -> Path:
-    """Have `write` fill a recording, save it atomically, and return its path.
+    """Write a recording atomically by calling `write` with a writer, and return the recording's path.
 
-    Raises OutputError, and MissingLibraryError without mcap.
+    Raises OutputError when the file cannot be written, and MissingLibraryError when mcap is not installed.
     """
 
     def write_file(temporary: Path) -> None:
@@ -260,7 +268,7 @@ def _read_bag_topic(connection: Any, encoding: str) -> Topic:
 
 
 def _complete_type(name: str) -> str:
-    """Return a type's name in ROS 2: package/msg/Name."""
+    """Return the name of a message type in the form of ROS 2: package/msg/Name."""
     package, _, kind = name.partition("/")
     return name if "/" in kind or not kind else f"{package}/msg/{kind}"
 
@@ -276,4 +284,4 @@ def _list_damages() -> tuple[type[Exception], ...]:
 
     of_libraries = (McapError, AnyReaderError, Ros1Error, Ros2Error, ZstdError, struct.error, apsw.Error)
     of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)
-    return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # MemoryError: of damaged lengths
+    return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # a damaged length raises MemoryError

@@ -30,7 +30,7 @@ def write_record(path: str | Path, record: Record) -> Path:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a result's file. Raises ResultError when there is none."""
+    """Return the JSON object in a result's file. Raises ResultError when the file cannot be read or holds no object."""
     try:
         found = read_json(path)
     except OSError as error:

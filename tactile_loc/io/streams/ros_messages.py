@@ -1,7 +1,7 @@
-"""ROS messages as arrays, and back: images, transforms, poses with covariance. ROS itself is not needed.
+"""Converts ROS messages to arrays and back: images, transforms, and poses with covariance. ROS is not needed.
 
-A message is any object with the fields of its ROS definition, from rclpy, rospy or rosbags. rosbags creates messages
-and serializes them.
+A message is any object with the fields of its ROS definition, from rclpy, rospy or rosbags. The library rosbags creates
+and serializes messages.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ UNKNOWN = -1.0  # first number of an unknown covariance, as in sensor_msgs/Imu
 
 @dataclass(frozen=True)
 class Encoding:
-    """The storage of an image's pixels: type of the numbers, numbers per pixel, and those kept, in our order."""
+    """The storage of an image's pixels: the type of the numbers, and the number of channels.
+
+    `kept` lists the channels to keep, in the order red, green, blue.
+    """
 
     dtype: str
     channels: int = 1
@@ -99,7 +102,7 @@ def read_stamp_ns(header: Any) -> int:
 
 
 def add_transforms(tree: FrameTree, message: Any, fixed: bool) -> None:
-    """Add the transforms of a tf2_msgs TFMessage to a tree. Raises FrameError for a rotation without direction."""
+    """Add the transforms of a tf2_msgs TFMessage to a tree. Raises FrameError for a transform that is not rigid."""
     for one in message.transforms:
         q, t = one.transform.rotation, one.transform.translation
         T = read_transform(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]), one.child_frame_id)
@@ -119,7 +122,7 @@ def read_transform(t_m: NDArray[np.float64], q_xyzw: NDArray[np.float64], name: 
 
 
 def _name_frame(name: str) -> str:
-    """Return a frame's name in ROS 2: without a leading slash."""
+    """Return the name of a frame in the form of ROS 2: without a leading slash."""
     return name.removeprefix("/")
 
 
@@ -127,8 +130,9 @@ def _name_frame(name: str) -> str:
 class RosPose:
     """The contents of a geometry_msgs PoseWithCovariance.
 
-    `position_m` (3,). `quaternion_xyzw` (4,), scalar last. `covariance` (36,), rows of 6: x, y, z (m), then rotations
-    about the fixed axes x, y, z (rad) of the header's frame; its first number is -1 if it is unknown.
+    `position_m` is (3,). `quaternion_xyzw` is (4,), scalar last. `covariance` is (36,), row by row: x, y, z (m), then
+    rotations (rad) about the fixed axes x, y, z of the header's frame. The first number is -1 if the covariance is
+    unknown.
     """
 
     position_m: tuple[float, ...]
@@ -139,8 +143,8 @@ class RosPose:
     def of(cls, T: NDArray[np.float64], covariance: NDArray[np.float64] | None) -> RosPose:
         """Convert a pose (4, 4), metres, and its covariance (6, 6), as in `RefinedPose`, or None.
 
-        To first order, errors of a rotation vector are rotations about the three fixed axes, so both have the same
-        covariance.
+        To first order, the errors of a rotation vector equal rotations about the three fixed axes. The covariance
+        therefore needs no conversion.
         """
         numbers = [UNKNOWN, *[0.0] * 35] if covariance is None else covariance.ravel().tolist()
         wxyz = rotation_to_quaternion(T[:3, :3])
@@ -161,7 +165,7 @@ def read_pose(message: Any) -> RosPose:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a recording: its `type` in ROS 2, its definition, and the encoding of its messages."""
+    """A topic of a recording: its ROS 2 `type`, the type's definition, and the encoding of the topic's messages."""
 
     name: str
     type: str
@@ -184,19 +188,25 @@ def require_libraries() -> None:
 
 @cache
 def make_topic(name: str, type_name: str) -> Topic:
-    """Return a topic of ROS 2 messages of a standard type. Raises MissingLibraryError."""
+    """Return a topic of ROS 2 messages of a standard type.
+
+    Raises MissingLibraryError when mcap or rosbags is not installed.
+    """
     return Topic(name, type_name, find_definition(type_name))
 
 
 def find_definition(type_name: str) -> bytes:
-    """Return the definition of a standard ROS 2 type; empty for another type."""
+    """Return the definition of a standard ROS 2 type, or empty bytes for another type."""
     store = load_types(CDR)
     return store.generate_msgdef(type_name, ros_version=2)[0].encode() if type_name in store.types else b""
 
 
 @cache
 def load_types(encoding: str) -> Any:
-    """Return rosbags' standard types of ROS 2 or ROS 1; None for another encoding. Raises MissingLibraryError."""
+    """Return rosbags' standard types for an encoding: CDR for ROS 2, ROS1 for ROS 1, or None for another encoding.
+
+    Raises MissingLibraryError when mcap or rosbags is not installed.
+    """
     require_libraries()
     from rosbags.typesys import Stores, get_typestore
 
@@ -205,12 +215,15 @@ def load_types(encoding: str) -> Any:
 
 
 def encode(message: Any, type_name: str) -> bytes:
-    """Return a message in ROS 2's encoding, CDR. Raises MissingLibraryError."""
+    """Return the bytes of a message in CDR, the encoding of ROS 2.
+
+    Raises MissingLibraryError when mcap or rosbags is not installed.
+    """
     return bytes(load_types(CDR).serialize_cdr(message, type_name))
 
 
 def make_image(values: NDArray[Any], encoding: str, stamp_ns: int, frame: str) -> Any:
-    """Return an array (H, W) or (H, W, C) as a sensor_msgs Image of an encoding such as rgb8 or 32FC1."""
+    """Return the sensor_msgs Image of an array (H, W) or (H, W, C), in an encoding such as rgb8 or 32FC1."""
     dtype = np.dtype(ENCODINGS[encoding].dtype).newbyteorder("<")
     rows = np.ascontiguousarray(values, dtype).reshape(len(values), -1)
     return _make(
@@ -233,7 +246,7 @@ def make_plain_pose(T: NDArray[np.float64], stamp_ns: int, frame: str) -> Any:
 
 
 def make_transforms(transforms: dict[tuple[str, str], NDArray[np.float64]], stamp_ns: int) -> Any:
-    """Return the tf2_msgs TFMessage of transforms T_parent_child (4, 4), metres, by (parent, child)."""
+    """Return the tf2_msgs TFMessage of transforms T_parent_child (4, 4), metres, with keys (parent, child)."""
     listed = []
     for (parent, child), T in transforms.items():
         pose = RosPose.of(T, None)

@@ -1,4 +1,4 @@
-"""Videos as images, read by OpenCV or imageio, whichever is installed."""
+"""Reads videos as images, with OpenCV or imageio, whichever is installed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tactile_loc.io.images import summarize
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv", ".gif")
 TO_INSTALL = "pip install 'tactile-loc[video]'"
 TO_READ = f"check the file, or install another reader: {TO_INSTALL}"
-USUAL_HZ = 30.0  # of a video without a rate
+USUAL_HZ = 30.0  # assumed rate of a video whose header has no rate
 
 
 @dataclass(frozen=True)
 class VideoFacts:
-    """A video's rate, and its number of frames, None if unknown, according to its header."""
+    """The rate and the number of frames that a video's header gives. `count` is None if unknown."""
 
     rate_hz: float = USUAL_HZ
     count: int | None = None
@@ -31,7 +31,7 @@ class VideoFacts:
 def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames (H, W, 3) of a video, in RGB.
 
-    Raises CalibrationError when it holds no frame, is damaged, or no installed library reads its kind.
+    Raises CalibrationError when the video has no frames, is damaged, or has a format that no installed library reads.
     """
     read = _read_opencv if importlib.util.find_spec("cv2") else _read_imageio
     number = 0
@@ -43,7 +43,7 @@ def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
 
 
 def read_video_facts(path: Path) -> VideoFacts:
-    """Return the rate and the number of frames in a video's header; the number is an estimate."""
+    """Return the rate and the number of frames that a video's header gives. The number is approximate."""
     read = _read_opencv_facts if importlib.util.find_spec("cv2") else _read_imageio_facts
     rate_hz, count = read(path)
     known = math.isfinite(count) and count >= 1
@@ -68,7 +68,7 @@ def _read_imageio_facts(path: Path) -> tuple[float, float]:
     except Exception:  # noqa: BLE001 - reading the frames reports it
         return math.nan, math.nan
     duration = float(about.get("duration", math.nan))
-    if path.suffix.lower() == ".gif":  # milliseconds, of the first frame
+    if path.suffix.lower() == ".gif":  # then the duration is that of the first frame, milliseconds
         return 1e3 / duration if duration > 0 else math.nan, math.nan
     rate_hz = float(about.get("fps", math.nan))
     return rate_hz, rate_hz * duration
@@ -92,5 +92,5 @@ def _read_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
         raise CalibrationError(f"{path} is a video, but no reader of videos is installed: {TO_INSTALL}") from error
     try:
         yield from imageio.v3.imiter(path, **({"mode": "RGB"} if path.suffix.lower() == ".gif" else {}))
-    except Exception as error:  # readers of damaged bytes raise anything
+    except Exception as error:  # readers raise errors of any type for damaged bytes
         raise CalibrationError(f"{path} cannot be read as a video ({summarize(error)[:120]}); {TO_READ}") from error

@@ -25,7 +25,7 @@ class PixelEncoder(Encoder):
         signal: Literal["binary", "depth"] = Field(default="binary", description="contact mask, or penetration")
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
-        """Return embeddings (N, cells) of contact depths (N, H, W) in metres cut at `press_depth_m`.
+        """Return embeddings (N, cells) of contact depths (N, H, W), metres, cut at `press_depth_m`.
 
         The squared distance between two embeddings is the mean squared difference of their cells. Unobserved pixels
         count as equal.
@@ -48,7 +48,7 @@ class PixelEncoder(Encoder):
     ) -> tuple[Float32, Float32]:
         """Return embeddings (N, cells) of the seen pixels (N, H, W) of contact depths, and weights (N, cells).
 
-        A cell is the average of its seen pixels. It counts if more than half of it is seen.
+        A cell's value is the average of its seen pixels. The cell counts if more than half of its area is seen.
         """
         unseen = np.float32(press_depth_m)
         embeddings = self.encode(np.where(seen, depth_m, unseen), press_depth_m, geometry)
@@ -61,7 +61,8 @@ class PixelEncoder(Encoder):
 def _count_cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
     """Return the number of cells down and across, with `longest` along the longer side of the field of view.
 
-    They depend only on the sensor's field of view, so a touch and a bank of different resolutions have the same cells.
+    The numbers depend only on the field of view. A touch and a bank with different resolutions thus have the same
+    cells.
     """
     across_scale, down_scale = geometry.scale_at_surface
     down_m, across_m = geometry.height_px / down_scale, geometry.width_px / across_scale
@@ -71,7 +72,7 @@ def _count_cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
 
 
 def _make_averaging(pixels: int, cells: int) -> NDArray[np.float32]:
-    """Return a matrix (cells, pixels) that averages pixels over equal cells, by each pixel's exact share of a cell."""
+    """Return a matrix (cells, pixels) that averages pixels over equal cells, weighted by each pixel's overlap."""
     edges = np.linspace(0, pixels, cells + 1)
     left, right = np.arange(pixels), np.arange(pixels) + 1.0
     overlap = np.minimum(edges[1:, None], right) - np.maximum(edges[:-1, None], left)

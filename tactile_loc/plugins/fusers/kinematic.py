@@ -1,4 +1,4 @@
-"""The paper's baseline for several touches: it uses only whether each sensor is in contact, not the contact shapes."""
+"""The paper's baseline for several touches. It uses the fact that each sensor is in contact, but no contact shape."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tactile_loc.plugin import Capabilities, CommonPosesFuser, PosePosterior
 
 
 class KinematicFuser(CommonPosesFuser):
-    """Gives the first grid's poses that touch all sensors equal probability, times the prior. Only the grids matter."""
+    """Gives equal probability, times the prior, to the poses of the first grid that touch all sensors."""
 
     capabilities = Capabilities(contact_only=True)
 

@@ -12,9 +12,9 @@ from tactile_loc.plugin import CommonPosesFuser, PosePosterior
 class ProductFuser(CommonPosesFuser):
     """P(x | CS_1 ... CS_N) ~ prod_i P(x | CS_i) P_task(x) / prod_i P_train,i(x), over the first touch's grid.
 
-    This is the full form of the paper's appendix, in log space. P_task is the prior. P_train,i is the distribution
-    from which touch i's probabilities were learned. Both are uniform unless given. The factor of touch i is taken at
-    the pose of its own grid that is nearest to x in its sensor's frame. Poses that do not touch a sensor are dropped.
+    This is the full form in the paper's appendix, computed in log space. P_task is the prior. P_train,i is the
+    distribution from which the probabilities of touch i were learned. Both are uniform unless given. The factor of
+    touch i is taken at the pose of touch i's grid that is nearest to x. Poses that do not touch a sensor are dropped.
     """
 
     if_contradictory = "allow fuser.doubt, or let the matcher score all poses"

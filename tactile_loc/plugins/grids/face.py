@@ -34,14 +34,14 @@ SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for s
 class FaceGrid(GridSampler):
     """One face of the object lies on the sensor: a lattice over x, y and yaw, times tilts up to `tilt_deg`.
 
-    The lattice of each yaw has a different shift. A narrow range of contact, such as a ledge beside the face, would
-    otherwise fall between the same rows at every yaw.
+    The lattice of each yaw has a different shift. Without the shifts, a narrow range of contact, such as that of a
+    ledge beside the face, could lie between the same rows at every yaw.
     """
 
     version = 3
 
     class Options(GridSampler.Options):
-        """`face` is the object's side that touches the sensor, or "auto": the side on which it rests lowest."""
+        """`face` is the object's side that touches the sensor. "auto" is the side on which the object rests."""
 
         face: str = Field(default="auto", description="side that touches: +x, -x, +y, -y, +z, -z, auto")
         tilt_deg: float = Field(
@@ -55,7 +55,7 @@ class FaceGrid(GridSampler):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """False with tilts: their number and step do not depend on the spacing."""
+        """False if the grid has tilts, because the number and step of tilts do not depend on the spacing."""
         return self.options.tilt_deg == 0.0
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
@@ -82,7 +82,7 @@ class FaceGrid(GridSampler):
         return np.concatenate(poses)
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4) uniformly in x, y, yaw and tilt; metres."""
+        """Draw poses (count, 4, 4), metres, uniformly in x, y, yaw and tilt."""
         R_face = self._find_face_rotation(obj)
         limit = np.radians(self.options.tilt_deg)
 
@@ -120,15 +120,15 @@ class FaceGrid(GridSampler):
 
 @lru_cache(maxsize=8)
 def _find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Return the cached resting side's normal (3,) of a mesh: random poses may be drawn a few at a time."""
+    """Return the normal (3,) of a mesh's resting side. It is cached, because poses may be drawn a few at a time."""
     return find_resting_normal(mesh.vertices_m, mesh.centroid_m)
 
 
 def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the outward normal (3,), unitless, of the side on which the object's centroid lies lowest.
 
-    This is the facet plane of the convex hull nearest to the centroid. The object is stable on it. Among equally near
-    sides, the one with the greatest normal (x, then y, then z) is chosen.
+    This is the facet of the convex hull whose plane is nearest to the centroid. The object is stable on this facet.
+    Among equally near facets, the one whose normal has the greatest x (then y, then z) is chosen.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -142,7 +142,10 @@ def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.
 
 
 def count_turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
-    """Return how many rotations about a unit normal (3,), in the object frame, map the object onto itself, or inf."""
+    """Return the number of rotations about a unit normal (3,), in the object frame, that map the object onto itself.
+
+    The number is inf if the object is rotationally symmetric about the normal.
+    """
     axis = symmetry.continuous_axis
     if axis is None:
         return int(np.isclose(symmetry.rotations @ normal, normal, atol=1e-3).all(axis=1).sum())

@@ -1,15 +1,15 @@
-"""The pose grid for a touch anywhere on the object: all of SO(3) times the plane, evenly in metres of surface.
+"""The pose grid for a touch anywhere on the object: all rotations times the plane, evenly spaced in surface motion.
 
 The method follows A. Yershova, S. Jain, S. M. LaValle and J. C. Mitchell, "Generating Uniform Incremental Grids on
 SO(3) Using the Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation consists of a spin
-about z, a point of the circle S^1, and the direction to which z is rotated, a point of the sphere S^2. HEALPix divides
-the sphere into 12 nside^2 cells of equal area, where nside is any positive integer. With `n_psi` spins there are 12
-nside^2 n_psi cells of equal volume: 72 * 8^level for nside = 2^level and n_psi = 6 nside. Cells are numbered by (base
-pixel, x, y, spin).
+about z and of the direction to which z is rotated. A spin is a point of the circle S^1, and a direction is a point of
+the sphere S^2. HEALPix divides the sphere into 12 nside^2 cells of equal area, where nside is any positive integer.
+With `n_psi` spins, there are 12 nside^2 n_psi cells of equal volume. These are 72 * 8^level cells for nside = 2^level
+and n_psi = 6 nside. Cells are numbered by (base pixel, x, y, spin).
 
-A rotation by a small angle about an axis through the centroid moves the surface by that angle times a lever. The lever
-is the root mean square distance from the axis. The spin axis is the object's most distinct principal axis. So spins and
-directions can each step by the angle that moves the surface by one spacing.
+A rotation by a small angle about an axis through the centroid moves the surface by this angle times a lever. The lever
+is the surface's root mean square distance from the axis. The spin axis is the object's most distinct principal axis.
+The steps of spins and of directions are the angles that move the surface by one spacing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SPHERE_STEP_RAD = float(np.sqrt(4 * np.pi / BASE_PIXELS))  # width of a cell for
 
 
 class HopfGrid(AllRotationsGrid):
-    """All of SO(3) times the plane: for a touch anywhere on the object."""
+    """All rotations times the plane, for a touch anywhere on the object."""
 
     name = "hopf"
 
@@ -47,15 +47,15 @@ class HopfGrid(AllRotationsGrid):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """False if `level` is given: the spacing then applies to the plane only."""
+        """False if `level` is given, because the spacing then applies to the plane only."""
         return self.options.level is None
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
-        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart unless there is a level."""
+        """Return R_sensor_object (K, 3, 3), about `spacing_m` of surface motion apart unless `level` is set."""
         return make_rotation_grid(obj, spacing_m, self.options.level).all_representatives()
 
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Count the poses at a spacing in metres; extrapolate from a sample of the rotations when the grid is large."""
+        """Return the number of poses at a spacing in metres. In a large grid, it is estimated from some rotations."""
         rotations = make_rotation_grid(obj, spacing_m, self.options.level)
         total = len(rotations)
         some = np.arange(total) if total <= _SAMPLE else np.random.default_rng(0).integers(total, size=_SAMPLE)
@@ -63,7 +63,7 @@ class HopfGrid(AllRotationsGrid):
         return round(float(counts.sum()) * total / len(some))
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
-        """Suggest a lower level or, in mm with two digits, a spacing that does not exceed the limit."""
+        """Return advice for a grid with too many poses: a lower level, or a larger spacing in mm with two digits."""
         if self.options.level is not None:
             return "choose a lower level or a larger spacing"
         while spacing_m < LARGEST_SPACING_M and (
@@ -103,7 +103,7 @@ def compute_pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
 
 @dataclass(frozen=True, eq=False)
 class RotationGrid:
-    """A Hopf grid of rotations of an object: 12 nside^2 directions of its unitless `axis` (3,), `n_psi` spins each."""
+    """A Hopf grid of an object's rotations: 12 nside^2 directions of the unit `axis` (3,), with `n_psi` spins each."""
 
     obj: ObjectModel
     axis: Float
@@ -125,7 +125,7 @@ class RotationGrid:
 
 
 def find_spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
-    """Return the object's spin axis (3,), unitless, and the levers about it and across it in metres.
+    """Return the object's spin axis (3,), unitless, and the levers, metres, of rotations about and across this axis.
 
     This is the axis of a continuous symmetry, or else the principal axis about which the object is most nearly round.
     """
@@ -141,11 +141,11 @@ def find_spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
 
 
 def make_rotation_grid(obj: ObjectModel, spacing_m: float, level: int | None = None) -> RotationGrid:
-    """Return the rotations whose neighbours are about `spacing_m` metres apart, or Yershova's 72 * 8^level.
+    """Return rotations whose neighbours are about `spacing_m` metres apart, or 72 * 8^level rotations.
 
-    A cell is one spacing wide about the spin axis and covers one squared spacing across it. The number of spins is a
-    multiple of the symmetry's rotations about the axis, so these map cells to cells. A continuous symmetry needs one
-    spin.
+    A cell is one spacing wide about the spin axis and covers one squared spacing across the axis. The number of spins
+    is a multiple of the number of symmetry rotations about the axis, so symmetries map cells to cells. A continuous
+    symmetry needs one spin.
     """
     axis, spin_m, across_m = find_spin_axis(obj)
     if level is not None:

@@ -1,8 +1,8 @@
 """The grid over the whole object: the places that can touch first, for every direction.
 
-For each of many directions, the object's height map is drawn. Its local minima can touch first. Equally low pixels
-along edges and on faces can, too. Translations and yaws are read from the touch, not searched. So the density of the
-directions determines the pose error before refinement.
+For each of many directions, a height map of the object is drawn. The local minima of the map can touch first, and so
+can equally low pixels along edges and on faces. Translations and yaws are read from the touch, not searched. The
+density of directions therefore determines the pose error before refinement.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from tactile_loc.plugin import (
 Float = NDArray[np.float64]
 
 AT_ONCE = 50  # directions drawn together
-MARGIN_M = 0.01  # between the object and the camera
+MARGIN_M = 0.01  # distance between the object and the camera
 LONGEST_M = 0.5  # largest diameter of an object: height maps of larger ones do not fit into memory
-MOST_PLACES = 4096  # of one direction
-ALIKE, MOST_FLAT = 5e-3, 400  # difference below which normals count as equal; flat faces with their own direction
-GENERIC = np.array([0.5377, 0.6512, 0.5355])  # an asymmetric direction: chooses among symmetric directions
+MOST_PLACES = 4096  # largest number of places for one direction
+ALIKE, MOST_FLAT = 5e-3, 400  # least difference of distinct normals; largest number of flat faces with own directions
+GENERIC = np.array([0.5377, 0.6512, 0.5355])  # of symmetric directions, the one nearest to this direction is kept
 
 
 class WholeGrid(GridSampler):
-    """All directions: the places that can touch first are indexed; position and yaw are read from the touch."""
+    """Indexes the places that can touch first, for all directions. Position and yaw are read from the touch."""
 
     capabilities = Capabilities(places=True)
 
@@ -107,9 +107,9 @@ class WholeGrid(GridSampler):
         )
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres, uniform in rotation and in the lowest point over the sensing rectangle.
+        """Draw poses (count, 4, 4), metres, with uniform rotations. z is arbitrary.
 
-        z is arbitrary. The part of the object beside the sensor never touches before the part above the sensor.
+        The object's lowest point is uniform over the sensing rectangle, so no part beside the sensor touches first.
         """
         R = draw_rotations(count, rng)
         x0, x1, y0, y1 = geometry.rectangle
@@ -139,7 +139,7 @@ def make_sphere(count: int) -> Float:
 
 
 def find_flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
-    """Return the unit directions (N, 3) along which faces of at least an area, m^2, are pressed flat on a sensor.
+    """Return the unit directions (N, 3) along which flat faces of at least `area_m2` are pressed flat on a sensor.
 
     Only the MOST_FLAT largest faces count. Such faces need exact directions: one degree away, an edge touches first.
     """
@@ -159,7 +159,7 @@ def find_flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
 def find_distinct_directions(directions: Float, obj: ObjectModel, step_rad: float) -> Float:
     """Return a subset of unit directions (N, 3) with one representative for each symmetry class of the object.
 
-    Among equivalent directions, the one nearest to GENERIC is kept, with all directions within a step of it.
+    Of equivalent directions, the one nearest to GENERIC is kept, and so are directions within `step_rad` of it.
     """
     S = obj.symmetry.list_elements(max_step_rad=0.5 * step_rad)[:, :3, :3]
     if len(S) == 1:
@@ -170,7 +170,7 @@ def find_distinct_directions(directions: Float, obj: ObjectModel, step_rad: floa
 
 
 def _make_camera(radius_m: float) -> SensorGeometry:
-    """Return a camera with parallel rays at the pitch of patches that sees a sphere and half a patch around it."""
+    """Return an orthographic camera, with the pixel pitch of patches, that sees a sphere and half a patch around it."""
     side = 2 * (int(np.ceil(radius_m / PITCH_M)) + PATCH_PX // 2 + 1)
     return SensorGeometry(
         "orthographic", side, side, 1 / PITCH_M, 1 / PITCH_M, side / 2, side / 2, MARGIN_M, 2 * radius_m + MARGIN_M
@@ -220,7 +220,10 @@ def _is_low(heights, near, level):
 
 @njit
 def _thin(order, columns, apart, found):
-    """Copy pixels, flat indices in `order`, to `found` unless a copied one is within `apart`. Return their number."""
+    """Copy pixels to `found`, except pixels nearer than `apart` to a copied pixel. Return the number of copied pixels.
+
+    `order` holds the flat indices of the pixels, in the order in which they are tried.
+    """
     count = 0
     for flat in order:
         r, c = flat // columns, flat % columns

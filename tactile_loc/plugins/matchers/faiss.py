@@ -11,14 +11,14 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Matcher
 
-ROWS_A_LIST = 39  # rows that faiss asks for to place a list's centre
+ROWS_A_LIST = 39  # rows that faiss needs to train one inverted list
 
 
 class FaissMatcher(Matcher):
-    """Scores the `top_k` most similar poses of each query; all others get -inf.
+    """Scores the `top_k` most similar poses of each query. All other poses get -inf.
 
-    Queries with weights w use a second index. With rows b and queries q relative to the bank's mean,
-    -1/2 sum w (q - b)^2 is the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
+    Queries with weights w use a second index. Let rows b and queries q be relative to the bank's mean. The score
+    -1/2 sum w (q - b)^2 is then the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
     """
 
     version = 2
@@ -33,13 +33,13 @@ class FaissMatcher(Matcher):
         effort: int = Field(default=128, ge=1, description="hnsw: nodes visited; ivf: lists visited")
 
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless. The faiss index is built at the first search."""
+        """Keep the bank (N, D), unitless. The faiss index is built at the first search."""
         self._bank = np.ascontiguousarray(bank, np.float32)
         for made in ("_plain", "_weighing", "_mean"):
             self.__dict__.pop(made, None)
 
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, unitless; -inf beyond the `top_k` that faiss found.
+        """Return scores (M, N), -1/2 sum w (q - b)^2, unitless. Poses that faiss does not find get -inf.
 
         The queries and their weights are (M, D). None means weights of one.
         """
@@ -53,7 +53,7 @@ class FaissMatcher(Matcher):
         return self._spread(products - 0.5 * np.einsum("md,md,md->m", w, q, q)[:, None], found)
 
     def _spread(self, scores: Float32, found: Any) -> Float32:
-        """Return scores (M, N) from the scores (M, K) of found rows (M, K), which are -1 where there is none."""
+        """Return scores (M, N) of all rows, given the scores (M, K) of found rows (M, K). Row -1 means none found."""
         spread = np.full((len(scores), len(self._bank)), -np.inf, np.float32)
         queries, places = np.nonzero(found >= 0)
         spread[queries, found[queries, places]] = scores[queries, places]

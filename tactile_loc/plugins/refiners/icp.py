@@ -1,4 +1,4 @@
-"""Point-to-plane ICP (open3d) of the candidate's contact cloud to the observed one."""
+"""Registers a candidate's contact cloud to the observed cloud by point-to-plane ICP (open3d)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Poses, Registr
 
 BURST = 8  # iterations between tests for convergence
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # largest move in a burst at convergence, for each pass: radians and mm
-DECIMALS = 7  # of radians and mm
+DECIMALS = 7  # decimals to which rotations and mm are rounded
 
 
 class IcpRefiner(CloudRefiner):
@@ -30,7 +30,7 @@ class IcpRefiner(CloudRefiner):
         max_iterations: int = Field(default=20, ge=1, description="most iterations in each pass")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the registration (mm) of the last pass that found correspondences, or an empty one."""
+        """Return the registration (mm) of the last pass that found correspondences, or an empty registration."""
         options = self.options
         moving, fixed = _wrap_cloud(source), _wrap_cloud(target, with_normals=True)
         T, found, converged, iterations = np.eye(4), False, False, 0
@@ -57,7 +57,10 @@ def _register(
     max_iterations: int,
     settled: float,
 ) -> tuple[Poses, int, float, bool]:
-    """Run ICP in bursts until a burst changes nothing: open3d does not report convergence."""
+    """Run ICP in bursts until a burst changes nothing, because open3d does not report convergence.
+
+    Return the transform (4, 4), mm, the number of iterations, the share of matched points, and whether ICP converged.
+    """
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()
     done, converged, matched = 0, False, 0.0
@@ -67,6 +70,6 @@ def _register(
             criteria = registration.ICPConvergenceCriteria(1e-3 * settled, 1e-3 * settled, burst)
             result = registration.registration_icp(moving, fixed, reach_mm, T, method, criteria)
             converged = np.allclose(result.transformation, T, atol=settled) and result.fitness > 0
-            # open3d's threads sum in any order: rounding keeps the differences from growing between bursts
+            # open3d's threads sum in any order: rounding prevents small differences from growing between bursts
             T, matched, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
     return T, done, matched, converged

@@ -28,7 +28,7 @@ class JointRefiner(Refiner):
         """The options of the joint registration."""
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the pose (4, 4), metres, that explains the touch best near the candidate's."""
+        """Return the pose (4, 4), metres, near the candidate's pose that explains the touch best."""
         return self.refine_together([View(touch, scene)], [candidate])[0]
 
     def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
@@ -36,6 +36,6 @@ class JointRefiner(Refiner):
         return self.refine_together([View(touch, scene)], candidates)
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates against several touches. A candidate that fits better than its result is kept."""
+        """Refine candidates against several touches. A candidate's own pose is kept if it fits better."""
         poses = np.array([candidate.T_sensor_object for candidate in candidates]).reshape(-1, 4, 4)
         return JointRegistration(self.options).refine(views, poses)

@@ -1,10 +1,10 @@
 """Point-to-point ICP with a robust kernel, by the kiss-icp library (Vizzo et al., RA-L 2023).
 
-The library weights a pair at distance r by (k / (k + r^2))^2, so its kernel k is a squared length. Here the kernel is
-the square of the pass's correspondence distance. Clouds are in mm.
+The library weights a pair at distance r by (k / (k + r^2))^2, so its kernel k is a squared length. Here, k is the
+square of the correspondence distance of a pass. Clouds are in mm.
 
-Both clouds are sampled at pixels. With nearest neighbours, two such lattices lock wherever they coincide. Therefore,
-each moving point is shifted along its surface by a different fraction of a pixel.
+Both clouds are sampled at pixels. If nearest neighbours are paired, two such lattices lock wherever they coincide.
+Therefore, each moving point is shifted along the surface by a different fraction of a pixel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STEP = 1e-4  # step below which the library ends a burst: radians and mm
 SPREAD = 1.4  # width of the shifts along the surface, in spacings of neighbouring points
 STRIDES = np.array([0.8191725134, 0.6710436067, 0.5497004779])  # of Roberts' sequence, which fills a cube evenly
 LEAST_WIDE, LEAST_NARROW = 4.0, 2.0  # least correspondence distance of each pass, in spacings
-DECIMALS = 7  # of radians and mm
+DECIMALS = 7  # decimals to which rotations and mm are rounded
 FAR_MM = 1e6  # distance at which the library drops map points: larger than any cloud
 
 
@@ -43,7 +43,7 @@ class KissIcpRefiner(CloudRefiner):
         )
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the registration (mm) of the last pass that found correspondences, or an empty one."""
+        """Return the registration (mm) of the last pass that found correspondences, or an empty registration."""
         moving_mm, spacing_mm = spread(source), target.spacing_mm
         wide_mm = max(self.options.wide_mm, LEAST_WIDE * spacing_mm)
         narrow_mm = max(self.options.narrow_mm, LEAST_NARROW * spacing_mm)
@@ -57,7 +57,11 @@ class KissIcpRefiner(CloudRefiner):
     def _pass(
         self, moving_mm: Floats, target: Cloud, reach_mm: float, settled: float, T: Floats
     ) -> tuple[Floats, int, bool]:
-        """Run bursts until one changes nothing. Return T (4, 4), a bound on the iterations, and if it converged."""
+        """Run bursts until a burst changes nothing.
+
+        Return the transform (4, 4), an upper bound on the number of iterations, and whether the last burst changed
+        nothing.
+        """
         seen = VoxelHashMap(reach_mm, FAR_MM, self.options.voxel_points)
         seen.add_points(target.points_mm)
         done, still = 0, False
@@ -65,7 +69,7 @@ class KissIcpRefiner(CloudRefiner):
             burst = min(BURST, self.options.max_iterations - done)
             registration = KissRegistration(burst, STEP, max_num_threads=1)  # several threads would sum in any order
             T_new = registration.align_points_to_map(moving_mm, seen, T, reach_mm, reach_mm**2)
-            T_new = make_orthonormal(np.round(T_new, DECIMALS))  # the library aborts the process otherwise
+            T_new = make_orthonormal(np.round(T_new, DECIMALS))  # the library aborts for other matrices
             T, still, done = T_new, bool(np.allclose(T_new, T, atol=settled)), done + burst
         return T, done, still
 

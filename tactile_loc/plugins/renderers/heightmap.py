@@ -1,12 +1,12 @@
 """Contact shapes from height maps: one map of the object's underside for each rotation, shared by all translations.
 
-The lower envelope of each rotation is rasterised once and then sampled. An orthographic camera samples it directly; a
-pinhole camera marches rays through the contact band. A coarse map of minima skips blocks of pixels above the band, and
-brackets the march.
+The object's lower envelope is rasterised once for each rotation and then sampled. For an orthographic camera, the map
+is sampled directly. For a pinhole camera, rays are marched through the contact band. With a coarse map of minima,
+blocks of pixels that see nothing in the band are skipped, and the march is shortened.
 
 A height map has one surface in each cell, so surfaces above an overhang are missing. (A pinhole camera would see a
-little of them.) Steep walls are placed to within half a cell. Poses that share no rotation are drawn exactly, triangle
-by triangle.
+small part of such surfaces.) Steep walls are placed to within half a cell. Poses that share no rotation are drawn
+exactly, triangle by triangle.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -42,7 +42,7 @@ MAX_MAP_BYTES = 256 * 2**20
 
 
 class HeightmapRenderer(Renderer):
-    """Renders by height maps; fastest when many poses share few rotations, as in a pose grid."""
+    """Renders by height maps. This is fastest when many poses share few rotations, as in a pose grid."""
 
     version = 1
     capabilities = Capabilities(exact_undercuts=False)
@@ -53,7 +53,7 @@ class HeightmapRenderer(Renderer):
         cell_mm: float = Field(default=0.1, gt=0.005, le=2.0, description="size of a height map cell, mm")
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return camera depths (N, H, W) in metres of poses (N, 4, 4) in contact; inf beyond the contact band."""
+        """Return camera depths (N, H, W), metres, of poses (N, 4, 4) in contact. Depths beyond the band are inf."""
         T = np.asarray(T_sensor_object, float)
         depth = np.empty((len(T), *geometry.shape), np.float32)
         if len(T) == 0:
@@ -62,7 +62,7 @@ class HeightmapRenderer(Renderer):
         rotations, starts, members = group_rotations(T[:, :3, :3])
         slot = np.repeat(np.arange(len(rotations)), np.diff(starts))
         low, cells = _measure_footprints(mesh, rotations, T[members, :3, 3], starts, geometry, cell)
-        # the map reaches a little beyond the band, for slopes that leave it
+        # the map reaches a little beyond the band, for slopes that leave the band
         end = geometry.standoff_m + geometry.max_depth_m + WALL * cell
         ceilings = np.maximum.reduceat(end - T[members, 2, 3], starts[:-1])
         triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(T[:, :3, 3])
@@ -82,7 +82,10 @@ class HeightmapRenderer(Renderer):
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Do the same for poses that share no rotation. This is exact, and two to three times as fast as maps."""
+        """Return camera depths (N, H, W), metres, of poses (N, 4, 4) that share no rotation.
+
+        This is exact, and for such poses two to three times as fast as height maps.
+        """
         return draw_nearest_depths(mesh, T_sensor_object, geometry)
 
 
@@ -99,8 +102,8 @@ def _measure_footprints(
 ) -> tuple[Floats, tuple[int, int]]:
     """Return each rotation's map corner (K, 2) in metres and the common map size (rows, columns).
 
-    A map covers the area below the rotated object that is in view within the contact band, at any of the rotation's
-    translations (t_m, grouped by `starts`), with a margin of two cells.
+    A map covers the area below the rotated object that the camera can see within the contact band, with a margin of two
+    cells. All translations of the rotation count: `t_m` (N, 3), grouped by `starts`.
     """
     view_low, view_high = _measure_view(geometry)
     turned = rotations[:, :2] @ mesh.vertices_m.T
@@ -148,7 +151,7 @@ def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
 
 @njit(fast=True)
 def _draw(p, envelope):
-    """Lower the map to one triangle with corners (3, 3) of column, row, height."""
+    """Lower the map's heights to a triangle where the triangle is lower. A corner is (column, row, height)."""
     rows, columns = envelope.shape
     ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
     area = ax * by - ay * bx
@@ -184,7 +187,7 @@ def _find_span(p, r):
 
 @njit(fast=True)
 def sample(first, last, maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
-    """Fill depth (N, H, W) at the `members` from first to last, each from map `slot`, seen by `camera`."""
+    """Fill `depth` (N, H, W) for the poses members[first:last], each from map slot[m], as seen by `camera`."""
     for m in range(first, last):
         i, k = members[m], slot[m]
         _sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
@@ -192,9 +195,9 @@ def sample(first, last, maps, fine, coarse, corners, cell, slot, members, t, cam
 
 @njit(fast=True)
 def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
-    """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
+    """Fill a picture (H, W) from one map, as seen by `camera`: (whether it is a pinhole, band begin, band end).
 
-    Blocks of pixels are divided until their part of the map lies above the band, or until they are traced.
+    Blocks of pixels are divided until their part of the map lies beyond the band, or until they are traced.
     """
     picture.fill(np.inf)
     height, width = picture.shape
@@ -254,7 +257,7 @@ def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, pictur
 
 @njit(fast=True)
 def _interpolate_height(envelope, c, r, wall):
-    """Return the height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
+    """Return the height at a fractional cell: bilinear on a slope, or the nearest cell's height at a wall or edge."""
     rows, columns = envelope.shape
     j, i = math.floor(c), math.floor(r)
     if i < 0 or j < 0 or i >= rows - 1 or j >= columns - 1:
@@ -268,9 +271,9 @@ def _interpolate_height(envelope, c, r, wall):
 
 @njit(fast=True)
 def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
-    """Return the depth at which a pinhole ray first meets the map between two depths, or inf.
+    """Return the depth, between `low` and `end`, at which a pinhole ray first meets the map, or inf.
 
-    At depth z the ray is at cell (sx z - x0, sy z - y0). It advances by at most two cells in a step.
+    At depth z, the ray is at cell (sx z - x0, sy z - y0). The ray advances by at most two cells in a step.
     """
     rows, columns = envelope.shape
     steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (end - low))

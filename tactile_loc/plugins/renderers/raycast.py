@@ -1,7 +1,8 @@
 """Exact rendering by ray casting, with open3d's RaycastingScene.
 
-The scene is built once for each mesh, in the object frame; a pose rotates the rays, not the object. Usually only a few
-percent of a picture are within the contact band, so rays are cast only in the box of pixels that can see it.
+The scene is built once for each mesh, in the object frame. A pose moves the rays, not the object. Usually, only a few
+percent of a picture are within the contact band. Rays are therefore cast only in the box of pixels that can see the
+object within the band.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class RaycastRenderer(Renderer):
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depths z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
 
-        Pixels without a surface are inf; surfaces deeper than standoff + max_depth may be inf. Raises RenderError when
+        Pixels without a surface are inf. Surfaces deeper than standoff + max_depth may be inf. Raises RenderError when
         open3d cannot be loaded.
         """
         scene, surface = self._prepare_scene(mesh)
@@ -88,7 +89,7 @@ def _build_scene(mesh: TriangleMesh) -> Any:
 
 
 def _cast(scene: Any, rays: Float32) -> Float32:
-    """Return the distances (M,) along the rays (M, 6) to the surface; inf where they miss it."""
+    """Return the distances (M,) along the rays (M, 6) to the surface. The distance is inf for a ray without a hit."""
     import open3d
 
     return np.asarray(scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy())
@@ -97,7 +98,8 @@ def _cast(scene: Any, rays: Float32) -> Float32:
 def _make_rays(T_sensor_object: NDArray[np.float64], box: PixelBox, geometry: SensorGeometry) -> Float32:
     """Return the rays (h, w, 6) of a box of pixels in the object frame: origin in metres, and direction.
 
-    The direction's z component is one in the sensor frame, so the distance along it is the camera depth.
+    In the sensor frame, the direction's z component is one. The distance to a hit, in direction vectors, is therefore
+    the camera depth.
     """
     R, t = T_sensor_object[:3, :3], T_sensor_object[:3, 3]
     x, y = geometry.pixel_slopes
@@ -114,7 +116,7 @@ def _make_rays(T_sensor_object: NDArray[np.float64], box: PixelBox, geometry: Se
 
 
 class _Surface:
-    """A mesh's vertices and edges, for finding the part of it that is not deeper than a limit."""
+    """A mesh's vertices and edges, which are used to find the mesh's part that is not deeper than a limit."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         count = len(mesh.vertices_m)
@@ -123,7 +125,7 @@ class _Surface:
         self._vertices = mesh.vertices_m
 
     def find_points_below(self, limit_m: float, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return points (P, 3) in the sensor frame, metres, whose convex hull holds the part with z <= limit."""
+        """Return points (P, 3), metres, in the sensor frame. Their convex hull contains the part with z <= limit."""
         R, t = T_sensor_object[:3, :3], T_sensor_object[:3, 3]
         beyond = self._vertices @ R[2] + (t[2] - limit_m)
         near = beyond <= 0.0
@@ -134,7 +136,10 @@ class _Surface:
 
 
 def _find_pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> PixelBox:
-    """Return the rows and columns whose pixels can see the hull of points (P, 3) in metres; empty without points."""
+    """Return the rows and columns of the pixels that can see the hull of points (P, 3), metres.
+
+    Both are empty if there are no points.
+    """
     g = geometry
     if len(points_m) == 0:
         return slice(0, 0), slice(0, 0)
@@ -146,13 +151,13 @@ def _find_pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> 
 
 
 def _find_span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> slice:
-    """Return the pixels with centres between the least and the greatest slope, with one more at each end."""
+    """Return the pixels with centres between the least and the greatest slope, and one more pixel at each end."""
     first, last = np.clip([slopes.min() * f + c - 1.5, slopes.max() * f + c + 1.5], 0, size)
     return slice(int(first), int(np.ceil(last)))
 
 
 def _group_boxes(boxes: list[PixelBox], rays_per_batch: int) -> Iterator[list[int]]:
-    """Group the indices of non-empty boxes so that no group of several has more pixels than `rays_per_batch`."""
+    """Yield groups of indices of non-empty boxes. A group of several boxes has at most `rays_per_batch` pixels."""
     batch: list[int] = []
     total = 0
     for i, (rows, columns) in enumerate(boxes):

@@ -11,5 +11,5 @@ class ZBufferRenderer(Renderer):
     capabilities = Capabilities(exact_undercuts=True)
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return camera depths (N, H, W) in metres of poses (N, 4, 4) in contact; inf beyond the contact band."""
+        """Return camera depths (N, H, W), metres, of poses (N, 4, 4) in contact. Depths beyond the band are inf."""
         return draw_nearest_depths(mesh, T_sensor_object, geometry)

@@ -18,19 +18,19 @@ class CalibratedSensor(DepthSensor):
     """Reads images of the gel, and contact shapes. Raises CalibrationError when the folder is incomplete."""
 
     class Options(ComponentOptions):
-        """`path` of the calibration folder, and an optional newer image of the untouched gel."""
+        """The `path` of the calibration folder, and optionally `zero`, a newer image of the untouched gel."""
 
         path: str = Field(description="calibration folder written by `tactile-loc calibrate`")
         zero: str | None = Field(default=None, description="newer image of the untouched gel to compare images with")
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the sensor, as JSON values: the folder's content, not its path."""
+        """Return JSON values that identify the sensor by the folder's content, not by its path."""
         return {**super().describe(), "options": self.calibration.describe()}
 
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
         """Return the contact shape of an image (H, W, 3) uint8, or of depths (H, W) in metres.
 
-        Raises TouchError for an image of another sensor, or without contact.
+        Raises TouchError for an image of another sensor, or an image without contact.
         """
         image = np.asarray(image)
         if image.ndim == 2 and image.dtype != np.uint8:

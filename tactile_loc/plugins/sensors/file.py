@@ -1,4 +1,4 @@
-"""A sensor described by a TOML file. docs/files.md lists the keys; examples/my_sensor.toml is an example."""
+"""A sensor described by a TOML file. docs/files.md lists the keys, and examples/my_sensor.toml is an example."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
 
 class FileSensor(DepthSensor):
-    """The sensor that a TOML file describes. Raises SensorError with the file, the key and the allowed values."""
+    """The sensor that a TOML file describes.
+
+    Raises SensorError, which names the file, the key and the allowed values, when the file is wrong.
+    """
 
     class Options(ComponentOptions):
-        """`path` of the sensor file."""
+        """The `path` of the sensor file."""
 
         path: str = Field(description="the sensor file (TOML)")
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies the sensor, as JSON values: the file's content, not its path."""
+        """Return JSON values that identify the sensor by the file's content, not by its path."""
         return {**super().describe(), "options": self.geometry.describe()}
 
     def _make_geometry(self) -> SensorGeometry:

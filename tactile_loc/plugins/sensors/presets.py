@@ -1,4 +1,4 @@
-"""Nominal sensors. Real sensors differ a little: for real work, measure yours and describe it in a sensor file."""
+"""Nominal sensors. Real sensors differ a little: for real work, measure your sensor and write a sensor file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
-# With parallel rays, distance changes no image: the standoff only sets the surface's position in the sensor frame.
+# With parallel rays, images do not depend on the standoff. It only sets the surface's position in the sensor frame.
 ORTHOGRAPHIC_STANDOFF_M = 10e-3
 
 
@@ -58,19 +58,20 @@ class GelSlim(Preset):
 class GelSightMini(Preset):
     """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), maximal depth 1 mm.
 
-    The scale was measured for a public calibration set of 320 x 240 images (the gs_sdk repository's, balls of 9.47 mm).
-    The maximal depth is nominal.
+    The scale was measured for a public calibration set of 320 x 240 images with balls of 9.47 mm, in the repository
+    gs_sdk. The maximal depth is nominal.
     """
 
     native = make_orthographic(320, 240, 0.0634e-3, 1e-3)
 
 
 class Digit(Preset):
-    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), maximal depth 1 mm, nothing measured.
+    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), maximal depth 1 mm.
 
-    Public numbers disagree. A DIGIT fork of the Taxim simulator uses 0.0266 mm at 640 x 480 (12.8 x 17.0 mm). The
-    digit-depth configuration measured a gel of 18.35 x 24.6 mm. The scale may be wrong by 20 %. The real gel is curved:
-    see digit-curved, or measure your sensor and write a sensor file.
+    None of these numbers was measured, and public numbers disagree. A DIGIT fork of the Taxim simulator uses 640 x 480
+    px of 0.0266 mm (12.8 x 17.0 mm). The configuration of digit-depth states a measured gel of 18.35 x 24.6 mm. The
+    scale may be wrong by 20 %. The real gel is curved: choose digit-curved, or measure your sensor and write a sensor
+    file.
     """
 
     native = make_orthographic(240, 320, 0.063e-3, 1e-3)
@@ -79,11 +80,11 @@ class Digit(Preset):
 class CurvedDigit(Digit):
     """DIGIT with a curved gel: a spherical cap with its top in the middle of the image. The rest is as in `Digit`.
 
-    The radius of 35 mm is nominal. In the TACTO simulator, the corners of a gel of 20 x 30 mm lie 5 mm lower.
+    The radius of 35 mm is nominal. In the TACTO simulator, the corners of a gel of 20 x 30 mm lie 5 mm below the top.
     """
 
     class Options(Preset.Options):
-        """`radius_mm` of the sphere; the standoff is measured to its top."""
+        """The sphere's `radius_mm`. The standoff is the distance from the camera to the sphere's top."""
 
         radius_mm: float = Field(default=35.0, ge=15.0, description="radius of the gel's surface, mm")
 

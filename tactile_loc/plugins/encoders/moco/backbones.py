@@ -1,6 +1,7 @@
 """Convolutional backbones of the learned encoder in plain torch, and pretrained weights.
 
-Residual networks use torchvision's parameter names. No network has average pooling: the map itself is the feature.
+Residual networks use torchvision's parameter names. No network has average pooling: its output map is the feature
+vector.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ _GROUPS = 32
 class Backbone(nn.Module):
     """A fully convolutional network from images (N, in_channels, H, W) to a coarse map, which is the feature vector.
 
-    `name` is the architecture. `stride_px` is the distance of the map's cells in input pixels. `in_channels` and
-    `channels` are the channels of the input and of the map. Every convolution pads by half its kernel, so a cell covers
-    the same place for every image size.
+    `name` is the architecture. `stride_px` is the distance between the map's cells, in input pixels. `in_channels` and
+    `channels` are the numbers of channels of the input and of the map. Every convolution pads by half its kernel, so a
+    cell covers the same place for every image size.
     """
 
     def __init__(self, name: str, stride_px: int, in_channels: int, width: int, channels: int | None) -> None:
@@ -52,7 +53,7 @@ class Backbone(nn.Module):
 
 
 def make_norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
-    """Return batch normalisation, or group normalisation in `groups` groups, of `width` channels.
+    """Return a layer of batch normalisation, or of group normalisation in `groups` groups, for `width` channels.
 
     Raises ConfigError when `norm` is neither "batch" nor "group".
     """
@@ -66,10 +67,11 @@ def make_norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
 class ResNet(Backbone):
     """ResNet-18 or ResNet-50 without average pooling and classifier; the stride is 32 px.
 
-    With `norm="batch"` and three input channels, every parameter and buffer has torchvision's name and shape (v1.5: the
-    3x3 convolution of a bottleneck has the stride). With `norm="group"`, the names are the same, but there are no
-    running statistics. So images do not influence each other's features. `project`, a 1x1 convolution to `channels`, is
-    added; with `channels=None` it is left out, and the map has 512 or 2048 channels.
+    With `norm="batch"` and three input channels, every parameter and buffer has torchvision's name and shape. As in
+    torchvision's version 1.5, the 3x3 convolution of a bottleneck has the stride. With `norm="group"`, the names are
+    the same, but there are no running statistics, so images do not influence each other's features. The layer
+    `project`, a 1x1 convolution to `channels` channels, is added. With `channels=None`, it is left out, and the map has
+    512 or 2048 channels.
     """
 
     def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
@@ -97,9 +99,9 @@ class ResNet(Backbone):
 
 
 class _Block(nn.Module):
-    """A branch of normalised convolutions added to its input, which is projected if the shapes differ.
+    """Adds a branch of normalised convolutions to the input. The input is projected if the shapes differ.
 
-    `convolutions` lists the branch's (channels, kernel, stride).
+    `convolutions` lists (channels, kernel, stride) of each convolution in the branch.
     """
 
     def __init__(self, incoming: int, convolutions: Sequence[tuple[int, int, int]], norm: Norm) -> None:
@@ -157,7 +159,7 @@ class SmallBackbone(Backbone):
 
     def features(self, images: torch.Tensor) -> torch.Tensor:
         """Return the unprojected map (N, 128, h, w) of images (N, in_channels, H, W)."""
-        # the stages keep this layout, in which they are a fifth faster on a CPU; the weights stay contiguous
+        # the stages keep this memory layout and are a fifth faster in it on a CPU; the weights stay contiguous
         features: torch.Tensor = self.stages(images.to(memory_format=torch.channels_last))
         return features
 
@@ -172,9 +174,9 @@ def make_backbone(
 ) -> Backbone:
     """Return the backbone `name` ("small", "resnet18", "resnet50") on the CPU, with weights drawn by `generator`.
 
-    `in_channels` is the number of input planes, with the contact mask first. `channels` is the number of the map's
-    channels (None: the network's own, without projection). Torch's global random state is neither read nor changed.
-    Raises ConfigError for an unknown name or norm, or a number below 1.
+    `in_channels` is the number of input planes, of which the first is the contact mask. `channels` is the number of
+    channels of the map. None keeps the network's own number of channels, without projection. Torch's global random
+    state is neither read nor changed. Raises ConfigError for an unknown name or norm, or a number below 1.
     """
     if name not in BACKBONES:
         hint = did_you_mean(name, BACKBONES)
@@ -191,7 +193,10 @@ def make_backbone(
 
 
 def _initialise(model: Backbone, generator: torch.Generator) -> None:
-    """Draw the weights as torchvision does for residual networks: He's normal distribution, and identity norms."""
+    """Draw the weights from He's normal distribution, as torchvision does for residual networks.
+
+    Normalisation layers start as the identity.
+    """
     for module in model.modules():
         if isinstance(module, nn.Conv2d):
             linear = module is model.project
@@ -204,12 +209,13 @@ def _initialise(model: Backbone, generator: torch.Generator) -> None:
 
 
 def load_pretrained(model: Backbone, source: str | Path) -> None:
-    """Fill `model` with weights from `source`, a .safetensors file; pickles, torch's own format, are never read.
+    """Fill `model` with the weights in `source`, a .safetensors file. Pickles, torch's own format, are never read.
 
-    The names are torchvision's, or those of a saved `model.state_dict()`. `fc.*` is ignored. Without `project.*` the
-    model keeps its own projection. If the file's first convolution takes three colours and the model takes another
-    number of planes, the mask's plane gets the sum over the colours. Further planes start at zero. A model with group
-    norms takes the batch norms' scales and shifts without their running statistics, so it needs fine-tuning.
+    The file has torchvision's names, or the names of a saved `model.state_dict()`. `fc.*` is ignored. If the file has
+    no `project.*`, the model keeps its own projection. The file's first convolution may take three colours, and the
+    model another number of planes. The weights of the mask's plane are then the sum over the colours, and those of
+    further planes are zero. A model with group norms takes the scales and shifts of batch norms without their running
+    statistics, so the model needs fine-tuning.
 
     Raises WeightsError, and leaves the model unchanged, when the weights are missing, damaged, or of another
     architecture.
@@ -261,7 +267,7 @@ def _fit_weights(model: Backbone, weights: Mapping[str, torch.Tensor], origin: s
 
 
 def _is_ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:
-    """Return true for the classifier, and for running statistics that the model's norm does not have."""
+    """Return true for the classifier, and for running statistics that the model does not have."""
     layer, _, parameter = key.rpartition(".")
     return key.startswith("fc.") or (parameter in _STATISTICS and key not in own and f"{layer}.weight" in own)
 

@@ -1,8 +1,9 @@
 """The paper's learned encoder: an embedding of one object's contact shapes, learned by contrast in simulation.
 
-A query is a newly rendered random touch. The queue is fixed, with one key for each grid pose. The label is the grid
-pose nearest to the true one. The loss is the cross-entropy of the softmax of similarities over the whole grid (Bauza et
-al., CoRL 2020, after He et al., CVPR 2020). A momentum copy of the network encodes the keys from clean shapes.
+A query is a newly rendered random touch. The queue is fixed: it has one key for each grid pose. The label of a query is
+the grid pose nearest to the true pose. The loss is the cross-entropy of the softmax of similarities over the whole grid
+(Bauza et al., CoRL 2020, after He et al., CVPR 2020). A momentum copy of the network encodes the keys from contact
+shapes without noise.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
 from tactile_loc.plugins.encoders.moco.training import Trainer
 
 PLANES = "planes"  # key of the number of input planes in the weights file; older files have none
-SMALLER = 4  # divides the batch for places: more and smaller steps learn faster
+SMALLER = 4  # divisor of the batch size for a grid of places: more and smaller steps learn faster
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 
 
 class MocoEncoder(Encoder):
-    """Learns in `fit`. Its embeddings are unit vectors, so a matcher's score is the cosine minus one.
+    """Encodes contact shapes by a trained network. Embeddings are unit vectors, so a score is the cosine minus one.
 
     Training is reproducible, bit for bit, with the same number of threads (OMP_NUM_THREADS) and the same kind of
     device: torch's order of summation depends on both.
@@ -91,7 +92,7 @@ class MocoEncoder(Encoder):
         """Return everything that determines the encoder's output, as JSON values: the recipe, but not the device."""
         described = super().describe()
         if not self.options.decoys:
-            del described["options"]["decoys"]  # keeps the keys of encoders from before this option
+            del described["options"]["decoys"]  # encoders that were trained before this option existed keep their keys
         return {**described, "recipe": asdict(self.recipe)}
 
     @property
@@ -110,7 +111,9 @@ class MocoEncoder(Encoder):
     def fit(self, problem: TrainingProblem) -> None:
         """Train on simulated touches, together with the other processes if torchrun started several.
 
-        Raises GridError for a grid that is too large for the memory, WeightsError, ConfigError, MissingLibraryError.
+        Raises GridError when the grid is too large for the memory, WeightsError when pretrained weights do not fit, and
+        TrainingError when the loss becomes NaN in the first epoch. Raises ConfigError when CUDA is requested but
+        absent, and MissingLibraryError when a library is not installed.
         """
         _require_memory(self.recipe, len(problem))
         _reset_threads()
@@ -122,7 +125,7 @@ class MocoEncoder(Encoder):
         self._network = trainer.run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
-        """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
+        """Return unit embeddings (N, D) of contact depths (N, H, W), metres, cut at `press_depth_m`."""
         return self._encode(depth_m, np.ones(depth_m.shape, np.bool_), press_depth_m, geometry)
 
     def encode_seen(
@@ -157,7 +160,7 @@ class MocoEncoder(Encoder):
         save_file(tensors, path, {PLANES: str(self._require_trained().in_channels)})
 
     def load_weights(self, path: Path) -> None:
-        """Read a trained network. Raises WeightsError for a file that is damaged or of another architecture."""
+        """Read a trained network. Raises WeightsError when the file is damaged or of another architecture."""
         from safetensors import SafetensorError, safe_open
 
         whole, partly = (self.recipe.planes(partly_seen) for partly_seen in (False, True))
@@ -191,10 +194,10 @@ class MocoEncoder(Encoder):
 
 
 def _reset_threads() -> None:
-    """Restore torch's own number of threads, because its sums depend on it.
+    """Restore torch's original number of threads, because torch's sums depend on this number.
 
-    When numba starts its threads, it changes OpenMP's number of threads, and so torch's, for the calling thread. Here
-    it starts in an unused thread, and torch gets a new thread's number.
+    When numba starts its threads, it changes OpenMP's number of threads, and thereby torch's, in the calling thread.
+    Here, numba starts in an unused thread. Torch then gets the number of threads that a new thread has.
     """
     with ThreadPoolExecutor(1) as unused:
         threads = unused.submit(torch.get_num_threads).result()

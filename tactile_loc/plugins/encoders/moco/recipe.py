@@ -20,10 +20,10 @@ Signal = Literal["binary", "depth"]
 class Recipe:
     """All settings that determine the trained network.
 
-    `signal` selects the network's input: the contact mask, or the penetration depth as well. Each epoch renders
-    `queries` touches and uses them `repeats` times with new noise, `batch` in a step. Keys are encoded again after
-    `refresh` steps (0: each epoch). `momentum` is that of the key encoder's weights. `temperature` (unitless) divides
-    the similarities. `image_px` is the longer side of the input.
+    `signal` selects the network's input: the contact mask alone, or the contact mask and the penetration depth. In each
+    epoch, `queries` touches are rendered and used `repeats` times with new noise, `batch` touches in each step. Keys
+    are encoded again after `refresh` steps, or in each epoch if `refresh` is 0. `momentum` is the momentum of the key
+    network's weights. `temperature` (unitless) divides the similarities. `image_px` is the longer side of the input.
     """
 
     backbone: str
@@ -51,7 +51,7 @@ class Recipe:
         return (3 if self.signal == "depth" else 2) + partly_seen
 
     def bytes_needed(self, poses: int) -> int:
-        """Estimate the memory of a training step with a grid of this many poses."""
+        """Estimate the memory, bytes, of a training step with a grid of `poses` poses."""
         in_softmax = min(poses, self.negatives + self.batch) if self.negatives else poses
         scores = 4 * 4 * self.batch * in_softmax  # float32: scores, their exponentials, and the gradients of both
         keys = 2 * 4 * self.channels * 64 * poses
@@ -66,9 +66,9 @@ class Recipe:
         device: torch.device,
         seen: NDArray[np.bool_] | None = None,
     ) -> torch.Tensor:
-        """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,).
+        """Return unit vectors (N, D) of contact depths (N, H, W), metres, cut at press depths (N,), metres.
 
-        `seen` (N, H, W) marks the known pixels, for networks with a plane for them.
+        `seen` (N, H, W) marks the known pixels. It is given for networks with an input plane of known pixels.
         """
         planes = make_input_planes(depth_m, press_m, geometry, self.image_px, self.signal, seen).to(device)
         if device.type == "cuda":
@@ -83,8 +83,9 @@ def make_input_planes(
 ) -> torch.Tensor:  # fmt: skip
     """Return the network's input (N, P, h, w), from 0 to 1, averaged to a longer side of `image_px` pixels.
 
-    The planes are the observed contact mask; with the signal "depth", the penetration; with `seen` (N, H, W), the known
-    pixels; and the press depth. Penetration and press are shares of the sensor's maximal depth.
+    The first plane is the observed contact mask. If the signal is "depth", the penetration follows. If `seen` (N, H, W)
+    is given, the known pixels follow. The last plane is the press depth. Penetration and press depth are shares of the
+    sensor's maximal depth.
     """
     press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
     known = geometry.observed_mask if seen is None else seen & geometry.observed_mask

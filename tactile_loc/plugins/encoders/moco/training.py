@@ -70,7 +70,7 @@ class Crew:
         return tensor
 
     def agree(self, value: T) -> T:
-        """Return the first process's value."""
+        """Return the value of the first process, in all processes."""
         if self.size == 1:
             return value
         sent: list[Any] = [value]
@@ -93,7 +93,7 @@ def open_board(folder: str, epochs_done: int) -> Any:
 
 
 class QuerySource:
-    """Renders `count` touches for each epoch, while the trainer uses those of the previous epoch.
+    """Renders `count` touches for each epoch, while the trainer uses the touches of the previous epoch.
 
     Processes that train together have different `rank`s, and render different touches.
     """
@@ -102,7 +102,7 @@ class QuerySource:
         self.problem, self.noise, self.count, self.seed, self.rank = problem, noise, count, seed, rank
 
     def epochs(self, first: int, last: int) -> Iterator[TrainingTouches]:
-        """Yield the touches of epochs `first` ... `last` - 1."""
+        """Yield the touches of each epoch from `first` to `last` - 1."""
         if first >= last:
             return
         with ThreadPoolExecutor(1) as ahead:
@@ -127,14 +127,17 @@ KEYS_AT_ONCE = 512
 
 
 class Trainer:
-    """Trains a network on a problem. Each epoch has its own random stream from the recipe's seed, so a resumed training
-    gives the same result as an uninterrupted one."""
+    """Trains a network on a problem.
+
+    The random numbers of an epoch depend only on the recipe's seed and the epoch's number. A resumed training therefore
+    gives the same result as an uninterrupted training.
+    """
 
     def __init__(
         self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device,
         log_folder: str | None = None, decoys: int = 0,
     ) -> None:  # fmt: skip
-        """`decoys` is the number of wrongly rotated views of each touch, for a whole grid."""
+        """Prepare a training. `decoys` is the number of wrongly rotated views of each touch, for the grid `whole`."""
         self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
         self.crew = Crew(device)
         self.network = network.to(device)
@@ -148,9 +151,10 @@ class Trainer:
         self.best_weights = _copy_weights(self.network)
 
     def run(self) -> Backbone:
-        """Train, from the last checkpoint if there is one, and return the best network by validation, in eval mode.
+        """Train from the last checkpoint, if any, and return the network with the lowest validation loss.
 
-        Raises TrainingError when the loss becomes NaN in the first epoch. In a later epoch, training stops instead.
+        The network is in evaluation mode. Raises TrainingError when the loss becomes NaN in the first epoch. If the
+        loss becomes NaN in a later epoch, the training stops.
         """
         self._resume()
         self.board = open_board(self.log_folder, self.epoch) if self.log_folder and self.crew.rank == 0 else None
@@ -195,7 +199,10 @@ class Trainer:
         return float(np.mean(losses))
 
     def _draw_press(self, step: int) -> float:
-        """Draw the press, metres, for comparing touches and keys from this step on: the same in all processes."""
+        """Draw the press depth, metres, at which touches and keys are compared from this step on.
+
+        All processes draw the same press depth.
+        """
         presses_m = self.problem.key_presses_m
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])
         return float(presses_m[0] if len(presses_m) == 1 else rng.choice(presses_m))
@@ -219,7 +226,7 @@ class Trainer:
         return float(mean_loss)
 
     def _rate(self, epochs_done: float) -> float:
-        """Return the learning rate: a warm-up of half an epoch, then a cosine down to a hundredth."""
+        """Return the learning rate: it rises for half an epoch, then falls along a cosine to a hundredth."""
         warm = min(1.0, epochs_done / 0.5 + 0.02)
         return self.recipe.rate * warm * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
@@ -240,7 +247,10 @@ class Trainer:
 
     @torch.no_grad()
     def _keys(self, network: nn.Module, press_m: float) -> torch.Tensor:
-        """Encode the keys (N, D) from clean shapes cut at a press, metres; each process encodes a part of them."""
+        """Encode the keys (N, D) from shapes without noise, cut at a press depth, metres.
+
+        Each process encodes a part of the keys.
+        """
         problem, training = self.problem, network.training
         network.eval()
         rows = []
@@ -259,7 +269,7 @@ class Trainer:
 
     @torch.no_grad()
     def _validate(self, validation: TrainingTouches) -> tuple[float, float]:
-        """Return the loss (unitless) and the median distance, metres, of the best key's pose to the label's."""
+        """Return the loss (unitless) and the median distance, metres, of the best key's pose from the label's pose."""
         self.network.eval()
         rng = np.random.default_rng([self.recipe.seed, 3])
         presses_m = self.problem.key_presses_m
@@ -275,7 +285,10 @@ class Trainer:
         return float(np.mean(losses)), float(np.median(np.concatenate(errors_m)))
 
     def _judge(self, loss: float, validation: TrainingTouches) -> None:
-        """Keep the network if its validation loss is the lowest so far. The loss is smoother than the error."""
+        """Keep the network if its validation loss is the lowest so far.
+
+        The loss decides, because it varies less from epoch to epoch than the pose error.
+        """
         validation_loss, error_m = self.crew.agree(self._validate(validation))
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
         self.problem.progress.note(shown)
@@ -330,9 +343,9 @@ class Trainer:
 
 @torch.no_grad()
 def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
-    """Move the weights of the slow network towards those of the fast one, and copy the running statistics.
+    """Move the weights of the slow network towards those of the fast network, and copy the running statistics.
 
-    Lagging statistics would fit neither network. Keys are encoded in evaluation mode, which uses the statistics.
+    The statistics matter, because keys are encoded in evaluation mode. Averaged statistics would fit neither network.
     """
     for weight, newer in zip(slow.parameters(), fast.parameters(), strict=True):
         weight.copy_(torch.lerp(newer, weight, momentum))
@@ -364,7 +377,7 @@ def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any
 def _sample_keys(
     keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the batch's own keys and `negatives` random keys (K, D), and the new index of each target (B,)."""
+    """Return the batch's own keys and up to `negatives` random keys (K, D), and each target's index (B,) among them."""
     own, places = torch.unique(targets, return_inverse=True)
     drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
     drawn = drawn[~torch.isin(drawn, own)]

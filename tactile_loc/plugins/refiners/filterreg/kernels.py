@@ -1,4 +1,4 @@
-"""The compiled part of FilterReg: Gaussian sums over an observed cloud, and their normal equations.
+"""The compiled part of FilterReg: Gaussian sums over an observed cloud, and normal equations.
 
 Lengths are in mm, in the sensor's frame. A mixture is a `filterreg.refiner.Mixture`. A twist (6,) is a rotation (rad)
 before a translation (mm).
@@ -17,7 +17,7 @@ from tactile_loc.plugin import njit
 
 @njit(fast=True)
 def merge(rows, box, low, boxes):
-    """Merge the points of each box into rows (M, 7): the number of points, their mean, and their mean normal."""
+    """Merge the points of each box into one row (7,): the number of points, the mean point and the mean normal."""
     number = np.full(boxes[0] * boxes[1] * boxes[2], -1, np.int32)
     merged, found = np.zeros(rows.shape), 0
     for j in range(len(rows)):
@@ -46,10 +46,10 @@ def measure_mean_density(samples, mixture):
 
 @njit(fast=True)
 def _expect(x, n, mixture):
-    """Do the E step of one point x (3,) with normal n (3,): sums over the mixture's components y_k, n_k.
+    """Do the E step for one point x (3,) with normal n (3,), by sums over the mixture's components y_k, n_k.
 
-    The weight of a component is a Gaussian of its distance times max(0, n . n_k). Returns the sum of weights, and the
-    weighted sums of x - y_k and of n_k.
+    The weight of a component is a Gaussian of its distance from x, times max(0, n . n_k). Return the sum of weights,
+    and the weighted sums of x - y_k and of n_k.
     """
     rows = mixture.rows
     scale, limit = -0.5 / mixture.sigma_mm**2, mixture.reach_mm**2
@@ -77,7 +77,8 @@ def _expect(x, n, mixture):
 def add_equations(first, last, points, normals, starts, which, T, centres, mixture, along, result):
     """Add to the normal equations `result` (K, 6, 7) of the candidates `which` (K,) from first to last.
 
-    Candidate c has the points from starts[c] to starts[c + 1], moved by T (C, 4, 4). They rotate about centres (K, 3).
+    Candidate c has the points from starts[c] to starts[c + 1], moved by T[c] (4, 4). Candidates rotate about `centres`
+    (K, 3).
     """
     for k in range(first, last):
         c = which[k]
@@ -89,8 +90,8 @@ def add_equations(first, last, points, normals, starts, which, T, centres, mixtu
 def _add_equations(points, normals, T, centre, mixture, along, result):
     """Add the equations (6, 7) of one candidate: the matrix and the right-hand side.
 
-    The cost of a point at x is (n . (x - y))^2, with the weighted mean normal n and point y of the E step. `along`, 0
-    to 1, blends this with |x - y|^2. The weight of a point is the probability that it is not an outlier.
+    The cost of a point at x is (n . (x - y))^2, with the weighted mean normal n and point y of the E step. `along` (0
+    to 1) blends this cost with |x - y|^2. The weight of a point is the probability that it is not an outlier.
     """
     x, n, A, g = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3)
     for i in range(len(points)):

@@ -3,8 +3,9 @@
 The method follows Gao and Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration using Gaussian
 Filter and Twist Parameterization", CVPR 2019. The observed cloud is a Gaussian mixture. The E step gives each moving
 point a weighted mean point, a mean normal, and a probability of belonging to the cloud. The sums are exact up to a
-cut-off. Normals are a feature, so a wall is not matched to the face beside it. The M step is a Gauss-Newton step on the
-twist of the rigid motion. The mixture's standard deviation shrinks from one iteration to the next.
+cut-off. Points match only if their normals are similar, so a wall is not matched to the face beside the wall. The M
+step is a Gauss-Newton step on the twist of the rigid motion. The mixture's standard deviation decreases from one
+iteration to the next.
 """
 
 from __future__ import annotations
@@ -22,16 +23,18 @@ from tactile_loc.plugins.refiners.filterreg import kernels
 Floats = NDArray[np.float64]
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off
-MOST_BOXES = 2_000_000  # for merging points; a cloud that spans more boxes is not merged
-MOST_COLUMNS = 256  # on each side of the lookup table of points
+MOST_BOXES = 2_000_000  # the points of a cloud that spans more boxes are not merged
+MOST_COLUMNS = 256  # largest number of columns along each side of the lookup table
 SAMPLES = 100  # points of the cloud at which its own density is measured
 
 
 class Mixture(NamedTuple):
-    """Components `rows` (M, 7): number of points, mean point (mm) and mean normal, sorted by column of a table.
+    """A Gaussian mixture with a lookup table of its components.
 
-    Column k = x_index * columns[1] + y_index, `cell_mm` wide from the corner `low_mm` (3,), holds the rows from
-    starts[k] to starts[k + 1]. `outlier` is the weight of the outlier component, in the unit of the Gaussian sums.
+    A component in `rows` (M, 7) is the number of points, the mean point (mm) and the mean normal. The rows are sorted
+    by the column of the table in which they lie. Columns are `cell_mm` wide in x and y, from the corner `low_mm` (3,).
+    Column k = x_index * columns[1] + y_index holds the rows from starts[k] to starts[k + 1]. `outlier` is the weight of
+    the outlier component, in the unit of the Gaussian sums.
     """
 
     rows: NDArray[np.float64]
@@ -45,7 +48,7 @@ class Mixture(NamedTuple):
 
 
 class Mixtures:
-    """Makes Gaussian mixtures of any standard deviation from a cloud; `outlier` (0 to 1) is the share of outliers."""
+    """Makes Gaussian mixtures of any standard deviation from a cloud. `outlier` (0 to 1) is the share of outliers."""
 
     def __init__(self, cloud: Cloud, outlier: float) -> None:
         points = cloud.points_mm
@@ -55,9 +58,10 @@ class Mixtures:
         self._odds = outlier / (1.0 - outlier)
 
     def make_mixture(self, sigma_mm: float, merged: bool) -> Mixture:
-        """Return the mixture with one Gaussian for each point, or, if `merged`, for each box one sigma wide.
+        """Return the mixture with one Gaussian for each point or, if `merged`, for each box that is one sigma wide.
 
-        Merging is faster and hardly changes the sums: Gaussians one sigma apart add up to a nearly even density.
+        With merged points, the sums take less time and hardly change, because Gaussians one sigma apart add up to a
+        nearly even density.
         """
         rows = self._merge(sigma_mm) if merged else self._rows
         cell = max(REACH * sigma_mm, float(self._extent[:2].max()) / MOST_COLUMNS)
@@ -76,8 +80,8 @@ class Mixtures:
         return rows
 
 
-RIDGE = 1e-3  # of the equations' mean diagonal: damps directions that a contact hardly determines
-SMALL = 1e-3  # rad: angles below use the series, whose next terms are below rounding
+RIDGE = 1e-3  # share of the equations' mean diagonal that damps directions which a contact hardly determines
+SMALL = 1e-3  # angle below which series are used, rad; their next terms are below rounding
 SETTLED_MM = 1e-3  # RMS move of a candidate's points at convergence
 SPACINGS = 0.5  # least standard deviation, in spacings of neighbouring points: narrower Gaussians would not overlap
 
@@ -101,11 +105,11 @@ class FilterRegRefiner(CloudRefiner):
         iterations: int = Field(default=30, ge=1, description="most iterations of expectation and maximisation")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the registration (mm) after the last iteration, or an empty one if no point was near the target."""
+        """Return the registration (mm) after the last iteration. It is empty if no point was near the target."""
         return self.register_many([source], target)[0]
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Move all candidates of a touch together. Each stops on convergence at the last standard deviation."""
+        """Register all clouds together. Each cloud stops when it has converged at the last standard deviation."""
         if not sources:
             return []
         moving, going = _Moving(sources), np.arange(len(sources))
@@ -118,7 +122,7 @@ class FilterRegRefiner(CloudRefiner):
         return moving.results()
 
     def _anneal(self, target: Cloud) -> Iterator[tuple[Mixture, bool]]:
-        """Yield the target's mixture for each iteration, and whether its standard deviation is the last one."""
+        """Yield the target's mixture for each iteration, and whether its standard deviation is the smallest."""
         options, mixtures = self.options, Mixtures(target, self.options.outlier)
         sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0
         while sigma > last and done < options.iterations:
@@ -143,7 +147,7 @@ class _Moving:
         self.found = np.zeros(len(sources), bool)
 
     def step(self, going: NDArray[np.int64], observed: Mixture, point_weight: float) -> Floats:
-        """Do one iteration of the candidates `going` (K,). Return the RMS move of each one's points (K,), mm.
+        """Do one iteration of the candidates `going` (K,). Return the RMS moves (K,) of their points, mm.
 
         The move is NaN for a candidate without a point near the observed cloud. Such a candidate does not move.
         """
@@ -173,7 +177,7 @@ class _Moving:
 def solve(equations: Floats) -> tuple[Floats, Floats]:
     """Return the twists (K, 6) that solve normal equations (K, 6, 7), and the RMS moves (K,), mm.
 
-    Both are NaN for a candidate without points.
+    Both are NaN for a candidate whose equations are empty.
     """
     diagonal = np.diagonal(equations[:, :, :6], axis1=1, axis2=2)
     turning, sliding = diagonal[:, :3].sum(axis=1), diagonal[:, 3:].sum(axis=1)

@@ -26,21 +26,21 @@ Floats = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 BLOCK = 0.8  # width of averaged blocks, in standard deviations of the blur
-SHARP = 0.3  # pixels: a narrower blur is not applied
+SHARP = 0.3  # width of the narrowest blur that is applied, pixels
 LEAST_LEVER_PX = 4.0  # least lever of a rotation about the contact's centre
 CUT = 2.5  # standard deviations at which the blur is cut off
 THINNED = 2  # pixels drawn on each side of a block
-REACH = 2.0  # maximal depths above the sensing surface: higher parts appear in no picture
+REACH = 2.0  # height above the sensing surface, in maximal depths, beyond which parts appear in no picture
 
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """Draws poses as a touch's sensor would see them, and moves them.
 
-    A picture is (P,) float32, unitless: the indentation as a share of the press, averaged over blocks of `block` x
-    `block` pixels and blurred with weights `taps` (2 K + 1,). A move (6,) is a translation along x, y, z and a rotation
-    about them through `centre_m`, the contact's centre, in units of `steps` (metres and radians). If `in_contact`, z
-    follows from contact.
+    A picture is (P,) float32, unitless: the indentation as a share of the press depth. It is averaged over blocks of
+    `block` x `block` pixels and blurred with weights `taps` (2 K + 1,). A move (6,) is a translation along x, y, z and
+    a rotation vector about the contact's centre `centre_m`, in units of `steps` (metres and radians). If `in_contact`,
+    z follows from contact.
     """
 
     mesh: TriangleMesh
@@ -67,7 +67,7 @@ class Pictures:
         taps = _make_gaussian(width_m / (block * geometry.pixel_pitch_m))
         centre_m, radius_m = _measure_contact(geometry, wanted)
         lever_m = max(radius_m, LEAST_LEVER_PX * pitch_m)
-        # A step moves the picture by half the blur or half a pixel; depths are not blurred.
+        # A step moves the picture by half the blur, or by half a pixel along z, in which depths are not blurred.
         across, along = 0.5 * max(width_m, pitch_m), 0.5 * pitch_m
         steps = np.array([across, across, along, along / lever_m, along / lever_m, across / lever_m])
         return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact, drawing)
@@ -83,7 +83,7 @@ class Pictures:
         return self.block * self.geometry.pixel_pitch_m
 
     def draw_touch(self) -> Float32:
-        """Return the touch's own picture (P,)."""
+        """Return the picture (P,) of the touch."""
         return self._draw_depths(self.wanted.depth_m[None])[0]
 
     def draw_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
@@ -95,7 +95,7 @@ class Pictures:
         return self._draw_depths(depth), T
 
     def move(self, T_sensor_object: Poses, moves: Floats) -> Poses:
-        """Return poses (N, 4, 4), metres, moved by (N, 6) steps."""
+        """Return the poses (N, 4, 4), metres, after `moves` (N, 6), in steps."""
         from scipy.spatial.transform import Rotation
 
         by = moves * self.steps
@@ -113,7 +113,7 @@ class Pictures:
 
 
 def keep_within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: Poses) -> TriangleMesh:
-    """Return the part of a mesh that can press the sensor at contact poses near these (N, 4, 4), metres."""
+    """Return the part of a mesh that can press the sensor at contact poses near the given poses (N, 4, 4), metres."""
     height = mesh.vertices_m @ T_sensor_object[:, 2, :3].T + T_sensor_object[:, 2, 3]
     near = height.min(axis=1)[mesh.faces].min(axis=1) < geometry.band.standoff_m + REACH * geometry.band.max_depth_m
     kept, faces = np.unique(mesh.faces[near], return_inverse=True)
@@ -129,7 +129,7 @@ def _measure_contact(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Fl
 
 
 def _make_gaussian(width_px: float) -> Float32:
-    """Return weights (2 K + 1,), with sum one, of a Gaussian of this standard deviation."""
+    """Return weights (2 K + 1,), with sum one, of a Gaussian whose standard deviation is `width_px`."""
     half = int(np.ceil(CUT * width_px)) if width_px > SHARP else 0
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / max(width_px, SHARP)) ** 2)
     return (weights / weights.sum()).astype(np.float32)

@@ -1,8 +1,8 @@
 """Render and compare: moves a pose until its rendered picture matches the touch.
 
-Registration compares surfaces where both are in contact. Here every pixel counts, including pixels without contact.
-Pictures are drawn exactly, triangle by triangle, not by the scene's renderer. A renderer with inexact edges would put
-steps into the cost.
+Registration compares touch and object only where both are in contact. Here, every pixel counts, including pixels
+without contact. Pictures are drawn exactly, triangle by triangle, not by the scene's renderer. With a renderer whose
+edges are inexact, the cost would have steps.
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from tactile_loc.plugins.refiners.render.pictures import Float32, Floats, Pictur
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])  # factors of the last good damping to try
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 30.0
-STIFFER = 30.0  # factor of the damping when no tried one helps
+STIFFER = 30.0  # factor of the damping when no tried damping lowers the cost
 FARTHEST = 4.0  # largest move in an iteration, steps
 TINY = 1e-9  # least curvature: keeps directions without information in place
-SEEN = 0.02  # least share of the press of a pressed pixel
+SEEN = 0.02  # least indentation of a pressed pixel, share of the press depth
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Moves poses (K, 4, 4), metres, until their pictures match the touch's, `wanted` (P,).
+    """Moves poses (K, 4, 4), metres, until their pictures match `wanted` (P,), the picture of the touch.
 
-    Differences much beyond `tolerance` (a share of the press) count as errors of the touch: Geman and McClure's
-    kernel. `hold` (unitless) weighs the squared distance from the start poses, `start` (K, 12) in the metric's space,
-    against the touch's noise. So noise does not move a pose along directions that the touch hardly determines.
+    Differences much larger than `tolerance`, a share of the press depth, hardly count (Geman and McClure's kernel).
+    They are taken as errors of the touch. `start` (K, 12) are the start poses in the metric's space. `hold` (unitless)
+    is the weight of the squared distance from the start, relative to the touch's noise. This term prevents noise from
+    moving a pose along directions that the touch hardly determines.
     """
 
     pictures: Pictures
@@ -61,7 +62,10 @@ class Descent:
     def _step(
         self, T: Poses, picture: Float32, damping: Floats, start: Floats
     ) -> tuple[Poses, Float32, Floats, Floats]:
-        """Return poses, pictures and dampings after one iteration, and the moves (K,) in steps (inf: no move)."""
+        """Do one iteration. Return the new poses, pictures and dampings, and the moves (K,) in steps.
+
+        The move is inf for a pose that no damping improved.
+        """
         A, b, hold = self._build_equations(T, picture, start)
         tried = damping[:, None] * DAMPINGS
         moves = _solve(A, b, tried) @ self.pictures.directions
@@ -81,7 +85,10 @@ class Descent:
         return seen.reshape(count, many, -1), there.reshape(count, many, 4, 4)
 
     def _build_equations(self, T: Poses, picture: Float32, start: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return A (K, D, D) and b (K, D) of Gauss-Newton's A move = -b, in steps, and the distance weights (K,)."""
+        """Return A (K, D, D) and b (K, D) of the Gauss-Newton equations A move = -b, and the distance weights (K,).
+
+        Moves are in steps.
+        """
         directions = self.pictures.directions
         both = np.broadcast_to(np.concatenate([directions, -directions]), (len(T), 2 * len(directions), 6))
         seen, there = self._draw(T, both)
@@ -96,7 +103,7 @@ class Descent:
         return A, b, hold
 
     def _hold(self, r: Float32, w: Float32, picture: Float32) -> Floats:
-        """Return the weights (K,), per square metre, of the distance from the start: `hold` times the variance."""
+        """Return the weights (K,), per m^2, of the squared distance from the start: `hold` times the noise variance."""
         pressed = (np.maximum(picture, self.wanted) > SEEN).sum(axis=1)
         variance = (w * r * r).sum(axis=1) / np.maximum(pressed, 1)
         return np.asarray(self.hold * variance / self.pictures.pixel_m**2, float)
@@ -116,7 +123,10 @@ def _difference_centrally(both: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _solve(A: Floats, b: Floats, dampings: Floats) -> Floats:
-    """Return moves (K, M, D), at most FARTHEST long, of A (K, D, D) and b (K, D) at dampings (K, M)."""
+    """Return the moves (K, M, D) that solve A move = -b with dampings (K, M), for A (K, D, D) and b (K, D).
+
+    Moves are limited to FARTHEST steps.
+    """
     count = A.shape[1]
     ridge = np.trace(A, axis1=1, axis2=2)[:, None] / count * dampings + TINY
     damped = A[:, None] + ridge[..., None, None] * np.eye(count)
@@ -125,17 +135,17 @@ def _solve(A: Floats, b: Floats, dampings: Floats) -> Floats:
     return np.asarray(moves * np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST)), float)
 
 
-ON_THE_WAY, SETTLED = 0.25, 0.1  # largest move at convergence before the last descent and in it, steps
+ON_THE_WAY, SETTLED = 0.25, 0.1  # largest move at convergence, steps: before the last descent, and in the last descent
 ROUGHLY = 0.02  # loss of contact IoU that is within the error of counting pixels
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 
 class RenderRefiner(Refiner):
-    """Descends from blurred pictures, which have a wide basin of attraction, to sharp ones.
+    """Compares blurred pictures first, which have a wide basin of attraction, and sharp pictures last.
 
-    z is free until the last descent, in which it follows from contact. With z from contact, the cost has folds: the
-    point that touches first jumps as the object tilts.
+    z is free until the last descent, in which z follows from contact. If z follows from contact, the cost has folds,
+    because the point that touches first jumps when the object tilts.
     """
 
     class Options(ComponentOptions):
@@ -156,9 +166,9 @@ class RenderRefiner(Refiner):
         spread_mm: float = Field(default=2.0, gt=0, description="usual error of candidates, mm")
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the pose (4, 4), metres, near the candidate's whose picture matches the touch best.
+        """Return the pose (4, 4), metres, near the candidate's pose whose picture matches the touch best.
 
-        The candidate's own pose is returned when it explains the touch better.
+        The candidate's own pose is returned if it explains the touch better than the refined pose.
         """
         return self.refine_many(touch, [candidate], scene)[0]
 
@@ -187,7 +197,7 @@ class RenderRefiner(Refiner):
         return [RefinedPose(pose.copy(), float(fit), bool(ok), int(count)) for pose, fit, ok, count in rows]
 
     def _descend(self, touch: Touch, T: Poses, scene: Scene) -> tuple[Poses, Flags, Counts]:
-        """Return poses (K, 4, 4) after all descents, whether each converged (K,), and all iterations (K,)."""
+        """Return the poses (K, 4, 4) after all descents, whether each converged (K,), and the total iterations (K,)."""
         options, metric = self.options, PoseMetric(scene.object)
         geometry, wanted = touch.thin(options.image_px)
         still, iterations = np.zeros(len(T), bool), np.zeros(len(T), np.int64)

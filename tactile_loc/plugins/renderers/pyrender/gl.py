@@ -1,4 +1,7 @@
-"""The OpenGL side of the pyrender renderer. Set PYOPENGL_PLATFORM before importing it: PyOpenGL reads it on import."""
+"""The OpenGL side of the pyrender renderer. Set PYOPENGL_PLATFORM before importing this module.
+
+PyOpenGL reads this variable on import.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ from scipy.sparse.csgraph import connected_components
 
 from tactile_loc.plugin import RenderError, SensorGeometry, TriangleMesh
 
-# pyrender disables multisampling for segmentation only. With multisampling, the depth is taken off the pixel's
-# centre: tens of micrometres wrong on a slope.
+# pyrender disables multisampling for segmentation only. With multisampling, the depth is not taken at the pixel's
+# centre. On a slope, it is then wrong by tens of micrometres.
 _FLAGS = RenderFlags.DEPTH_ONLY | RenderFlags.SEG
 _BLACK = (0, 0, 0)
 
@@ -25,14 +28,16 @@ _BLACK = (0, 0, 0)
 class DepthCamera(pyrender.Camera):  # type: ignore[misc]
     """A camera with any principal point and focal lengths that projects points given in the sensor frame.
 
-    pyrender linearises the depth buffer of every camera as if it were perspective, with its znear and zfar. These are 1
-    and 2 here, and `depth_m` undoes the linearisation. The true clipping planes are near and far.
+    pyrender linearises the depth buffer of every camera as if the camera were perspective, with the camera's znear and
+    zfar. These are 1 and 2 here, and `depth_m` undoes the linearisation. The true clipping planes are `_near_m` and
+    `_far_m`.
     """
 
     def __init__(self, geometry: SensorGeometry) -> None:
         super().__init__(znear=1.0, zfar=2.0)
         self._geometry = geometry
-        # A tenth of the standoff keeps parts that stick out beside the sensor; 24 bits resolve tens of nanometres.
+        # With a near plane at a tenth of the standoff, parts that stick out beside the sensor are not clipped. The 24
+        # bits of the depth buffer still resolve tens of nanometres.
         self._near_m = 0.1 * geometry.standoff_m if geometry.is_pinhole else 0.0
         self._far_m = geometry.standoff_m + 1.01 * geometry.max_depth_m
 
@@ -59,7 +64,7 @@ class DepthCamera(pyrender.Camera):  # type: ignore[misc]
 
 
 class DepthScene:
-    """One mesh before one camera."""
+    """A scene with one mesh and one camera."""
 
     def __init__(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         self.mesh, self.geometry = mesh, geometry
@@ -70,15 +75,16 @@ class DepthScene:
         self._node = self._scene.add(pyrender.Mesh([surface]))
 
     def draw(self, offscreen: Offscreen, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return camera depths (H, W) in metres at one pose (4, 4), inf without a surface."""
+        """Return camera depths (H, W), metres, at one pose (4, 4). Pixels without a surface are inf."""
         self._scene.set_pose(self._node, T_sensor_object)
         return self._camera.depth_m(offscreen.render(self._scene, _FLAGS, {self._node: _BLACK}))
 
 
 def choose_faces(mesh: TriangleMesh) -> NDArray[np.int64]:
-    """Return the faces (F', 3), with both windings of faces that may be seen from behind: pyrender drops back faces.
+    """Return the faces (F', 3) to draw. Faces that may be seen from behind are listed with both windings.
 
-    Only a connected part that is closed and wound outward is never seen from behind.
+    This is needed because pyrender does not draw back faces. Only the faces of a connected part that is closed and
+    wound outward are never seen from behind.
     """
     count = len(mesh.vertices_m)
     start, end = mesh.faces[:, [0, 1, 2]].T.ravel(), mesh.faces[:, [1, 2, 0]].T.ravel()
@@ -96,8 +102,8 @@ def choose_faces(mesh: TriangleMesh) -> NDArray[np.int64]:
 class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
     """pyrender's offscreen renderer, made compatible with other OpenGL contexts and threads.
 
-    The original stays current in the thread that drew last, so no other thread can use it. It also calls eglTerminate
-    at the end, which invalidates every other context of the process.
+    The context of the original renderer stays current in the thread that drew last, so no other thread can use it. The
+    original also calls eglTerminate at the end, which invalidates every other context of the process.
     """
 
     _platform: Any = None
@@ -120,9 +126,9 @@ class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
             EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
 
     def delete(self) -> None:
-        """Free this renderer's OpenGL resources, if they are not freed already.
+        """Free this renderer's OpenGL resources, unless they are already free.
 
-        A renderer may be collected while another one draws in the same thread, so the current context is restored.
+        A renderer may be deleted while another renderer draws in the same thread, so the current context is restored.
         """
         platform, renderer, self._renderer = self._platform, self._renderer, None
         if platform is None or renderer is None:

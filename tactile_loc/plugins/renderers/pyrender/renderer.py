@@ -39,14 +39,14 @@ class PyrenderRenderer(Renderer):
         return depth
 
     def _prepare_context(self, geometry: SensorGeometry) -> Offscreen:
-        """Return the OpenGL context, made at first use, set to the geometry's picture size."""
+        """Return the OpenGL context, set to the geometry's picture size. The context is made at first use."""
         if self._offscreen is None:
             self._offscreen = _open(geometry)
         self._offscreen.viewport_height, self._offscreen.viewport_width = geometry.shape
         return self._offscreen
 
     def _prepare_scene(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
-        """Return a scene of the mesh and the camera; the last scene is reused for the same two."""
+        """Return a scene of the mesh and the camera. The last scene is reused if both are the same objects."""
         from tactile_loc.plugins.renderers.pyrender.gl import DepthScene
 
         if self._scene is None or self._scene.mesh is not mesh or self._scene.geometry is not geometry:
