@@ -61,7 +61,7 @@ def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | Non
 
 
 def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
-    """Return the page's state for a frame, as JSON values. `made` is the contact shape that the frame's pose predicts."""
+    """Return the page's state for a frame, as JSON values. `made` is the contact shape predicted by its pose."""
     geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
     shape = None if touch is None else touch.contact_shape
     T = result.located.T_sensor_object
