@@ -36,7 +36,7 @@ def test_first_point_is_that_of_the_formula():
 
 @pytest.mark.parametrize("count", [10, 100, 1000, 10_000])
 def test_no_quaternion_is_near_another_or_its_antipode(count):
-    """Two rotations (each is q and -q) are at least half as far apart as the side of a cube with their share of SO(3)."""
+    """The closest rotations are at least half as far apart as the side of a cube with one rotation's share of SO(3)."""
     q = super_fibonacci_quaternions(count)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1)
     R = super_fibonacci_rotations(count)
