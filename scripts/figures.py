@@ -190,7 +190,7 @@ def renew_pages() -> list[Path]:
 
 
 def bind(run: str, folder: Path = RESULTS, root: Path = ROOT) -> None:
-    """Keep the documentation's sentences about a run in the run's results file. Raises SystemExit for an unknown run."""
+    """Keep the documentation's sentences about a run in its results file. Raises SystemExit for an unknown run."""
     results = read_latest(folder)
     if run not in results:
         raise SystemExit(f"bench: there is no run {run}; there are {', '.join(results)}")

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Give damaged inputs to every reader, which must read them correctly or refuse them in one sentence.
 
-The reader's name, the seed and a number define an input. A finding is an exception that is not one of tactile-loc's
-own, a refusal that is not one sentence or names no file, a use of more than a minute or 3 GiB, a process that dies, or a
-file written elsewhere. OUT/findings/READER-NUMBER has a finding and its input. OUT/state.json keeps the counts. The
-same command continues from this file.
+The reader's name, the seed and a number define an input. There are these kinds of findings: an exception that is not
+one of tactile-loc's own; a refusal that is not one sentence, or names no file; the use of more than a minute or 3 GiB;
+a process that dies; and a file written elsewhere. OUT/findings/READER-NUMBER has a finding and its input.
+OUT/state.json keeps the counts. The same command continues from this file.
 """
 
 from __future__ import annotations

@@ -103,9 +103,9 @@ def locate(localizer: Localizer, touches: list[Touch]) -> Iterator[bool]:
 
 
 def track(localizer: Localizer, frames: list[Frame], count: int) -> Iterator[bool]:
-    """Track a slide to and fro. Yield for each frame False, and for the last frame whether a new tracker's poses differ.
+    """Track a slide to and fro. Yield False for each frame except the last.
 
-    The new tracker's poses are compared with the first tracker's.
+    For the last frame, yield whether the poses of a new tracker differ from the poses of the first tracker.
     """
     first, tracker = _track_once(localizer, frames), _start_tracker(localizer, frames)
     for number, frame in zip(range(count), itertools.cycle([*frames, *frames[-2:0:-1]]), strict=False):

@@ -138,7 +138,7 @@ class Trials:
 
 
 def _kill_once(trials: Trials) -> str:
-    """Start and kill a command repeatedly, and keep its files, until it is allowed to finish or ends before the kill."""
+    """Start and kill a command repeatedly, on the files that it left, until it finishes."""
     draw, place, line = trials.make_generator(), Place(trials.folder), COMMANDS[trials.name]
     calm, stored, before = trials.plan.run_calm(trials.name), _begin_anew(place, trials.plan.inputs, draw), set[str]()
     while True:
