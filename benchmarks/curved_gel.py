@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """The errors from assuming that a curved gel is flat.
 
-Objects touch the DIGIT with a spherical gel from any direction, by 30 to 90 % of the sensor's deepest press. The touches
-are drawn by ray casting. They are located with the geometry of the curved gel, and with that of a flat gel. Touches on
-a flat gel are the reference. For one touch and for three, the table has the median error (root mean square over the
-surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm.
+Objects are pressed from any direction on the DIGIT with a spherical gel, by 30 to 90 % of the sensor's deepest press.
+The touches are drawn by ray casting. They are located with the geometry of the curved gel, and with the geometry of a
+flat gel. Touches on a flat gel are the reference. For one touch and for three, the table has the median error (root
+mean square over the surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 """The number of presses for a calibration: the error of the surface angle against the number of training presses.
 
 The public sets are those of `real_images.py`, reduced as by `tactile-loc calibrate`, with labels by hand. Each of
-several splits holds out a fifth of the presses, for all numbers of presses the same. Training presses are chosen from
-the others, at random or spread over the gel. Spreading starts with the press nearest to the gel's middle, and
+several splits holds out a fifth of the presses, whatever the number of training presses. Training presses are chosen
+from the others, at random or spread over the gel. Spreading starts with the press nearest to the gel's middle, and
 repeatedly adds the press farthest from all chosen presses.
 """
 

@@ -4,10 +4,10 @@
 Each example has a part at rest at a random pose, a mount with an offset of a few centimetres and any rotation, and
 random contacts of the part, which give the flange poses. Contacts are drawn by ray casting, which the localizer does
 not use. For every level of noise and number of touches, the table has the number of refused mounts. For all other
-mounts, it has the median error and the 90 % quantile (of the sensor frame's origin, and of its rotation), the share of
-truths in the 95 % ellipsoid, the share of excluded touches, and the median time. Models are built beforehand. With
-`--outlier`, the flange's pose of one touch in each example is wrong by 5 mm and 10 degrees. Then the table also has the
-share of examples that exclude this touch.
+mounts, it has the median and the 90 % quantile of the errors of the sensor frame's origin and rotation. It also has the
+share of truths in the 95 % ellipsoid, the share of excluded touches, and the median time. Models are built beforehand.
+With `--outlier`, the flange's pose of one touch in each example is wrong by 5 mm and 10 degrees. Then the table also
+has the share of examples that exclude this touch.
 """
 
 from __future__ import annotations
