@@ -59,7 +59,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
 
 @contextmanager
 def kill_at_random(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterator[list[int]]:
-    """Kill one of the processes `victims` when the folder `rows` has `after` rows. Yield a list for the killed process."""
+    """Kill a process of `victims` when the folder `rows` has `after` rows. Yield a list for the killed process."""
     killed: list[int] = []
     over = threading.Event()
 
