@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""Tests that any option of a slot works with any option of the others: combinations locate a touch, or are refused.
+"""Test that components of all slots work together: each combination locates a touch, or is refused.
 
 One face of a small chamfered box is pressed on a GelSight Mini, without noise. A touch of this face determines the pose
-up to the box's symmetry. Each combination of renderer, grid, encoder, matcher, refiner and fuser locates it. The fuser
-`product` fuses one touch and two touches; `kinematic` fuses two, because one touch does not inform it. Touches are
-drawn by another renderer than the tested one. The error is the symmetric surface distance (RMS) of the nearest of the
-ten listed poses, whatever its probability. An error above the refiner's limit counts as a failure (0.3 mm; kiss-icp
-0.6; none 2, the finest grid's spacing). With two touches, each refiner refines separately (`together="each"`). A
-refused combination must be refused with a reason before anything is built.
+up to the box's symmetry. Each combination of renderer, grid, encoder, matcher, refiner and fuser locates the box. The
+fuser `product` fuses one touch and two touches. The fuser `kinematic` fuses only two, because it learns nothing from
+one touch. Touches are drawn by another renderer than the tested one. The error is the symmetric surface distance (RMS)
+of the nearest of the ten listed poses, whatever its probability. An error above the refiner's limit counts as a
+failure. The limits are 0.3 mm, 0.6 mm for kiss-icp, and 2 mm for none (the finest grid's spacing). With two touches,
+each touch is refined separately (`together="each"`). A refused combination must be refused with a reason before
+anything is built.
 
 `--out` keeps a row for each combination, and only missing combinations are measured. `--renderers`, `--grids`, ...
 choose a subset. The encoder `outline` comes with `pip install -e plugins_contrib/tactile-loc-outline`.
@@ -87,7 +88,7 @@ def chamfered_box() -> ObjectModel:
 
 
 def combinations(options: Mapping[str, Iterable[str]] = OPTIONS) -> Iterator[Combination]:
-    """Yield all combinations, ordered so that neighbours share built stages."""
+    """Yield all combinations, in an order in which consecutive combinations share built stages."""
     for names in itertools.product(*options.values()):
         yield dict(zip(options, names, strict=True))
 
@@ -99,7 +100,7 @@ def configure(combination: Combination) -> RunConfig:
 
 
 def touches(obj: ObjectModel, localizer: Localizer, renderer: str) -> list[Touch]:
-    """Return the clean touches of the box's face, drawn by another renderer than this one; the base is the object."""
+    """Return the clean touches of the box's face, drawn by another renderer. The base frame is the object's frame."""
     other = registry().create("renderer", "zbuffer" if renderer == "raycast" else "raycast", {})
     deepest = localizer.scene.geometry
     scene = Scene(obj, deepest.press(PRESS_M, deepest.max_depth_m), other)
@@ -119,7 +120,7 @@ def make_localizer(combination: Combination, obj: ObjectModel, store: StageStore
 
 
 def try_combination(combination: Combination, obj: ObjectModel, store: StageStore) -> Row:
-    """Locate the touches by a combination. Return the errors, mm, by number of touches, or the reason of a failure."""
+    """Locate the touches with a combination. Return its row: errors, mm, by number of touches, or why it failed."""
     before = len(store.built)
     row: Row = {**combination, "refused": "", "failed": ""}
     try:
@@ -138,7 +139,7 @@ def try_combination(combination: Combination, obj: ObjectModel, store: StageStor
 
 
 def locate(localizer: Localizer, pressed: list[Touch]) -> dict[str, float]:
-    """Return the errors, mm, of one touch, if the fuser uses its shape, and of all touches."""
+    """Return the errors, mm, with all touches and, if the fuser uses contact shapes, with one touch."""
     alone = [] if localizer.fuser.capabilities.contact_only else pressed[:1]
     groups = {str(len(some)): some for some in (alone, pressed) if some}
     return {count: error_mm(localizer, some) for count, some in groups.items()}
@@ -158,7 +159,7 @@ def key_of(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def print_table(rows: list[Row], options: Mapping[str, Iterable[str]]) -> None:
-    """Print a row for each grid, encoder and matcher; a refiner's column has the worst error over the others, mm."""
+    """Print a row for each grid, encoder and matcher. A refiner's column has the worst error of these rows, mm."""
     refiners = list(options["refiner"])
     print("| grid | encoder | matcher | " + " | ".join(refiners) + " | combinations | refused | failed |")
     print("|---" * (len(refiners) + 6) + "|")
@@ -198,7 +199,7 @@ def main() -> None:
 def _measure(
     options: Mapping[str, Iterable[str]], obj: ObjectModel, store: StageStore, out: Path | None
 ) -> Iterator[Row]:
-    """Yield the row of each combination, read from the file, or measured now and added to it."""
+    """Yield the row of each combination. A row that is not in the file is measured now, and added to the file."""
     lines = out.read_text(encoding="utf-8").splitlines() if out is not None and out.exists() else []
     known = {key_of(row): row for row in map(json.loads, lines)}
     for combination in combinations(options):

@@ -2,21 +2,21 @@
 """Errors of locating objects from touches from any direction, by the number of touches.
 
 Each example is an object at rest that is pressed from random directions, by 30 to 90 % of the sensors' deepest press.
-Every contact of at least 0.25 % of the sensor counts, edges and corners too. The touches are drawn by ray casting,
+Every contact of at least 0.25 % of the sensor counts, also at edges and corners. The touches are drawn by ray casting,
 which the localizer does not use. The whole object is searched.
 
-For every number of touches the table has the share of examples within 0.5 and 1 mm (root mean square over the surface,
-modulo symmetry) and the median error. It also has the share with any hypothesis that near. A
-set of touches is ambiguous if a pose more than 1 mm away explains all touches as well as the true pose. The table has
-their share, and the share within 0.5 mm of the others. For poses within 1 mm it has the median normalised error squared
-(5.35 for true covariances). The last columns are presses without contact, examples that ended in an error, and the
-time.
+For every number of touches, the table has the share of examples within 0.5 and 1 mm (root mean square over the surface,
+modulo symmetry), the median error, and the share with any hypothesis within these distances. A set of touches is
+ambiguous if a pose more than 1 mm away explains all touches as well as the true pose. The table has the share of
+ambiguous sets, and the share within 0.5 mm among all other sets. For poses within 1 mm, it has the median normalised
+error squared (5.35 for true covariances). The last columns are presses without contact, examples that ended in an
+error, and the time.
 
-`--clean`, `--strong` and `--misplaced` choose the errors of the touches; by default all three. `--fingers` presses
-objects between two opposed sensors instead, and reports z. `--outliers` makes one touch of each example wrong, by its
-sensor's pose (5 mm, 10 degrees) or by being of the next object, or none. Then it counts how often the wrong touch is
-named, a right one, or none although no pose explains all touches. Meshes are given as FILE[:UNITS] or a demo object's
-name.
+`--clean`, `--strong` and `--misplaced` choose the errors of the touches; the default is all three. `--fingers` presses
+objects between two opposed sensors instead, and reports z. With `--outliers`, one touch of each example is wrong, or
+none. A wrong touch has a wrong sensor pose (5 mm, 10 degrees), or is a touch of the next object. The table then counts
+how often the wrong touch is named, a right touch is named, or no touch is named although no pose explains all touches.
+Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ LEVELS: dict[str, dict[str, Any]] = {
     "strong": {"noise": TouchNoise(**{**NOISE["strong"].__dict__, "press_share": (1.0, 1.0)})},
     "misplaced": {"sensor_std_m": 0.5e-3, "sensor_std_rad": np.radians(0.5)},
 }
-AS_WELL = 0.01  # imprint IoU: a smaller difference counts as equally good
+AS_WELL = 0.01  # poses with a smaller difference of the imprint IoU count as equally good
 MOVED_MM, MOVED_DEG = 5.0, 10.0
 KINDS = ("none", "moved", "other object")
 VERDICTS = ("agree", "named", "wrongly named", "no touch named", "failed")
@@ -63,8 +63,8 @@ VERDICTS = ("agree", "named", "wrongly named", "no touch named", "failed")
 class Located(NamedTuple):
     """Errors of a located object, mm: of the chosen pose, of the nearest hypothesis, and of the chosen pose along z.
 
-    Further, the chosen pose's normalised error squared, and whether a hypothesis more than 1 mm away explains the
-    touches as well as the true pose. The default values are those of an example that ended in an error.
+    `nees` is the chosen pose's normalised error squared. `undetermined` is true if a hypothesis more than 1 mm away
+    explains the touches as well as the true pose. The default values describe an example that ended in an error.
     """
 
     chosen_mm: float = np.inf
@@ -75,7 +75,7 @@ class Located(NamedTuple):
 
 
 def locate(localizer: Localizer, touches: list[Touch], found: Localization) -> Located:
-    """Locate an object from touches, and compare it with the known true poses."""
+    """Return the errors of a result, given the touches with their true poses."""
     truth = np.asarray(touches[0].T_sensor_object)
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     metric, chosen = PoseMetric(localizer.object), found.best.refined
@@ -92,7 +92,7 @@ def locate(localizer: Localizer, touches: list[Touch], found: Localization) -> L
 
 
 def draw_examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[tuple[list[Touch], int]]:
-    """Draw the examples, which are the same for every level: their number is their seed."""
+    """Draw the examples. They are the same for every level, because an example's number is its seed."""
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
         if arguments.fingers:
@@ -153,7 +153,7 @@ def move(touch: Touch, rng: np.random.Generator) -> Touch:
 def spoil(
     touches: RobotTouches, strangers: RobotTouches, count: int, rng: np.random.Generator
 ) -> tuple[int, dict[str, list[Touch]]]:
-    """Return the number of one touch, and the touches of an example with each of KINDS of errors in it."""
+    """Return the number of a touch, and the touches of an example with each of the `KINDS` of errors in this touch."""
     right, _ = touches.draw_example(count, rng)
     wrong = int(rng.integers(count))
     (stranger,), _ = strangers.draw_example(1, rng)
@@ -163,7 +163,7 @@ def spoil(
 
 
 def judge(agreement: Agreement, wrong: int | None) -> str:
-    """Return which of VERDICTS applies to an example whose touch number `wrong` is wrong; None if no touch is."""
+    """Return the verdict, one of `VERDICTS`, on an example. `wrong` is the number of its wrong touch, or None."""
     if not agreement.contradictory:
         return "agree"
     if not agreement.outliers:
@@ -174,7 +174,7 @@ def judge(agreement: Agreement, wrong: int | None) -> str:
 def measure_outliers(
     localizer: Localizer, other: ObjectModel, arguments: argparse.Namespace, level: str
 ) -> list[dict[str, Any]]:
-    """Return a row for each number of touches and kind of error in one of them."""
+    """Return a row for each number of touches and each kind of error in one touch."""
     raycast = registry().create("renderer", "raycast", {})
     ours, theirs = (
         RobotTouches(obj, localizer.scene.geometry, raycast, **LEVELS[level]) for obj in (localizer.object, other)

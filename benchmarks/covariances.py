@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Whether the covariances of refined poses match their errors.
+"""Comparison of refined poses' covariances with the poses' errors.
 
 Each example is an object at rest that is pressed from random directions, as in `contacts.py`. Hypotheses start near the
-truth, as in `joint.py`, and the one that explains the touches best is chosen. For each level and number of touches, the
-table has the share that ends within 3 mm (the others converged to another pose). For these it has the median error
-(root mean square over the surface), the median normalised estimation error squared (5.35 for true covariances), and the
-shares of truths in the 50 and 95 % ellipsoids. Sensor poses are exact, or wrong by 0.5 mm and 0.5 degrees where
-misplaced, and the touches state these errors.
+truth, as in `joint.py`, and the hypothesis that explains the touches best is chosen. For each level and number of
+touches, the table has the share of examples that end within 3 mm. The other examples converged to another pose. For
+examples within 3 mm, it has the median error (root mean square over the surface), the median normalised estimation
+error squared (5.35 for true covariances), and the shares of truths in the 50 and 95 % ellipsoids. At the level
+"misplaced", sensor poses are wrong by 0.5 mm and 0.5 degrees, and the touches state these errors.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """How often credible sets of poses contain the true pose, by the number of touches.
 
-For each object there are held-out examples of 1, 2, 3 and 7 simulated touches with strong noise; none of them took part
-in a fit. The truth is the grid pose nearest to the true pose. For every number of touches the table has the share of
-truths in the 50, 80 and 95 % credible sets of the fused posterior, and the same for the uncalibrated product of
-probabilities. For split conformal sets it has the share of all examples, the share in the quarter with the greatest
-entropy, and the median number of poses in a set.
+For each object there are examples of 1, 2, 3 and 7 simulated touches with strong noise. No example was used for a fit.
+The truth is the grid pose nearest to the true pose. For every number of touches, the table has the share of truths in
+the 50, 80 and 95 % credible sets of the fused posterior, and of the uncalibrated product of probabilities. For split
+conformal sets, it has the share of truths in the sets over all examples, the same share over the quarter of examples
+with the greatest entropy, and the median number of poses in a set.
 
 `--whole` searches the whole object. A truth that was not found counts as the least likely pose, with the probability
 that the posterior gives to poses elsewhere. The share of found truths and their mean probability are printed. Meshes
@@ -52,7 +52,7 @@ def draw_examples(
 
 
 def measure_coverage(posteriors: list[PosePosterior], truths: list[int], rng: np.random.Generator) -> list[float]:
-    """Return the shares of truths in the credible sets of LEVELS."""
+    """Return the share of truths in the credible sets of each of the `LEVELS`."""
     levels = np.array([
         p.credible_level(t, lot) if t >= 0 else 1 - p.elsewhere * (1 - lot)
         for p, t, lot in zip(posteriors, truths, rng.random(len(truths)), strict=True)

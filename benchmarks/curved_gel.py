@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """The errors from assuming that a curved gel is flat.
 
-Touches come from any direction on the DIGIT with a spherical gel, drawn by ray casting and pressed by 30 to 90 % of the
-sensor's deepest press. They are located with the curved gel, and with a flat gel. Touches on a flat gel are the
-reference. For one touch and for three, the table has the median error (root mean square over the surface, modulo
-symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm.
+Objects are pressed from any direction on the DIGIT with a spherical gel, by 30 to 90 % of the sensor's deepest press.
+The touches are drawn by ray casting. They are located with the geometry of the curved gel, and with the geometry of a
+flat gel. Touches on a flat gel are the reference. For one touch and for three, the table has the median error (root
+mean square over the surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
-CASES = {  # gel that is touched, gel for locating
+CASES = {  # sensor that is touched, sensor whose geometry is used for locating
     "curved gel, located as curved": ("digit-curved", "digit-curved"),
     "curved gel, taken for flat": ("digit-curved", "digit"),
     "flat gel": ("digit", "digit"),
@@ -37,7 +37,7 @@ def convert_touch(touch: Touch, localizer: Localizer) -> Touch:
 
 
 def find(localizer: Localizer, touches: list[Touch]) -> Located:
-    """Locate the object from touches; a refusal counts as nothing found."""
+    """Locate the object from touches. If this ends in an error, the result is that nothing was found."""
     try:
         return locate(localizer, touches, localize_together([(localizer, touch) for touch in touches]))
     except TactileLocError:

@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
 """Pixel matching compared with the learned encoder, on the same noisy touches, in one run.
 
-For each mesh: one face, a grid of about `--poses` poses, `--touches` simulated touches at poses off the grid, and the
-encoders' default settings. Errors are medians of ADD over 10 000 surface points, modulo symmetry, and in brackets as a
-share of a random pose's mean error. Meshes are given as FILE[:UNITS]; by default the demo objects. Results are kept in
-`--out`, so an interrupted run can be resumed. Training is timed when it happens.
+For each mesh, one face has a grid of about `--poses` poses, and `--touches` simulated touches have poses between the
+grid poses. The encoders have their default settings. Errors are medians of ADD over 10 000 surface points, modulo
+symmetry, and in brackets as a share of a random pose's mean error. Meshes are given as FILE[:UNITS]; the default is all
+demo objects. Results are kept in `--out`, so an interrupted run can be resumed. Training is timed when it happens.
 
-With `--whole` the whole object is searched instead, from touches of random directions, without, with mild and with
-strong noise. They are drawn by ray casting, which the localizer does not use. The table has two
-shares of touches. In the first, one of the 1000 most similar rotated places is within 3 mm of the true pose. In the
-second, one of ten hypotheses is within 1 mm (root mean square over the surface, modulo symmetry).
+With `--whole`, the whole object is searched instead, from touches of random directions: without noise, with mild noise
+and with strong noise. The touches are drawn by ray casting, which the localizer does not use. The table has two shares
+of touches. *near*: one of the 1000 most similar rotated places is within 3 mm of the true pose. *listed*: one of ten
+hypotheses is within 1 mm. Both distances are root mean squares over the surface, modulo symmetry.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WHOLE_ENCODERS: dict[str, dict[str, Any]] = {
 LEVELS = ("none", "mild", "strong")
 NEAR_M, LISTED_M = 3e-3, 1e-3
 LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "random")
-MATCHED = 20_000  # keys in the matcher's timing
+MATCHED = 20_000  # number of keys for timing the matchers
 
 
 def make_config(arguments: argparse.Namespace, encoder: dict[str, str], spacing_mm: float) -> RunConfig:
@@ -90,7 +90,7 @@ def _read_notes(out: Path) -> dict[str, float]:
 
 
 def _write_note(out: Path, name: str, seconds: float) -> None:
-    """Write the duration of a training for a run that resumes this one."""
+    """Write the duration of a training, for a run that resumes this run."""
     (out / "training.json").write_text(json.dumps({**_read_notes(out), name: seconds}) + "\n")
 
 
@@ -119,7 +119,7 @@ def write_header() -> str:
 
 
 def summarise(rows: list[dict[str, Any]]) -> str:
-    """Return a comparison of the learned encoder over all objects."""
+    """Return a comparison of the learned encoder with pixels over all objects."""
     ratios = np.array([r["moco"]["median_mm"]["best-1"] / r["pixel"]["median_mm"]["best-1"] for r in rows])
     listed = {r["object"]: r["moco"]["median_mm"]["best-10"] / r["moco"]["median_mm"]["closest"] for r in rows}
     worst = max(listed, key=lambda name: listed[name])
@@ -131,7 +131,7 @@ def summarise(rows: list[dict[str, Any]]) -> str:
 
 
 def time_matching(floats: int) -> dict[str, float]:
-    """Return each matcher's median milliseconds for scoring MATCHED keys of this size for one touch."""
+    """Return each matcher's median time, ms, for scoring `MATCHED` keys of `floats` numbers for one touch."""
     rng = np.random.default_rng(0)
     bank = rng.standard_normal((MATCHED, floats), dtype=np.float32)
     found = {}
@@ -148,7 +148,7 @@ def time_matching(floats: int) -> dict[str, float]:
 
 
 def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> dict[str, Any]:
-    """Search the whole object with one encoder. Return the shares of near and of listed truths, by level of noise."""
+    """Search the whole object with one encoder. Return the shares "near" and "listed" for each level of noise."""
     changed = json.loads(arguments.moco) if name == "moco" else {}
     settings = {
         "sensor": arguments.sensor, "encoder": {**WHOLE_ENCODERS[name], **changed},

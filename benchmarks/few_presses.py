@@ -2,9 +2,9 @@
 """The number of presses for a calibration: the error of the surface angle against the number of training presses.
 
 The public sets are those of `real_images.py`, reduced as by `tactile-loc calibrate`, with labels by hand. Each of
-several splits holds out the same fifth of the presses. Training presses are chosen from the others, at random or spread
-over the gel. Spreading starts with the press nearest to the gel's middle, and adds the press farthest from those
-chosen.
+several splits holds out a fifth of the presses, whatever the number of training presses. Training presses are chosen
+from the others, at random or spread over the gel. Spreading starts with the press nearest to the gel's middle, and
+repeatedly adds the press farthest from all chosen presses.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ COUNTS = (1, 2, 5, 10, 20)
 
 
 def choose_at_random(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
-    """Return the numbers of `count` random presses; a larger choice contains the smaller ones."""
+    """Return the numbers of `count` random presses. With the same seed, a larger choice contains a smaller one."""
     order = np.random.default_rng(1000 + seed).permutation(among)
     return sorted(order[:count].tolist())
 

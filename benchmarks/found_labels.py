@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Labels found in real images of a ball, compared with labels by hand: the circles, and the calibrations from them.
 
-The public sets are those of `real_images.py`. Differences are found minus hand, with medians and 90 % quantiles over
-presses; radii are cut to the ball, as in a table of presses. `offset` is the median difference of the centres in a set.
-Surface angle errors are means over held-out presses of several splits, for calibrations on the same presses. `hand on
-hand` is learned from labels by hand and tested on them, and so on; `moved` are the found labels minus the offset.
+The public sets are those of `real_images.py`. A difference is the found value minus the value by hand. The tables have
+medians and 90 % quantiles over presses. Radii are limited to the ball's radius, as in a table of presses. `offset` is
+the median difference of the centres in a set. Surface angle errors are means over held-out presses of several splits,
+for calibrations on the same presses. For `found on hand`, for example, the calibration learns from found labels and is
+tested on labels by hand. `moved` are the found labels minus the offset.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def list_circles(presses: PressFolder) -> Array:
 
 
 def relabel(presses: PressFolder, found: Array) -> PressFolder:
-    """Return the same presses with other circles (N, 3), pixels; a NaN circle keeps a press's own."""
+    """Return the same presses with other circles (N, 3), pixels. If a circle is NaN, the press keeps its own circle."""
     rows = [
         row if np.isnan(circle).any() else dataclasses.replace(row, values=row.values | _write(circle))
         for row, circle in zip(presses.rows, found, strict=True)
@@ -61,7 +62,7 @@ def _write(circle: Array) -> dict[str, str]:
 
 
 def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int) -> dict[str, float]:
-    """Learn from each labelling of the same presses. Return errors of the surface angle, by pair of labels."""
+    """Learn from each kind of labels of the same presses. Return the surface angle's error for each pair of labels."""
     hand = sets["hand"]
     learned, held_out = ([n for n in part if known[n]] for part in split(len(hand), seed))
     errors = {}

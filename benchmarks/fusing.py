@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """The time to fuse several contacts over a grid of about `--poses` poses, by number of contacts.
 
-For each mesh (FILE[:UNITS]; by default the demo objects): one face, `pixel`, `--examples` examples of simulated touches
-with strong noise, with sensors at the true poses. Each touch's posterior is computed beforehand. Only the fuser is
-timed, after a warm-up.
+For each mesh (FILE[:UNITS]; default: the demo objects), one face is searched with the encoder `pixel`. There are
+`--examples` examples of simulated touches with strong noise and exact sensor poses. Each touch's posterior is computed
+beforehand. Only the fuser is timed, after a warm-up.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NUMBERS = (1, 2, 3, 5, 7)
 
 
 def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
-    """Return one row of the table: poses, then median and maximal milliseconds for each of NUMBERS."""
+    """Return a row of the table: the poses, and the median and longest time, ms, for each of the `NUMBERS`."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
     grid = {"name": "face", "spacing_mm": choose_spacing(obj, {}, arguments.poses)}
@@ -40,7 +40,7 @@ def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
     cells = []
     for n in NUMBERS:
         ms = []
-        for first in [0, *range(0, len(touches), most)]:  # the first example twice, to warm up
+        for first in [0, *range(0, len(touches), most)]:  # the first example comes twice, to warm up
             some = slice(first, first + n)
             start = time.perf_counter()
             with suppress(GridError):  # finding no common pose takes as long

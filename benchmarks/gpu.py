@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """The learned encoder on a GPU: times of a training epoch, and of encoding and matching a touch.
 
-The epoch is that of `--preset`, on a grid of about `--poses` poses of a demo object: rendering touches, the steps, and
-encoding the keys. Encoding starts with contact depths in the memory of `--device` and ends with the scores of 20 000
-keys there. Times are medians in one run, for one touch and for 256, in float32, in bfloat16, and as a CUDA graph.
-`--device cpu` runs the same without graphs, as a rehearsal.
+An epoch of `--preset`, on a grid of about `--poses` poses of a demo object, renders touches, takes the training steps,
+and encodes the keys. Encoding starts with contact depths in the memory of `--device`, and ends with the scores of
+20 000 keys in this memory. Times are medians in one run, for one touch and for 256, in float32, in bfloat16, and as a
+CUDA graph. `--device cpu` runs the same without graphs, as a rehearsal.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BATCHES = (1, 256)
 
 
 def make_network(recipe: Recipe) -> nn.Module:
-    """Return the recipe's network, untrained: it is as fast as a trained one."""
+    """Return the recipe's network, untrained, because training does not change its speed."""
     generator = torch.Generator().manual_seed(0)
     return make_backbone(
         recipe.backbone,
@@ -48,7 +48,7 @@ def make_network(recipe: Recipe) -> nn.Module:
 
 
 def time_epochs(recipe: Recipe, arguments: argparse.Namespace, device: torch.device) -> dict[str, float]:
-    """Train two epochs, and return the seconds of the second one in all and by part."""
+    """Train two epochs. Return the seconds of the second epoch, in all and by part."""
     obj = load_object(arguments.object)
     settings = {"sensor": "gelslim", "shape_px": recipe.image_px}
     grid = {"name": "face", "spacing_mm": choose_spacing(obj, settings, arguments.poses)}
@@ -78,7 +78,7 @@ def time_epochs(recipe: Recipe, arguments: argparse.Namespace, device: torch.dev
 
 
 def time_latencies(recipe: Recipe, keys: int, device: torch.device, rounds: int) -> dict[str, float]:
-    """Return median milliseconds from the network's input to the scores of `keys` keys, for each way of computing."""
+    """Return the median time, ms, from the network's input to the scores of `keys` keys, for each computation."""
     found: dict[str, float] = {}
     for dtype in (torch.float32, torch.bfloat16):
         network = make_network(recipe).to(device, dtype).eval().to(memory_format=torch.channels_last)
@@ -117,7 +117,7 @@ def capture_graph(work: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def time_median(work: Callable[[], Any], device: torch.device, rounds: int) -> float:
-    """Return the median duration of work, milliseconds, with a wait for the device each time."""
+    """Return the median duration of a function, ms. Each measurement waits until the device has finished."""
     for _ in range(3):
         work()
     seconds = []

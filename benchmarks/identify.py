@@ -2,14 +2,14 @@
 """How often touches identify their object among many, and reject a library without it.
 
 Every object in turn is pressed from random directions, by 30 to 90 % of the sensor's deepest press. The touches are
-drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all except
-their own.
+drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all objects
+except the touched one.
 
-By number of touches, the table has how often the touched object is first after the quick comparison, and first after
-the full one; how often it is among the located objects, and the most probable; and how often the answer is right,
-including "none of these". It has how often a missing object is rejected, also at the threshold at which 5 % of the
-known objects are rejected. Then it lists confused objects and, by the size of the library, the times of a quick
-comparison and of two touches.
+For each number of touches, the table has shares of examples. The touched object is first in the quick comparison, first
+in the full comparison, among the located objects, or the most probable object. The answer is right if the touched
+object is also more probable than "none of these". If the touched object is missing in the library, the table has the
+share of rejected examples, also at the threshold that rejects 5 % of the known objects. Then confused objects are
+listed. For each size of the library, the times of a quick comparison and of two touches follow.
 
 `--fit` prints the null evidence under which the examples are most probable. Objects are FILE[:UNITS] or demo names.
 `--out` keeps the examples, one file for each object and number of touches, which are not measured again.
@@ -37,13 +37,13 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
 from tactile_loc.tasks.library import Library
 
-TEMPERATURE = 0.05  # fixed: objects are weighed by their evidence
+TEMPERATURE = 0.05  # not fitted, because objects are weighed by their evidence
 FALSE_ALARMS = 0.05
 SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
 
 
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
-    """Return the touches of one object; fewer touches are the first ones of more."""
+    """Return the touches of one object. Examples with fewer touches use the first of these touches."""
     obj, geometry = library.models[number].object, library.models[number].scene.geometry
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
@@ -63,7 +63,7 @@ def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
 
 
 def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]:
-    """Return the located objects and the result, with or without their own object."""
+    """Return the located objects and the result. With `left_out`, the touched object is not in the library."""
     others = [name for name in row["alike"] if not (left_out and name == row["object"])]
     names = sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
     misfits = np.array([row["misfits"].get(name, np.inf) for name in names])
@@ -72,7 +72,7 @@ def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]
 
 
 def is_own_first(row: dict[str, Any], key: str) -> bool:
-    """Return whether no object is before an example's own, by the `key` of its row."""
+    """Return whether an example's own object has the highest value of `key`."""
     return bool(row[key][row["object"]] == max(row[key].values()))
 
 
@@ -102,7 +102,7 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
 
 
 def time_glances(library: Library, touch: Touch) -> float:
-    """Return the time of a quick comparison with all objects, the second one: the first opens them."""
+    """Return the time of a quick comparison with all objects. An earlier one, not timed, opens their models."""
     library.glance(touch)
     start = time.perf_counter()
     library.glance(touch)

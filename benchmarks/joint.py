@@ -3,8 +3,9 @@
 
 Each example is an object at rest that three sensors press from random directions, as in `contacts.py`. A hypothesis is
 the true pose, rotated by 8 degrees about a random axis through the centroid and moved by about 2 mm along each axis.
-The table has the median time over all examples, and the median error of each example's best explained hypothesis (root
-mean square over the surface, modulo symmetry). For one thread, set `NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1`.
+The table has the median time over all examples, and the median error (root mean square over the surface, modulo
+symmetry) of the hypothesis that explains each example best. For one thread, set
+`NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1`.
 """
 
 from __future__ import annotations

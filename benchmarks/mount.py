@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
 """The error of a sensor's mount on the flange, by the number of touches and their noise.
 
-Each example has a part at rest at a random pose, a mount with an offset of some centimetres and any rotation, and
-random contacts of the part. Contacts are drawn by ray casting, which the localizer does not use, and give the flange
-poses. For every level of noise and number of touches, the table has the number of refused mounts. Of the others it has
-the median error and the 90 % quantile (of the sensor frame's origin, and of its rotation), the share of truths in the
-95 % ellipsoid, the number of excluded touches, and the median time. Models are built beforehand. With `--outlier` the
-flange's pose of one touch in each example is wrong by 5 mm and 10 degrees; then the table also has the share in which
-it was excluded.
+Each example has a part at rest at a random pose, a mount with an offset of a few centimetres and any rotation, and
+random contacts of the part, which give the flange poses. Contacts are drawn by ray casting, which the localizer does
+not use. For every level of noise and number of touches, the table has the number of refused mounts. For all other
+mounts, it has the median and the 90 % quantile of the errors of the sensor frame's origin and rotation. It also has the
+share of truths in the 95 % ellipsoid, the share of excluded touches, and the median time. Models are built beforehand.
+With `--outlier`, the flange's pose of one touch in each example is wrong by 5 mm and 10 degrees. Then the table also
+has the share of examples that exclude this touch.
 """
 
 from __future__ import annotations
@@ -36,7 +36,11 @@ MOVED_MM, MOVED_DEG = 5.0, 10.0
 
 
 class Example(NamedTuple):
-    """One example: errors in mm and degrees, e^T C^-1 e, the number of excluded touches, and if the wrong one was."""
+    """The outcome of one example.
+
+    `nees` is e^T C^-1 e of the error e and its covariance C. `left_out` is the number of excluded touches, and
+    `outlier_left_out` states whether the last touch, which `--outlier` makes wrong, is one of them.
+    """
 
     error_mm: float
     error_deg: float
@@ -73,7 +77,7 @@ def add_outlier(given: FlangeTouches, rng: np.random.Generator) -> FlangeTouches
 
 
 def measure_example(localizer: Localizer, count: int, level: str, seed: int, outlier: bool) -> Example | str:
-    """Find one mount, or return the reason of the refusal."""
+    """Find one mount and return its errors, or the reason why the mount was refused."""
     rng = np.random.default_rng([seed, count])
     given, truth = simulate(localizer, count, level, rng)
     given = add_outlier(given, rng) if outlier else given

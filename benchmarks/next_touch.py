@@ -2,17 +2,17 @@
 """The number of touches until an object's pose is known, with chosen and with random touches.
 
 An object is at rest. The first touch, from any direction, is the same for both methods. Then one of `--approaches`
-sensor poses around the object is tried: the first in the ranking of `choose_next_touch`, or a random one. Both choose
-from the same approaches, in the same run. An approach that meets nothing, or shows only a flat face, is replaced by the
-next in rank or by another random one, and counted. Touches are drawn by ray casting, which the localizer does not use.
-They are pressed by 30 to 90 % of the sensor's deepest press the first time, and by 60 % afterwards. A pose is known if
+sensor poses around the object is tried: the best approach by `choose_next_touch`, or a random approach. Both methods
+choose from the same approaches, in the same run. An approach that meets nothing, or only a flat face, is counted, and
+replaced by the next in rank or by another random approach. Touches are drawn by ray casting, which the localizer does
+not use. The press is 30 to 90 % of the sensor's deepest press the first time, and 60 % afterwards. A pose is known if
 the first hypothesis from all touches is within 1 mm (root mean square over the surface) and 1 degree, modulo symmetry.
 
-For each object the table has the entropy of the modes after the first touch, nats; the share of known poses after one,
-two, three, ... touches; the mean number of touches until then, where an unknown pose counts as one more touch than the
-last; the number of replaced presses; and the median time of a choice. The last rows are for the twelve objects with the
-highest entropy, and for all. Objects are FILE[:UNITS] or demo names. `--out` keeps each object's examples, which are
-not measured again.
+For each object, the table has the entropy of the modes after the first touch, in nats, and the share of known poses
+after one, two, three, ... touches. It has the mean number of touches until the pose is known; a pose that stays unknown
+counts as one touch more than the most. The last columns are the number of replaced presses, and the median time of a
+choice. The last rows are for the twelve objects with the highest entropy, and for all objects. Objects are FILE[:UNITS]
+or demo names. `--out` keeps each object's examples, which are not measured again.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
 WITHIN_M, WITHIN_RAD = 1e-3, np.radians(1.0)
 PRESS = 0.6  # share of the sensor's deepest press
-TEMPERATURE = 0.05  # fixed: hypotheses are weighed by their evidence
+TEMPERATURE = 0.05  # not fitted, because hypotheses are weighed by their evidence
 Choice = Callable[[Localization, list[Approach]], Iterator[Approach]]
 
 
 def choose_approach(seconds: list[float]) -> Choice:
-    """Choose the approach that leaves the least entropy."""
+    """Return a function that ranks approaches by `choose_next_touch`. It adds its times to `seconds`."""
 
     def choose(found: Localization, left: list[Approach]) -> Iterator[Approach]:
         start = time.perf_counter()
@@ -60,7 +60,7 @@ def choose_approach(seconds: list[float]) -> Choice:
 
 
 def choose_by_lot(rng: np.random.Generator) -> Choice:
-    """Choose a random approach."""
+    """Return a function that puts approaches in a random order."""
     return lambda found, left: (left[k] for k in rng.permutation(len(left)))
 
 

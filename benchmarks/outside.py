@@ -2,12 +2,12 @@
 """Errors of locating objects from touches that do not follow the localizer's model.
 
 All touches are drawn by ray casting, pressed by 30 to 90 % of the sensor's deepest press, and located with the original
-mesh. They are drawn from four sources: the same mesh; a mesh with smooth errors along its normals, as in a scan (0.05
-or 0.1 mm root mean square, with a correlation length of 2 mm); a mesh decimated to 0.1 mm; and the same mesh with noise
-to which nothing was fitted (`UnseenNoise`). Each case has one touch on the known face (`face`, 3 mm) and three touches
-from any direction with a search of the whole object, as in `contacts.py`. The table has the median error (root mean
-square over the surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm. Meshes
-are given as FILE[:UNITS] or a demo object's name.
+mesh. They are drawn from four sources. The first is the same mesh. The second is a mesh with smooth errors along its
+normals, as in a scan (0.05 or 0.1 mm root mean square, with a correlation length of 2 mm). The third is a mesh
+decimated to 0.1 mm. The fourth is the same mesh with noise to which nothing was fitted (`UnseenNoise`). Each case has
+one touch on the known face (`face`, 3 mm), and three touches from any direction with a search of the whole object, as
+in `contacts.py`. The table has the median error (root mean square over the surface, modulo symmetry), the share within
+1 mm, and the share with any hypothesis within 1 mm. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ Float64 = NDArray[np.float64]
 PRESS = (0.3, 0.9)  # share of the sensor's deepest press
 CORRELATION_M = 2e-3
 Alter = Callable[[TriangleMesh, np.random.Generator], TriangleMesh]
-EDGE = 0.4  # correlation lengths: longer edges are split before the surface is displaced
-WAVES = 256  # waves in the sum of a random field
-HALVINGS = 12  # of the search range for the number of faces
-SAMPLES = 4000  # points for comparing a decimated surface
+EDGE = 0.4  # longest edge, in correlation lengths, of a surface that is displaced
+WAVES = 256  # number of waves in the sum of a random field
+HALVINGS = 12  # number of times that the search range for the number of faces is halved
+SAMPLES = 4000  # number of points for comparing a decimated surface
 
 
 def simulate_scan(mesh: TriangleMesh, rms_m: float, correlation_m: float, rng: np.random.Generator) -> TriangleMesh:
-    """Return the surface displaced along its normals by a smooth random field, as in a scan; metres.
+    """Return the surface, displaced along its normals by a smooth random field, as in a scan.
 
     The field is Gaussian with zero mean and covariance exp(-(distance / correlation)^2 / 2). It is a sum of waves
-    (random Fourier features), scaled to a root mean square of `rms_m` over the surface. Edges longer than EDGE
+    (random Fourier features), scaled to a root mean square of `rms_m` metres over the surface. Edges longer than `EDGE`
     correlation lengths are split first.
     """
     fine = split_edges(_merge_vertices(mesh), EDGE * correlation_m)
@@ -69,7 +69,8 @@ def simulate_scan(mesh: TriangleMesh, rms_m: float, correlation_m: float, rng: n
 def split_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
     """Return the same surface with no edge longer than `longest_m` metres, and without new gaps.
 
-    An edge is halved if it is the longest of all faces that share it (Rivara, 1984), until all are short.
+    A long edge is halved if it is the longest edge of every face that shares it (Rivara, 1984). This is repeated until
+    no edge is too long.
     """
     vertices, faces = mesh.vertices_m, mesh.faces
     while True:
@@ -96,7 +97,7 @@ def split_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
 
 
 def decimate(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> TriangleMesh:
-    """Return the surface with the fewest faces that keep it within `rms_m` metres of the original, root mean square.
+    """Return the surface with the fewest faces whose RMS distance from the original is at most `rms_m` metres.
 
     The method is open3d's quadric error decimation.
     """
@@ -120,8 +121,8 @@ class UnseenNoise(TouchNoise):
     """Noise to which nothing is fitted: a slow drift of the whole image's height, and drop-outs of single pixels.
 
     `tilt_m` is the standard deviation, over the sensing rectangle, of a random quadratic surface that is added to the
-    measured depth. `dropout` is the share of pixels in contact that show none. `salt` is the share of the other pixels
-    that show contact at a random depth.
+    measured depth. `dropout` is the share of pixels in contact that appear without contact. `salt` is the share of
+    pixels without contact that appear in contact at a random depth.
     """
 
     tilt_m: float = 5e-5
@@ -131,7 +132,10 @@ class UnseenNoise(TouchNoise):
     def corrupt(
         self, depth_m: Float32, press_depth_m: Float64, geometry: SensorGeometry, rng: np.random.Generator
     ) -> Float32:
-        """Return noisy contact depths (N, H, W) float32, metres, of clean ones at full press, cut at press depths."""
+        """Return noisy contact depths (N, H, W) float32, metres, limited to the press depths.
+
+        `depth_m` are the clean depths at full press.
+        """
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)
         gel = Gel.of(geometry)
@@ -155,7 +159,7 @@ class UnseenNoise(TouchNoise):
 
 
 def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with one vertex at each place, so that moving vertices opens no gaps."""
+    """Return the mesh with only one vertex at each place, so that no gaps open if vertices are moved."""
     vertices, index = np.unique(mesh.vertices_m.round(9), axis=0, return_inverse=True)
     faces = index.ravel()[mesh.faces]
     a, b, c = faces.T
@@ -163,7 +167,7 @@ def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _compute_vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
-    """Return area-weighted unit normals (V, 3), and a third of the area (V,) of the faces at each vertex."""
+    """Return, for each vertex, the area-weighted unit normal (V, 3) and a third of the area (V,) of its faces."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     across = 0.5 * np.cross(b - a, c - a)
     normals, areas = np.zeros_like(mesh.vertices_m), np.zeros(len(mesh.vertices_m))
@@ -211,7 +215,7 @@ def touch_on_face(
 
 
 def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return a row for one touch on the known face, and one for three touches from any direction, of one object."""
+    """Return two rows for one object: for a touch on the known face, and for three touches from any direction."""
     alter, noise = CASES[case]
     obj = localizers[1].object
     altered = dataclasses.replace(obj, mesh=alter(obj.mesh, np.random.default_rng(arguments.seed)))

@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
 """Errors of slopes, depths and poses from real images of gels, with calibrations on presses of a ball only.
 
-`--data` is a folder with the public sets gelslim_balls, gelsight_mini_balls, gelsight_balls_160x120 and fots_balls, and
-gelslim_shapes: other shapes on the first sensor. Slope errors are means over held-out presses of several splits. The
-shapes are read with a calibration on four fifths of the balls (split 0). Times are medians on this machine.
+`--data` is a folder with the public sets gelslim_balls, gelsight_mini_balls, gelsight_balls_160x120, fots_balls and
+gelslim_shapes. The last set has other shapes on the first sensor. Slope errors are means over held-out presses of
+several splits. The shapes are read with a calibration on four fifths of the balls (split 0). Times are medians on this
+machine.
 
-The press depths of the shapes are given in their file names. They are also measured on the small sphere of known shape:
-`circle` is the height of the cap over its visible circle, with the depth of the gel there; `surface` is the top of the
-sphere of that radius that fits the middle of the surface best.
+The press depths of the shapes are given in their file names. They are also measured in presses of the small sphere,
+whose radius is known. `circle` is the height of the sphere's cap over the visible circle, plus the depth of the gel at
+this circle. `surface` is the depth of the top of the sphere that fits the middle of the surface best.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ SETS = {
 PRESSES_MM = ("0.25", "0.5", "0.75", "1.0")
 SMALL_SPHERE_MM = 2.92
 TIP_Z_M = 20e-3
-BORDER_MM = 0.3  # excluded border of the tip, where the gel does not follow
-AROUND_MM = (0.5, 1.0)  # distance from the tip: a gentle part of the skirt
+BORDER_MM = 0.3  # excluded border of the tip, where the gel does not follow the tip's shape
+AROUND_MM = (0.5, 1.0)  # range of distances from the tip in which the gel around the tip has gentle slopes
 DARK, WHITE = 12, 245  # counts between which a colour is not saturated
-GRID_MM = 1.6  # a bank of some 13 000 poses of 1600 cells; half of it, eight times as many, takes 16 GB
+GRID_MM = 1.6  # gives a bank of about 13 000 poses with 1600 cells; half the spacing would take 16 GB
 
 
 def read(name: str, data: Path, folder: Path) -> PressFolder:
@@ -67,10 +68,10 @@ def reduce(presses: PressFolder, name: str, folder: Path) -> PressFolder:
 
 
 def list_health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder]) -> list[str]:
-    """Return rows of the health of each set's images under each calibration, from least to most.
+    """Return table rows of the least and largest health of each set's images with each calibration.
 
-    For the calibration's own set these are the held-out presses; for the others, all presses, without and with their
-    own untouched gel.
+    For the calibration's own set, only held-out presses count. For the other sets, all presses count. Each cell has the
+    health without and with the set's own image of the untouched gel.
     """
     rows = []
     for name, calibrated in calibrations.items():
@@ -116,8 +117,9 @@ def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[
 class SpherePress:
     """A press of the small sphere, measured in its image: the visible circle, and depths in mm.
 
-    `cap_mm` is the height of the sphere above the circle, `rim_mm` the depth of the gel at the circle, `top_mm` the
-    depth of the top of the best fitting sphere, `rms_mm` its RMS distance from the surface in the circle.
+    `cap_mm` is the height of the sphere above the circle, and `rim_mm` is the depth of the gel at the circle. `top_mm`
+    is the depth of the top of the best fitting sphere, and `rms_mm` is this sphere's RMS distance from the surface in
+    the circle.
     """
 
     circle: Circle
@@ -139,7 +141,7 @@ class SpherePress:
         away_mm, radius_mm = pitch_mm * circle.measure_distance_px(image.shape[:2]), pitch_mm * circle.radius_px
         below_mm = SMALL_SPHERE_MM - np.sqrt(SMALL_SPHERE_MM**2 - np.minimum(away_mm, radius_mm) ** 2)
         surface_mm = 1e3 * estimator.read_indentation(image)
-        tops_mm = surface_mm + below_mm  # of the sphere, from each pixel in contact
+        tops_mm = surface_mm + below_mm  # top of the sphere, according to each pixel in contact
         top_mm = float(tops_mm[away_mm < radius_mm / 2].mean())
         rim_mm = float(surface_mm[np.abs(away_mm - radius_mm) < pitch_mm].mean())
         return cls(
@@ -153,10 +155,11 @@ class SpherePress:
 
 
 def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
-    """Return the strength of the colours around the prism's tip at each press, as multiples of that at 0.5 mm.
+    """Return the strength of the colours around the prism's tip at each press, as multiples of the strength at 0.5 mm.
 
-    A flat face touches the same area at any press. Then the surface grows in proportion, and so do the colours of small
-    slopes, independently of any calibration. Only pixels in AROUND_MM of the tip count that are never saturated.
+    A flat face touches the same area at any press. Therefore the heights around the tip are proportional to the press
+    depth, and so are the colours of small slopes, without any calibration. Only pixels that are never saturated, at a
+    distance in `AROUND_MM` from the tip, count.
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
@@ -174,7 +177,7 @@ def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
 
 
 def measure_depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
-    """Return rows of the table of depths of the prism's tip, with the given depths and the sphere's."""
+    """Return rows of the table of depths of the prism's tip, compared with the given depths and the sphere's depths."""
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
     for press, times in zip(PRESSES_MM, measure_growth(calibrated, shapes), strict=True):
@@ -221,7 +224,7 @@ def write_head(*names: str) -> str:
 
 
 def _measure_off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorGeometry) -> tuple[float, float, float]:
-    """Return the error of a pose of the prism: x and y of the tip in mm, yaw in degrees."""
+    """Return the error of a pose of the prism: x and y of the tip in mm, and yaw in degrees."""
     tip_m = T @ np.array([0.0, 0.0, TIP_Z_M, 1.0])
     u, v = (value + 0.5 for value in pose["origin_px"])  # the set counts from the first pixel's centre
     sx, sy = geometry.scale_at_surface
@@ -231,7 +234,7 @@ def _measure_off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorG
 
 
 def _write_pose(poses: dict[str, Any], press: str) -> dict[str, Any]:
-    """Return the pose at a press; the lightest press has no pose of its own, but the object had not moved."""
+    """Return the pose at a press. The lightest press has no pose of its own; the object was at the pose of 0.5 mm."""
     return poses.get(f"prism_{press}") or poses["prism_0.5"]
 
 

@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
 """Errors and times of refiners from the same most probable grid pose, in one run.
 
-For each mesh and noise: one face, a grid of about `--poses` poses matched by pixels, `--touches` simulated touches.
-Each touch's candidate is the same for all refiners. The refiners are warmed up, and take turns in a different order for
-each touch. Errors are ADD over 10 000 surface points, modulo symmetry, in mm. The touches of the "right mode" have a
-candidate within 6 mm of the truth. For the last table, each refiner refines the ten most probable poses and chooses the
-one that explains the touch best.
+For each mesh and noise, one face has a grid of about `--poses` poses, and `--touches` simulated touches are matched by
+pixels. Each touch's candidate is the same for all refiners. The refiners are warmed up, and take turns in a different
+order for each touch. Errors are ADD over 10 000 surface points, modulo symmetry, in mm. The touches of the "right mode"
+have a candidate within 6 mm of the truth. For the last table, each refiner refines the ten most probable poses and
+chooses the pose that explains the touch best.
 
-Touches are drawn by `--renderer`, the exact one, so that edges do not match those of the grid's renderer,
-`--model-renderer`. Meshes are given as FILE[:UNITS]; by default the demo objects.
+Touches are drawn by the exact renderer `--renderer`. It differs from the grid's renderer, `--model-renderer`, so that
+both do not draw edges in the same way. Meshes are given as FILE[:UNITS]; the default is all demo objects.
 
 Refiners from other libraries get the same clouds as ours. As with ours, a result with less contact overlap than the
-candidate is rejected. Missing libraries are left out: pip install small_gicp probreg
+candidate is rejected. Missing libraries are left out. To install them: pip install small_gicp probreg
 """
 
 from __future__ import annotations
@@ -59,31 +59,31 @@ OURS: dict[str, tuple[str, dict[str, Any]]] = {
     "kiss-icp": ("kiss-icp", {}),
     "render": ("render", {}),
 }
-CHOOSING = ("icp", "filterreg", "joint", "render")  # refine the ten most probable poses, too
+CHOOSING = ("icp", "filterreg", "joint", "render")  # these also refine the ten most probable poses
 REFERENCE = "icp"
 LINES = ("reg-1", "chosen of 10", "nearest of 10")
 TEN = 10
 RIGHT_MODE_MM = 6.0
-DISTINCTIVE = 0.1  # largest probability of a distinctive touch's second mode, share of the first mode's
-TEMPERATURE = 1e-3  # fixed: the modes must not depend on the touches for fitting a temperature
+DISTINCTIVE = 0.1  # largest probability of a distinctive touch's second mode, as a share of its first mode's
+TEMPERATURE = 1e-3  # not fitted, because the modes must not depend on the touches for fitting
 LEAST_MM = 1e-3  # smaller differences count as equal
 
 
 class Peer(CloudRefiner):
-    """Registers with a function of another library, which maps source and target clouds to T (4, 4), mm."""
+    """Registers with a function `align` of another library. It maps source and target clouds to T (4, 4), mm."""
 
     def __init__(self, align: Callable[[Cloud, Cloud], Transform]) -> None:
         super().__init__()
         self.align = align
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the library's result, or None if it is not finite."""
+        """Return a Registration with the library's result, or with None if the result is not finite."""
         T_mm = self.align(source, target)
         return Registration(T_mm if np.isfinite(T_mm).all() else None)
 
 
 def open3d_icp() -> Peer:
-    """Register by open3d's point-to-plane ICP: one pass, pairs up to 1 mm apart, otherwise defaults (30 iterations)."""
+    """Return open3d's point-to-plane ICP: one pass, pairs up to 1 mm apart, and 30 iterations (the default)."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -98,7 +98,7 @@ def open3d_icp() -> Peer:
 
 
 def small_gicp_gicp() -> Peer:
-    """Register by small_gicp's GICP with its defaults: 0.25 mm voxels, pairs up to 1 mm, 20 iterations, one thread."""
+    """Return small_gicp's GICP with its defaults: 0.25 mm voxels, pairs up to 1 mm, 20 iterations, one thread."""
     import small_gicp
 
     def align(source: Cloud, target: Cloud) -> Transform:
@@ -108,7 +108,7 @@ def small_gicp_gicp() -> Peer:
 
 
 def probreg_filterreg() -> Peer:
-    """Register by probreg's FilterReg: point to point, 20 iterations, with an estimated variance as in its examples."""
+    """Return probreg's point-to-point FilterReg: 20 iterations and an estimated variance, as in its examples."""
     from probreg import filterreg
 
     def align(source: Cloud, target: Cloud) -> Transform:
@@ -140,7 +140,7 @@ def list_refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
 
 
 def is_distinctive(posterior: PosePosterior, spacing_mm: float) -> bool:
-    """Return whether a posterior's second mode has less than DISTINCTIVE of the probability of its first."""
+    """Return whether a posterior's second mode has less than `DISTINCTIVE` of the first mode's probability."""
     modes = posterior.modes(2e-3 * spacing_mm, 2)
     return len(modes) < 2 or modes[1].probability < DISTINCTIVE * modes[0].probability
 
@@ -159,7 +159,7 @@ class Bench:
         self.points_m = obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
     def collect_records(self, noise: str, touches: int, seed: int) -> list[Record]:
-        """Return the measurements of each touch of a noise."""
+        """Return the measurements of each touch with a level of noise."""
         drawn = [SimulatedTouches(noise, seed).draw_touch(self.drawer, number) for number in range(touches)]
         first = self.find_candidates(drawn[0])[1]
         for refiner in self.compared.values():
@@ -174,7 +174,10 @@ class Bench:
         return posterior, [Candidate(poses[i], int(i), float(posterior.log_p[i])) for i in posterior.top(TEN)]
 
     def measure(self, number: int, touch: Touch) -> Record:
-        """Refine a touch's most probable pose by all refiners, and ten poses by some: errors in mm, times in ms."""
+        """Refine a touch's most probable pose with all refiners, and ten poses with some.
+
+        Returns errors in mm, and times in ms.
+        """
         posterior, ten = self.find_candidates(touch)
         order = list(self.compared)
         order = order[number % len(order) :] + order[: number % len(order)]
@@ -192,7 +195,10 @@ class Bench:
         return record
 
     def choose(self, name: str, touch: Touch, ten: list[Candidate]) -> dict[str, float]:
-        """Refine ten poses, and choose the one that explains the touch best: errors of LINES in mm, time in ms."""
+        """Refine ten poses, and choose the pose that explains the touch best.
+
+        Returns the errors of `LINES` in mm, and the time in ms.
+        """
         start = time.perf_counter()
         refined = self.compared[name].refine_many(touch, ten, self.localizer.scene)
         poses = np.stack([pose.T_sensor_object for pose in refined])
@@ -208,12 +214,12 @@ class Bench:
 
 
 def select(records: list[Record], what: str, name: str) -> NDArray[np.float64]:
-    """Return the numbers (T,) of a refiner in records."""
+    """Return a refiner's numbers (T,) from T records, such as its errors or times."""
     return np.array([record[what][name] for record in records])
 
 
 def keep_right_mode(records: list[Record]) -> list[Record]:
-    """Return the records with a candidate within RIGHT_MODE_MM of the truth."""
+    """Return the records with a candidate within `RIGHT_MODE_MM` of the truth."""
     return [record for record in records if record["candidate_mm"] <= RIGHT_MODE_MM]
 
 
@@ -251,7 +257,7 @@ def group_by_object(records: list[Record], compared: dict[str, Refiner], missing
 
 
 def list_medians(records: list[Record], compared: dict[str, Refiner]) -> str:
-    """Return medians of all objects, one column for each refiner."""
+    """Return a table of medians, with a row for each object and a column for each refiner."""
     rows = [
         [name, str(len(some)), *(f"{np.median(select(some, 'errors_mm', k)):.3f}" for k in compared)]
         for name, some in list_objects(records).items()
@@ -260,7 +266,7 @@ def list_medians(records: list[Record], compared: dict[str, Refiner]) -> str:
 
 
 def compare_relative(records: list[Record], name: str) -> float:
-    """Return the geometric mean over objects of a refiner's median error, as a multiple of the reference's."""
+    """Return the geometric mean over objects of a refiner's median error, divided by that of `REFERENCE`."""
     logs = [
         np.log(np.maximum([np.median(select(some, "errors_mm", k)) for k in (name, REFERENCE)], LEAST_MM))
         for some in list_objects(records).values()
@@ -269,7 +275,7 @@ def compare_relative(records: list[Record], name: str) -> float:
 
 
 def summarise(records: list[Record], compared: dict[str, Refiner]) -> str:
-    """Return one row for each refiner, over all objects."""
+    """Return a table with a row for each refiner, over all objects."""
     near = keep_right_mode(records)
     head = ["refiner", f"median / {REFERENCE}'s", "improved", "median ms", f"median / {REFERENCE}'s, right mode"]
     head += ["median mm", "90th percentile", "improved"]
@@ -289,7 +295,7 @@ def summarise(records: list[Record], compared: dict[str, Refiner]) -> str:
 
 
 def write_choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
-    """Return median and mean errors of choosing among ten refined poses, over all objects."""
+    """Return a table of errors after choosing among ten refined poses: medians and means over all objects."""
     rows = []
     for name in CHOOSING:
         for label, some in (("all", records), ("distinctive", [r for r in records if r["distinctive"]])):

@@ -1,10 +1,10 @@
-"""The speed and the agreement of the built-in renderers on contact poses, in one interleaved run.
+"""The speed and the agreement of the built-in renderers on contact poses, in one run.
 
     python benchmarks/renderers.py [--meshes FILE ...] [--poses 720] [--rotations 12] [--json FILE]
 
-Every renderer draws the same poses: as in a pose grid, a few rotations times many in-plane translations, brought to
-contact. Only the render call is timed, after a warm-up for compiling, building and uploading. The renderers take turns,
-and the median of the rounds counts. The agreement is measured with ray casting, over all poses.
+Every renderer draws the same contact poses: as in a pose grid, each of a few rotations has many in-plane translations.
+Only the render call is timed, after a warm-up for compiling, building and uploading. The renderers take turns, and the
+median of the rounds counts. All renderers are compared with ray casting, over all poses.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ SPREAD_M = 0.024
 class Row:
     """One renderer on one mesh and camera, compared with ray casting.
 
-    `mask_agreement` is the share of all pixels with equal contact, `contact_iou` the intersection over union of the
-    contacts, `depth_difference_um` the median difference where both touch.
+    `mask_agreement` is the share of pixels for which both agree about contact. `contact_iou` is the intersection over
+    union of the contacts. `depth_difference_um` is the median difference, in micrometres, where both have contact.
     """
 
     camera: str
@@ -63,7 +63,7 @@ class Row:
 
 
 def draw_poses(mesh: TriangleMesh, g: SensorGeometry, count: int, rotations: int, seed: int) -> Poses:
-    """Return contact poses (N <= count, 4, 4): random rotations times a square raster 24 mm wide."""
+    """Return contact poses (N, 4, 4), at most `count`: random rotations on a square raster 24 mm wide."""
     R = draw_rotations(rotations, np.random.default_rng(seed))
     side = int(np.ceil(np.sqrt(count / rotations)))
     raster = np.linspace(-SPREAD_M / 2, SPREAD_M / 2, side)
@@ -89,7 +89,7 @@ def list_available(mesh: TriangleMesh, T: Poses, g: SensorGeometry) -> dict[str,
 
 
 def measure(name: str, camera: str, mesh: TriangleMesh, T: Poses, rounds: int) -> list[Row]:
-    """Time all renderers in turns on the same poses, and compare their pictures with ray casting's."""
+    """Time all renderers in turns on the same poses, and compare their depths with those of ray casting."""
     g = CAMERAS[camera]
     renderers = list_available(mesh, T, g)
     seconds: dict[str, list[float]] = {r: [] for r in renderers}

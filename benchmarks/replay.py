@@ -2,15 +2,15 @@
 """The speed of replaying a recording, and the errors of its poses.
 
 For each object and noise, a slide of 500 images over the object is drawn by ray casting, which the localizer does not
-use, and written as an MCAP recording with TF. It is replayed into the base's frame. Another library, mcap-ros2-support,
-reads the resulting recording, and its messages are compared with the truth.
+use. It is written as an MCAP recording with TF, and replayed into the base frame. Another library, mcap-ros2-support,
+reads the resulting recording, and the messages are compared with the truth.
 
 The table has the number of images, the skipped images without contact and, in parentheses, the images that were located
-although the sensor was lifted off, and the refused images. Images per second are measured from reading to the written
-files. Then follow the time for each image besides locating it, the median surface distance to the truth with the 90 %
-quantile in parentheses, and the share below 1 mm. For poses below 1 mm, the last column is the median squared error
-over the message's covariance (5.35 for a true covariance). Models are built beforehand. Each image is located
-separately, among all poses of the object, so an image that looks like another place of the object gives a pose there.
+although the sensor was lifted off, and the refused images. Images per second include reading and writing. Then follow
+the time for each image except locating it, the median surface distance to the truth with the 90 % quantile in
+parentheses, and the share below 1 mm. For poses below 1 mm, the last column is the median squared error over the
+message's covariance (5.35 for a true covariance). Models are built beforehand. Each image is located separately, among
+all poses of the object. Therefore an image that looks like another place of the object gives a pose at that place.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def decode(path: Path, topic: str) -> list[Any]:
 
 
 def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
-    """Replay a recording into the base's frame. Return it with the seconds in all, and for locating."""
+    """Replay a recording into the base frame. Return the result, the seconds in all, and the seconds for locating."""
     locating_s = 0.0
 
     def estimate(touch: Touch) -> LocatedFrame:
@@ -73,7 +73,7 @@ def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, flo
 
 
 def measure_errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return surface distances to the truth (N,), metres, and for near poses squared errors over their covariances."""
+    """Return the surface distances to the truth (N,), metres, and the normalised squared errors of near poses."""
     metric = PoseMetric(localizer.object)
     T = np.stack([read_pose(message).T for message in poses])
     truth = np.broadcast_to(T_BASE_OBJECT, T.shape)

@@ -4,12 +4,13 @@
 An object is pressed from random directions by 30 to 90 % of the sensor's deepest press. Every contact of at least
 0.25 % of the sensor counts. Touches are drawn by ray casting, which the localizer does not use.
 
-For each object and sensor the table has the number of places, the seconds to build them and to fit probabilities, the
-peak memory, the megabytes in the store, and the seconds to open the model. A touch's right mode is within 1 mm (root
-mean square over the surface, modulo symmetry). The table has the share of touches with the right mode first, and among
-ten hypotheses. The others are *ambiguous* if another pose explains the touch as well (imprint IoU within 0.01), *not
-listed* if the search came within 1 mm, or *not found*. Then follow the median and the 95 % quantile of the time to ten
-refined hypotheses, and the shares by contact area. `--grid` and `--encoder` choose other components.
+For each object and sensor, the table has the number of places, the seconds to build them and to fit probabilities, the
+peak memory, the megabytes in the store, and the seconds to open the model. A hypothesis is right if it is within 1 mm
+of the truth (root mean square over the surface, modulo symmetry). The table has the share of touches whose first
+hypothesis is right, and the share with a right one among ten. All other touches are *ambiguous* if another pose
+explains the touch as well (imprint IoU within 0.01), *not listed* if the search found a pose within 1 mm, or *not
+found*. Then follow the median and the 95 % quantile of the time to ten refined hypotheses, and the shares by contact
+area. `--grid` and `--encoder` choose other components.
 """
 
 from __future__ import annotations
@@ -49,13 +50,13 @@ def create(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -
 
 
 def measure_peak_memory_mb() -> float:
-    """Return this process's peak memory on Linux; getrusage would return its parent's if that is larger."""
+    """Return this process's peak memory, MB, on Linux. getrusage would return the parent's peak if it is larger."""
     status = Path("/proc/self/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) / 1e3
 
 
 def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> dict[str, float]:
-    """Build all stages for a touch. Return their sizes, and the time and memory."""
+    """Build all stages for a touch. Return the number of places, the times, and the peak memory."""
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
     searched = len(localizer.search.places) if localizer.search else localizer.model.size
     places_s = time.perf_counter() - start
@@ -69,7 +70,7 @@ def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) ->
 def build_model(
     path: str, arguments: argparse.Namespace, sensor: str, store: Path
 ) -> tuple[Localizer, dict[str, float]]:
-    """Build a localizer in a separate process, and return it with the cost."""
+    """Build a model in a separate process. Return its localizer and the costs of building and opening it."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         about = process.submit(build, path, arguments, sensor, store).result()
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
@@ -80,7 +81,7 @@ def build_model(
 
 
 def measure_nearest_m(answer: Localization, touch: Touch) -> float:
-    """Return the smallest distance of the search's poses from the truth, before refinement, metres."""
+    """Return the smallest distance, in metres, of the search's poses (before refinement) from the truth."""
     return float(answer.posterior.grid.nearest(np.asarray(touch.T_sensor_object)[None])[0][0])
 
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How the search of a whole object scales with its size and with the density of directions.
+"""The cost of searching a whole object, by the object's size and the number of directions.
 
-Each object is scaled down and up, and searched with fewer and more directions. For each case the table has the number
+Each object is scaled down and up, and searched with fewer and more directions. For each case, the table has the number
 of distinct poses (places times yaws), the seconds to list the places, and the median time from one touch to ten refined
-hypotheses. Touches come from random directions and are drawn by ray casting. A figure draws both times against size and
-directions.
+hypotheses. Touches come from random directions, and are drawn by ray casting. A figure shows both times against size
+and number of directions.
 """
 
 from __future__ import annotations

@@ -1,17 +1,19 @@
 #!/usr/bin/env python3
 """Errors of tracking an object while a sensor slides and rotates over it, and the recovery after a jump.
 
-Sequences are those of `tactile_loc.evaluation.sequences`: any direction, pressed, mild noise that stays on the gel for
-a quarter of a second, drawn by ray casting, 100 frames a second, sensor poses wrong by 0.1 mm and 0.1 degrees. Three
-methods get the same frames: the tracker, started with an error of 1 mm and 1 degree; each tenth frame localised alone;
-and ICP of each frame's surface to the frame before, predicted by the sensor's motion, started at the truth.
+Sequences are those of `tactile_loc.evaluation.sequences`. The sensor touches from any direction, and touches are drawn
+by ray casting, with 100 frames a second. The noise is mild, and stays on the gel for a quarter of a second. The errors
+of the sensor's poses are 0.1 mm and 0.1 degrees. Three methods get the same frames. The tracker starts with an error of
+1 mm and 1 degree. Localisation locates each tenth frame alone. ICP registers each frame's surface to that of the frame
+before; it starts at the truth, and uses the sensor's motion as a prediction.
 
-Errors are those of the object's centroid and of its rotation, modulo its symmetry: median and 95 % over all frames, and
-at the end. The time for a frame is the median and the 99th percentile, wall clock, of the tracker where it did not
-search. *In 95 %* is the share of truths in the tracker's 95 % ellipsoid. In a jump, the object suddenly lies elsewhere
-without a change of the sensor's pose. In a slip, it slides by 4 mm along the gel and rotates by 15 degrees. Found means
-within 3 mm (root mean square over the surface), or 1.5 mm for a slip: at once by one frame alone, and later by the
-tracker's first mode or any of its modes. `OMP_NUM_THREADS=1` keeps libraries from waiting for each other.
+Errors are those of the object's centroid and rotation, modulo symmetry: the median and the 95 % quantile over all
+frames, and the error at the end. Times are the median and the 99th percentile (wall clock) over the frames in which the
+tracker did not search. *In 95 %* is the share of truths in the tracker's 95 % ellipsoid. In a jump, the object suddenly
+lies elsewhere without a change of the sensor's pose. In a slip, it slides by 4 mm along the gel and rotates by 15
+degrees. The object is found again if the error is below 3 mm (root mean square over the surface), or 1.5 mm for a slip.
+The table counts this at once for one frame alone, and later for the tracker's first mode and for any of its modes.
+`OMP_NUM_THREADS=1` keeps libraries from waiting for each other.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ from tactile_loc.tasks.tracker import TrackedPose, Tracker
 
 SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 START_STD = np.array([1e-3] * 3 + [np.radians(1.0)] * 3) / np.sqrt(3)
-ALONE_EVERY = 10  # every so many frames, one is localised alone
+ALONE_EVERY = 10  # one of this many frames is localised alone
 FOUND_M = 3e-3
 SLIP, SLIP_FOUND_M = Slip(4e-3, np.radians(15.0)), 1.5e-3
 BEFORE, SOON, LATE = 12, 3, 100  # frames before and after a jump
@@ -52,14 +54,14 @@ CLOUD_POINTS = 1000
 
 
 class Followed(NamedTuple):
-    """Poses (N, 4, 4) of N frames, and the seconds for each."""
+    """Poses (N, 4, 4) of N frames, and the seconds for each frame (N,)."""
 
     T_sensor_object: np.ndarray
     seconds: np.ndarray
 
 
 def make_sliding(localizer: Localizer) -> SlidingTouches:
-    """Return sequences of the localizer's object, drawn by another renderer than its own."""
+    """Return sequences of the localizer's object, drawn by another renderer than the localizer's."""
     renderer = registry().create("renderer", "raycast", {})
     return SlidingTouches(RobotTouches(
         localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=SENSOR_STD_M,
@@ -96,7 +98,7 @@ def time_each(find: Callable[[Touch], np.ndarray], touches: Sequence[Touch]) -> 
 
 
 def chain_icp(frames: Sequence[Frame]) -> Followed:
-    """Return poses by ICP of each frame to the one before, starting at the first frame's true pose."""
+    """Return poses from ICP between each frame and the frame before, starting at the first frame's true pose."""
     icp = registry().create("refiner", "icp", {})
     poses, seconds, before = [frames[0].T_sensor_object], [0.0], None
     for last, frame in zip((frames[0], *frames), frames, strict=False):
@@ -119,7 +121,7 @@ def chain_icp(frames: Sequence[Frame]) -> Followed:
 
 
 def make_cloud(touch: Touch) -> Cloud:
-    """Return a touch's surface and walls as points in mm."""
+    """Return a touch's surface and walls as a cloud of points, in mm."""
     geometry, shape = touch.thin(200)
     points_m, normals = make_contact_cloud(shape, geometry)
     every = max(1, round(len(points_m) / CLOUD_POINTS))
@@ -129,7 +131,7 @@ def make_cloud(touch: Touch) -> Cloud:
 def measure_pose_differences(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4).
 
-    Among the poses equivalent to the true one (K, 4, 4), the nearest by root mean square surface distance counts.
+    Of all poses equivalent to the true pose, the nearest (by root mean square surface distance) counts.
     """
     nearest = PoseMetric(obj).nearest_equivalents(T_true, T_estimates)
     centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
@@ -176,7 +178,8 @@ def measure_slides(localizer: Localizer, count: int, seed: int) -> list[str]:
 class Found(NamedTuple):
     """The numbers of found poses after jumps, and the seconds of a search.
 
-    Poses are found at once by one frame alone, or SOON and LATE frames after by the tracker's first mode or any mode.
+    `alone` counts poses found at once from one frame alone. The other counts are for the tracker's first mode or any
+    mode, `SOON` or `LATE` frames after the jump.
     """
 
     alone: int
@@ -206,7 +209,7 @@ def measure_jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | N
 
 
 def is_near(metric: PoseMetric, poses: np.ndarray, frame: Frame, near_m: float) -> np.ndarray:
-    """Return whether poses (K, 4, 4) are within `near_m` metres of the true one."""
+    """Return a mask (K,) of the poses (K, 4, 4) that are within `near_m` metres of the true pose."""
     return metric.symmetric_distance(poses, np.stack([frame.T_sensor_object] * len(poses))) < near_m
 
 

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Depth from simulated images of the demo objects, by an estimator trained on simulated calibration boards only.
+"""Depths from simulated images of the demo objects. The estimator was trained only on simulated calibration boards.
 
 The sensor is calibrated as by `tactile-loc calibrate --simulated`, or loaded from the store. Then it reads touches of
 unseen objects at random poses, at the sensor's deepest press, under the nominal lamps. Errors of the indentation are
 RMS over the whole image and over the contact. IoU is the overlap of the contact's mask with the true mask. Times are
 medians on this machine. The output is a Markdown table.
 
-With `--locate N` the objects are also located from N images, by the protocol of `tactile-loc evaluate`, and from the
-same touches given as clean contact shapes. A second table has the results for each `--encoder`, on grids of about
-`--poses` poses.
+With `--locate N`, the objects are also located from N images by the protocol of `tactile-loc evaluate`, and from clean
+contact shapes of the same touches. A second table has the results for each `--encoder`, on grids of about `--poses`
+poses.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ COLUMNS = ("object", "RMSE, image (mm)", "RMSE, contact (mm)", "IoU", "least IoU
 
 
 def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps: Optics) -> np.ndarray:
-    """Return a row of numbers for each touch, (N, 6), in the order of COLUMNS: mm, shares and ms."""
+    """Return a row of numbers for each of N touches, in the order of `COLUMNS`, in mm, shares and ms."""
     rows, rng = [], np.random.default_rng(0)
     for start in range(0, len(touches), BATCH):
         some = touches[start : start + BATCH]
@@ -66,7 +66,7 @@ def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps
 def measure_errors(
     estimator: GelEstimator, noise_m: float, touch: Touch, image: np.ndarray, known_m: np.ndarray
 ) -> tuple[float, ...]:
-    """Return the errors of one touch; the IoU is 0 when no contact is found in it."""
+    """Return the errors of one touch. The IoU is 0 if no contact is found in the image."""
     observed = estimator.geometry.observed_mask
     start = time.perf_counter()
     found_m = estimator.read_indentation(image)
@@ -85,7 +85,7 @@ def measure_errors(
 
 
 def write_row(name: str, values: np.ndarray) -> str:
-    """Return a line of the table: means over touches, the least IoU, the median time."""
+    """Return a row of the table: means over touches, the least IoU, and the median time."""
     image, contact, iou, press, _ = values.mean(axis=0)
     numbers = (f"{v:.3f}" for v in (image, contact, iou, values[:, 2].min(), press))
     return f"| {name} | {' | '.join(numbers)} | {np.median(values[:, 4]):.0f} |"
@@ -95,7 +95,7 @@ LINES, WHAT = ("best-1", "reg-1"), ("shapes", "images")
 
 
 def locate(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace) -> str:
-    """Return a line of the second table: medians of an object's errors, from shapes and from images, in mm."""
+    """Return a row of the second table: an object's median errors, in mm, from contact shapes and from images."""
     obj = load_object(name, "auto")
     spacing_mm = choose_spacing(obj, {"sensor": arguments.sensor}, arguments.poses)
     config = RunConfig.from_dict({

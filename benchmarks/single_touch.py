@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Errors and times of locating real objects from one clean touch, with the default components.
 
-For each mesh: one face, a grid of about `--poses` poses, `--touches` random continuous poses. Errors are ADD over
-10 000 surface points, modulo symmetry, in mm and divided by a random pose's mean error. Meshes are given as
-FILE[:UNITS]; by default the demo objects. Times are medians on this machine, in one run.
+For each mesh, one face has a grid of about `--poses` poses, and `--touches` touches have random poses between the grid
+poses. Errors are ADD over 10 000 surface points, modulo symmetry, in mm and divided by a random pose's mean error.
+Meshes are given as FILE[:UNITS]; the default is all demo objects. Times are medians on this machine, in one run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 
 
 def choose_spacing(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
-    """Return the grid spacing (mm) that gives about `poses` poses: their number goes with its inverse cube."""
+    """Return the grid spacing, mm, that gives about `poses` poses, because spacing^3 sets their number."""
     spacing_mm = 4.0
     for _ in range(2):
         config = RunConfig.from_dict({**base, "grid": {"name": "face", "spacing_mm": spacing_mm}})
@@ -61,7 +61,7 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
 
 
 def report(row: dict) -> str:  # type: ignore[type-arg]
-    """Return one object's lines of the table."""
+    """Return the lines of the table for one object."""
     head = f"{row['object']:<26}{row['poses']:>7} poses {row['spacing_mm']:>5.2f} mm, built in {row['build_s']:.1f} s, "
     times = ", ".join(f"{k} {v:.1f}" for k, v in row["median_ms"].items())
     lines = [f"{head}symmetry {row['symmetry']}; ms: {times}"]

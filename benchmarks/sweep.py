@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""One sweep on local processes and on a Dask cluster of this machine, each also with a worker killed meanwhile.
+"""A sweep on local processes and on a Dask cluster of this machine, with and without killing a worker.
 
-The plan has two renderers, three encoders, four refiners and three demo objects, with a coarse grid, few pixels and few
-touches: it tests the sweep, not the results. `--small` uses two encoders, two refiners, one renderer and one object.
-The rows, the failures, how often each stage was built, and whether all tables are equal are printed and written to
-`--out`/counts.json. The exit code is 1 if anything is lost, differs or was built twice.
+The plan has two renderers, three encoders, four refiners and three demo objects. The grid is coarse, and pixels and
+touches are few, because the benchmark tests the sweep, not the results. `--small` uses two encoders, two refiners, one
+renderer and one object. The benchmark counts rows, failures and builds of each stage, and compares all tables. It
+prints these numbers, and writes them to `--out`/counts.json. The exit code is 1 if anything is lost, differs or was
+built twice.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
 
 @contextmanager
 def kill_at_random(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterator[list[int]]:
-    """Kill one of the processes `victims` when the folder `rows` holds `after` rows; yield the killed process."""
+    """Kill a process of `victims` when the folder `rows` has `after` rows. Yield a list for the killed process."""
     killed: list[int] = []
     over = threading.Event()
 
@@ -79,7 +80,7 @@ def kill_at_random(rows: Path, after: int, victims: Callable[[], list[int]]) -> 
 
 
 def list_local_workers() -> list[int]:
-    """Return the process numbers of this process's local workers."""
+    """Return the process identifiers of this process's local workers."""
     children = psutil.Process().children()
     return [child.pid for child in children if any("multiprocessing.spawn" in word for word in child.cmdline())]
 
@@ -103,7 +104,7 @@ def measure(name: str, arguments: argparse.Namespace, workers: Workers, victims:
 
 
 def count_rows(swept: Sweep, store: Path) -> dict[str, Any]:
-    """Return the numbers of rows and of failures, and how often stages were built."""
+    """Return the numbers of rows and failures, and the numbers of builds of stages."""
     built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
     stored = {f"{entry.stage} {entry.digest}" for entry in StageStore(store).entries()}
     return {
@@ -120,7 +121,7 @@ def drop_momentary(swept: Sweep) -> list[dict[str, Any]]:
 
 @contextmanager
 def make_workers(way: str, arguments: argparse.Namespace) -> Iterator[tuple[Workers, Callable[[], list[int]]]]:
-    """Return workers of one of WAYS, and a function that finds their processes."""
+    """Yield workers for one of the `WAYS`, and a function that finds the workers' processes."""
     from distributed import LocalCluster
 
     if way.startswith("local"):

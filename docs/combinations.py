@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The combinations of components that are refused, as a table of docs/plugins.md, from the rules and what is declared.
+"""The table of refused combinations of components in docs/plugins.md, from the rules and the components' declarations.
 
 Run it to renew the table.
 """
@@ -21,7 +21,7 @@ HEAD = "| declared | and declared | why it is refused | what to do |\n|---|---|-
 
 
 def table() -> str:
-    """Return the table: a row for each rule, with the built-in components that each side of it holds for."""
+    """Return the table. Each rule has a row with the built-in components to which the rule applies."""
     rows = [f"| {_side(r.first)} | {_side(r.second)} | {r.reason} | {r.advice} |\n" for r in INCOMPATIBILITIES]
     return HEAD + "".join(rows)
 
@@ -32,7 +32,7 @@ def _side(declared: Declared) -> str:
 
 
 def _declaring(declared: Declared) -> Iterator[str]:
-    """The built-in components of the slot, with an option where it depends on that, that declare this."""
+    """Yield the built-in components that declare this, with the option if the declaration depends on an option."""
     for found in registry().components:
         if found.distribution == BUILT_IN and found.spec.slot == declared.slot:
             kind = registry().load(found.spec.slot, found.spec.name)
@@ -44,7 +44,7 @@ def _declaring(declared: Declared) -> Iterator[str]:
 
 
 def _choices(kind: Any) -> Iterator[dict[str, Any]]:
-    """The default options, and each choice between names instead."""
+    """Yield the default options, and then each other choice of an option with named values."""
     yield {}
     for name, field in kind.Options.model_fields.items():
         yield from ({name: value} for value in get_args(field.annotation) if isinstance(value, str))

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The packages of the code and what each imports, read from every import statement, late ones included.
+"""The packages of the code, and the imports of each package, read from every import statement (also in functions).
 
-Run it to renew the table of docs/architecture.md and its picture, docs/images/packages.svg.
+Run this script to renew the table of docs/architecture.md and its picture, docs/images/packages.svg.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGE, PICTURE = ROOT / "docs" / "architecture.md", ROOT / "docs" / "images" / "packages.svg"
 FOLDERS = ("tactile_loc", "cli/tactile_loc_cli", "benchmarks", "docs")
-# From the ground up: a package imports only packages of lower layers, never its neighbours.
-# A number is a box's place across.
+# The lowest layer comes first. A package imports only packages of lower layers, never of its own layer.
+# A number is the horizontal position of a box.
 LAYERS: tuple[dict[str, float], ...] = (
     {"core": 1.8},
     {"plugin": 0, "store": 2.2, "data": 3.4},
@@ -42,7 +42,7 @@ ROW = re.compile(r"^\| `(?P<path>[\w/.]+)` \| (?P<holds>[^|]*) \|[^|]*\|[^|]*\|$
 
 @dataclass(frozen=True, order=True)
 class Import:
-    """A statement: the module that has it, the line, and what it names, a module of ours or a library."""
+    """An import statement: the module that has it, its line, and the imported module of ours or library."""
 
     importer: str
     line: int
@@ -66,7 +66,7 @@ def modules() -> dict[str, Path]:
 
 @cache
 def imports() -> tuple[Import, ...]:
-    """Return every import of every module of ours, of the standard library's modules none."""
+    """Return all imports in our modules, except imports of the standard library."""
     found = {found for name, path in modules().items() for found in _imports_of(name, path)}
     return tuple(sorted(i for i in found if i.imported.partition(".")[0] not in sys.stdlib_module_names))
 
@@ -81,31 +81,31 @@ def _imports_of(importer: str, path: Path) -> Iterator[Import]:
 
 
 def is_ours(module: str) -> bool:
-    """Tell whether a module is one of this repository's."""
+    """Return whether a module belongs to this repository."""
     return module in modules()
 
 
 def package(module: str) -> str:
-    """Return the package that a module of ours is in."""
+    """Return the package of one of our modules."""
     path = modules()[module].relative_to(ROOT).as_posix()
     alone = next((name for name, start in PATHS.items() if path == start or path.startswith(f"{start}/")), None)
     return alone or module.split(".")[1]
 
 
 def packages_imported() -> dict[str, list[str]]:
-    """Return the packages that each package imports, the highest first."""
+    """Return the packages that each package imports, the highest layer first."""
     pairs = {(package(i.importer), package(i.imported)) for i in imports() if is_ours(i.imported)}
     return {r: sorted((b for a, b in pairs if a == r != b), key=lambda b: (-LAYER_OF[b], b)) for r in LAYER_OF}
 
 
 def libraries_imported() -> dict[str, list[str]]:
-    """Return the libraries, beside Python's own, that each package imports."""
+    """Return the libraries that each package imports, without the standard library."""
     pairs = {(package(i.importer), i.imported.partition(".")[0]) for i in imports() if not is_ours(i.imported)}
     return {r: sorted({b for a, b in pairs if a == r}, key=str.lower) for r in LAYER_OF}
 
 
 def with_table(page: str) -> str:
-    """Return the page with what each row's package imports, as the code has it. Raises KeyError for an unknown one."""
+    """Return the page with the imports of each row's package. Raises KeyError if a row names an unknown package."""
     packages, libraries = packages_imported(), libraries_imported()
 
     def row(match: re.Match[str]) -> str:
@@ -126,7 +126,7 @@ def package_at(path: str) -> str:
 
 
 def arrows() -> list[tuple[str, str]]:
-    """Return (package, package it imports), without what follows from others: a to c where a to b and b to c are."""
+    """Return pairs (package, imported package), without a to c if there are also a to b and b to c."""
     direct = {name: set(found) for name, found in packages_imported().items()}
 
     def below(name: str) -> set[str]:
@@ -135,7 +135,7 @@ def arrows() -> list[tuple[str, str]]:
     return [(a, b) for a in direct for b in sorted(direct[a]) if not any(b in below(c) for c in direct[a] - {b})]
 
 
-PITCH, BOX, HEIGHT, GAP = 140, 112, 36, 44  # pixels: from place to place, of a box, and between layers
+PITCH, BOX, HEIGHT, GAP = 140, 112, 36, 44  # pixels: from box to box, width and height of a box, between layers
 LABELS = {"plugin": "plugin.py", "tactile_loc": "public API"}
 STYLE = (
     "text{font:14px sans-serif;text-anchor:middle;dominant-baseline:central;fill:#1f2933}"
@@ -148,7 +148,7 @@ TIP = (
 
 
 def picture() -> str:
-    """Return the picture: a box for each package, layer by layer from the top, and an arrow for each of `arrows`."""
+    """Return the picture as SVG, with a box for each package, the highest layer at the top, and all arrows."""
     width = PITCH * (1 + max(x for layer in LAYERS for x in layer.values()))
     height = len(LAYERS) * (HEIGHT + GAP)
     size = f'viewBox="0 0 {width:.0f} {height}" width="{width:.0f}" height="{height}"'
@@ -160,7 +160,7 @@ def picture() -> str:
 
 
 def _place(name: str) -> tuple[float, float]:
-    """The middle of a package's box, pixels."""
+    """Return the middle of a package's box, in pixels."""
     above = len(LAYERS) - 1 - LAYER_OF[name]
     return PITCH * (LAYERS[LAYER_OF[name]][name] + 0.5), 0.5 * (GAP + HEIGHT) + above * (HEIGHT + GAP)
 
@@ -172,7 +172,7 @@ def _box(name: str) -> str:
 
 
 def _arrow(start: tuple[float, float], end: tuple[float, float]) -> str:
-    """An arrow that runs down its package's column, where no box is, and turns aside in the last gap between layers."""
+    """Return an arrow. It goes straight down, and bends towards its end only in the last gap between layers."""
     (x0, y0), (x1, y1) = start, end
     y0, y1 = y0 + HEIGHT / 2, y1 - HEIGHT / 2
     turn, middle = y1 - GAP, y1 - 0.4 * GAP

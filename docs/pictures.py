@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws pictures of the guide (method, conventions, tracking, next touch) from what the code computes."""
+"""Draw pictures of the guide (method, conventions, tracking, next touch) from results of the code."""
 
 from __future__ import annotations
 
@@ -47,21 +47,21 @@ IMAGES = Path(__file__).parent / "images"
 OBJECT = "hook"
 SPACING_MM = 4.51  # about 10 000 poses
 NEIGHBOURS = 5
-SHOWN = 4  # most probable poses
+SHOWN = 4  # number of shown poses, the most probable ones
 TOUCH_SEED = 3
-SLIDE_FRAMES, SLIDE_SEED, SLIDE_LIFT = 500, 5, (250, 300)  # frames, and those in which nothing touches
+SLIDE_FRAMES, SLIDE_SEED, SLIDE_LIFT = 500, 5, (250, 300)  # SLIDE_LIFT: the range of frames without contact
 NEXT_SEED = 5
 TRACKED, TRUE, SURE, STARTED = "#2b6cb0", "#e03131", "#bee3f8", "#2f855a"
 SHADES = {
     Verdict.AMBIGUOUS: "#fefcbf", Verdict.POOR_FIT: "#fed7d7", Verdict.NOT_FOUND: "#fed7d7",
     Verdict.NO_CONTACT: "#edf2f7",
 }  # fmt: skip
-DEVIATIONS = 2.0  # that are drawn about nothing
+DEVIATIONS = 2.0  # drawn range about zero, in standard deviations
 SURFACE_POINTS = 4000
 
 
 def draw_rendering(localizer: Localizer) -> Figure:
-    """Draw one pose on the sensor, what its camera sees, and the contact shape that makes of it."""
+    """Draw a pose on the sensor, the depths that the sensor's camera sees, and the contact shape of these depths."""
     geometry, scene = localizer.sensor.geometry, localizer.scene
     T = _touch(localizer).T_sensor_object
     z_m = scene.renderer.render(scene.object.mesh, T[None], geometry)[0]
@@ -88,7 +88,7 @@ def draw_rendering(localizer: Localizer) -> Figure:
 
 
 def draw_neighbours(localizer: Localizer) -> Figure:
-    """Draw the contact shapes of a pose of the grid and of those nearest to it, with their distances."""
+    """Draw the contact shapes of a grid pose and of the grid poses nearest to it, with the distances."""
     grid, geometry = localizer.model.grid, localizer.sensor.geometry
     own = int(grid.nearest(_touch(localizer).T_sensor_object[None])[1][0])
     distances_m = np.linalg.norm(grid.phi - grid.phi[own], axis=1)
@@ -106,9 +106,10 @@ def draw_neighbours(localizer: Localizer) -> Figure:
 
 
 def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
-    """Draw five touches of a localizer's object, the same in every row, with each level of noise in turn.
+    """Draw five touches of a localizer's object. Each row has the same touches with another level of noise.
 
-    Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
+    Titles give the press depth that the sensor measures, in mm. If noise removes the contact, another touch is drawn,
+    and the columns differ.
     """
     touches = [
         replace(touch, name=f"{level}, {format_millimetres(touch.press_depth_m)}")
@@ -119,7 +120,7 @@ def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
 
 
 def draw_matching(localizers: dict[str, Localizer]) -> Figure:
-    """Draw a noisy touch and, for each encoder, the most probable poses' contact shapes and the whole posterior."""
+    """Draw a noisy touch and, for each encoder, the contact shapes of the most probable poses, and the posterior."""
     first = next(iter(localizers.values()))
     touch = _touch(first)
     figure = make_figure(3.0 * (SHOWN + 2), 3.0 * len(localizers) + 0.5, constrained=True)
@@ -145,7 +146,7 @@ def draw_matching(localizers: dict[str, Localizer]) -> Figure:
 
 
 def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> None:
-    """Draw each pose's place as a dot: its area is the probability, its colour the yaw."""
+    """Draw each pose's place as a dot. The dot's area is the probability, and its colour is the yaw."""
     T = posterior.grid.T_sensor_object
     likely = posterior.top(300)
     centroid = posterior.grid.metric.object.mesh.centroid_m
@@ -164,7 +165,7 @@ def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> N
 
 
 def draw_slide(localizer: Localizer) -> Figure:
-    """Draw how a slide over the object is tracked, with a lift in between."""
+    """Draw the tracking of a slide over the object, with a lift in the middle."""
     renderer = registry().create("renderer", "raycast", {})
     source = RobotTouches(
         localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=1e-4,
@@ -184,8 +185,11 @@ def draw_slide(localizer: Localizer) -> Figure:
 
 @dataclass(frozen=True, eq=False)
 class TrackErrors:
-    """How far N tracked poses are off: the distance of their centroids (N,), metres, and the turn (N,), radians; and
-    one standard deviation of each as the covariances say, root sums over the axes."""
+    """Errors of N tracked poses: distances of the centroids (N,), metres, and angles (N,), radians.
+
+    `shift_std_m` and `turn_std_rad` (N,) are the standard deviations of both from the covariances: the root of the
+    variances' sum over the axes.
+    """
 
     shift_m: NDArray[np.float64]
     turn_rad: NDArray[np.float64]
@@ -196,9 +200,10 @@ class TrackErrors:
 def draw_track(
     found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel, gel_m: NDArray[np.float64], title: str
 ) -> Figure:
-    """Draw the gel's path over the object, tracked and true (N, 4, 4), and the errors of N frames over time.
+    """Draw the gel's path over the object, tracked and true, and the errors of N frames over time.
 
-    `gel_m` (3,), metres, is the gel's middle in the sensor's frame. Frames without any pose are left out.
+    `T_true` (N, 4, 4) are the true poses. `gel_m` (3,), metres, is the gel's middle in the sensor's frame. Frames
+    without a pose are left out.
     """
     known = [k for k, one in enumerate(found) if one.T_sensor_object is not None]
     some, truth = [found[k] for k in known], T_true[known]
@@ -222,7 +227,7 @@ def draw_track(
 
 
 def measure_track(found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel) -> TrackErrors:
-    """Return how far tracked poses are off true ones (N, 4, 4)."""
+    """Return the errors of tracked poses, given the true poses (N, 4, 4)."""
     T = np.array([one.T_sensor_object for one in found])
     C = np.array([one.covariance for one in found])
     at_centroid = move_covariance(C, T[:, :3, :3] @ obj.mesh.centroid_m)
@@ -237,7 +242,7 @@ def measure_track(found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel)
 def _draw_path(
     axes: Any, found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel, gel_m: NDArray[np.float64]
 ) -> None:
-    """The gel's middle in the object's frame, seen along the axis in which the path is shortest; mm."""
+    """Draw the path of the gel's middle in the object's frame, mm, seen along the axis with the shortest extent."""
     tracked = np.array([one.T_sensor_object for one in found])
     paths_mm = [1e3 * transform_points(invert(T), gel_m[None])[:, 0] for T in (T_true, tracked)]
     surface_mm = 1e3 * obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
@@ -270,7 +275,7 @@ def _shade(axes: Any, found: Sequence[TrackedPose]) -> None:
 
 
 def draw_next(localizer: Localizer) -> Figure:
-    """Draw what the poses that one touch leaves possible would show at the best of 100 approaches."""
+    """Draw the contact shapes, at the best of 100 approaches, of the poses that are possible after one touch."""
     touch = localizer.simulate(1, NEXT_SEED)[0]
     found = localizer.localize(replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))), top=MOST_MODES)
     rng = np.random.default_rng(NEXT_SEED)
@@ -283,7 +288,7 @@ def _touch(localizer: Localizer) -> Touch:
 
 
 def tell_stories(out: Path) -> None:
-    """Run the code of the stories' pages, which draw their own pictures, in the folder of pictures."""
+    """Run the code of the pages story-*.md in the folder of pictures; this code draws the pages' pictures."""
     with chdir(out):
         for page in sorted(IMAGES.parent.glob("story-*.md")):
             for code in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
@@ -291,7 +296,7 @@ def tell_stories(out: Path) -> None:
 
 
 def main() -> None:
-    """Draw all pictures; the learned encoder is trained if the store has it not."""
+    """Draw all pictures. The learned encoder is trained unless the store has it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=IMAGES)
     out = parser.parse_args().out

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""The options of the search, of hypotheses and of the tracker, as tables of docs/tuning.md, from their models.
+"""The tables of docs/tuning.md: the options of the search, of hypotheses and of the tracker, from their models.
 
-The last cell of a row, the effect of a larger value, is written by hand in the page. The rest comes from the models.
-Run it to renew the tables.
+The last cell of a row, the effect of a larger value, is written by hand in the page. The other cells come from the
+models. Run this script to renew the tables.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HEAD = "| option | default | range | meaning | effect of a larger value |\n|---|
 
 
 def with_tables(page: str) -> str:
-    """Return the page with its tables as the models have them. Raises KeyError for a table of an unknown model."""
+    """Return the page with the tables of the models. Raises KeyError if a table names an unknown model."""
     effects = read_effects(page)
     return MARKER.sub(lambda m: f"<!-- options: {m[1]} -->\n{table(m[1], effects)}<!-- /options -->\n", page)
 
@@ -45,7 +45,7 @@ def table(kind: str, effects: dict[str, str]) -> str:
 
 
 def _describe_range(field: FieldInfo) -> str:
-    """The bounds of an option, as its help text has them."""
+    """Return the bounds of an option, such as ">= 1"."""
     signs = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
     return ", ".join(f"{sign} {getattr(one, name):g}" for one in field.metadata for name, sign in signs.items()
                      if getattr(one, name, None) is not None)  # fmt: skip
@@ -57,7 +57,7 @@ def options() -> set[str]:
 
 
 def main() -> None:
-    """Renew the tables. Refuse to lose an effect whose option is gone."""
+    """Renew the tables. Raises SystemExit if the page describes an option that no longer exists."""
     page = PAGE.read_text(encoding="utf-8")
     if gone := sorted(set(read_effects(page)) - options()):
         sys.exit(f"{PAGE} describes options that are gone: {', '.join(gone)}; rename or delete their rows")

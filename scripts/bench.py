@@ -2,12 +2,13 @@
 """Keep the results of benchmarks, compare them over time, and write them into the documentation.
 
 `keep NAME [ARGUMENT ...]` runs benchmarks/NAME.py and keeps its tables in benchmarks/results/VERSION/RUN.json, with the
-machine, the versions, the date and the arguments. A run has the name of its benchmark, or that of `--as RUN`. Without
-arguments it takes those of the last time. Then the tables and computed figures of the documentation are renewed, and
-the sentences to check are listed. `bind RUN` confirms these sentences. `--all` repeats every kept run, and runs every
-other benchmark. `compare` reports the changes since the previous version with results. It fails if a time grew, or a
-speed fell, by more than a tenth. Times are compared as multiples of a yardstick: the time of a fixed piece of work
-before and after a run. `page` writes the documentation's page of results, and all figures that come from results.
+machine, the versions, the date and the arguments. A run has the name of its benchmark, or the name given with `--as
+RUN`. Without arguments, the run repeats the arguments of the last time. Then the tables and computed figures of the
+documentation are renewed, and the sentences to check are listed. `bind RUN` confirms these sentences. `keep --all`
+repeats every kept run, and runs every other benchmark. `compare` reports the changes since the previous version with
+results. It fails if a time grew, or a speed fell, by more than a tenth. Times are compared as multiples of a yardstick:
+the time of a fixed piece of work before and after a run. `page` writes the documentation's page of results, and all
+figures that come from results.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ BENCHMARKS = ROOT / "benchmarks"
 PAGE = ROOT / "docs" / "results.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # share by which a time may grow
-CHANGED = 0.1  # share from which a change is reported
+CHANGED = 0.1  # share by which a figure may change without a report
 TIME = re.compile(r"(?<!/)\b(m?s|seconds|milliseconds)\b")
 RATE = re.compile(r"/s\b")
 RATIO = re.compile(r"^x \w")  # ratio to another row of the same run
@@ -44,9 +45,9 @@ RATIO = re.compile(r"^x \w")  # ratio to another row of the same run
 
 @dataclass(frozen=True)
 class Change:
-    """A figure `before` and `now`, times as multiples of the yardstick.
+    """A figure `before` and `now`. Times and speeds are relative to the yardstick.
 
-    `wanted` is 1 if the figure should grow (a speed), -1 if it should fall (a time), else 0.
+    `wanted` is 1 if the figure should grow (a speed), -1 if it should fall (a time), and otherwise 0.
     """
 
     where: str
@@ -56,17 +57,17 @@ class Change:
 
     @property
     def ratio(self) -> float:
-        """The figure now, divided by the one before."""
+        """The present figure, divided by the previous figure."""
         return self.now / self.before if self.before else (1.0 if self.now == 0 else math.inf)
 
     @property
     def is_worse(self) -> bool:
-        """Whether it is a time that grew, or a speed that fell, by more than WORSE."""
+        """Whether a time grew, or a speed fell, by more than `WORSE`."""
         return self.wanted * math.log(max(self.ratio, 1e-9)) < -math.log(1 + WORSE)
 
 
 def find_changes(before: Kept, now: Kept) -> list[Change]:
-    """Return the changes of all figures that both runs have: same column, same words in the row.
+    """Return the changes of all figures that both runs have in the same column, and in a row with the same words.
 
     Times and speeds are left out if a yardstick is unknown.
     """
@@ -75,7 +76,7 @@ def find_changes(before: Kept, now: Kept) -> list[Change]:
     changes = []
     for key, value in (item for table in now.tables for item in _read_figures(table).items()):
         row, column, _ = key
-        power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
+        power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # exponent of the yardstick
         if key in earlier and (all(yardsticks) or not power):
             old, new = ((y or 1.0) ** power for y in yardsticks)
             wanted = 1 if RATIO.search(column) else power
@@ -84,7 +85,7 @@ def find_changes(before: Kept, now: Kept) -> list[Change]:
 
 
 def _read_figures(table: Table) -> dict[tuple[str, str, int], float]:
-    """Return the numbers of a table by the words of their row, their column and their index in the cell."""
+    """Return the numbers of a table. A number's key is the words of its row, its column, and its index in the cell."""
     found: dict[tuple[str, str, int], float] = {}
     rows = (", ".join(cell for cell in cells if cell and not NUMBER.match(cell)) for cells in table.filled)
     columns = _number_repeats(table.columns)
@@ -96,7 +97,7 @@ def _read_figures(table: Table) -> dict[tuple[str, str, int], float]:
 
 
 def _number_repeats(words: Iterable[str]) -> list[str]:
-    """Return the words; from its second time on, a word gets a number."""
+    """Return the words. Each repetition of a word gets a number."""
     seen, found = Counter[str](), []
     for word in words:
         seen[word] += 1
@@ -105,7 +106,7 @@ def _number_repeats(words: Iterable[str]) -> list[str]:
 
 
 def measure_yardstick_ms() -> float:
-    """Return the median of 9 times of a fixed piece of work: Python loops, sorting, products of matrices."""
+    """Return the median of 9 times, in ms, of a fixed piece of work: Python loops, sorting, products of matrices."""
     import numpy as np
 
     values = np.random.default_rng(0).random((600, 600))
@@ -120,7 +121,7 @@ def measure_yardstick_ms() -> float:
 
 
 def describe_machine(threads: Mapping[str, str] = os.environ) -> dict[str, Any]:
-    """Return the properties of this machine, and the limits among the variables `threads`."""
+    """Return the properties of this machine, and the limits of threads in the environment variables `threads`."""
     info = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
     return {
@@ -133,9 +134,10 @@ def describe_machine(threads: Mapping[str, str] = os.environ) -> dict[str, Any]:
 
 
 def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "") -> Kept:
-    """Run a benchmark, show its output, and keep its tables. The name of the `run` is by default its own.
+    """Run a benchmark, show its output, and keep its tables. The default name of the `run` is the benchmark's name.
 
-    Without arguments it takes those of the last time. Raises SystemExit if it fails, or its arguments are unknown.
+    Without arguments, the arguments of the last time are repeated. Raises SystemExit if the benchmark fails, or the
+    last arguments name files of a user.
     """
     if not (script := BENCHMARKS / f"{name}.py").exists():
         raise SystemExit(f"bench: there is no benchmark {name}; there are {', '.join(list_benchmarks())}")
@@ -162,7 +164,7 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "")
 
 
 def _read_threads(kept: Kept) -> dict[str, str]:
-    """Return the limits of threads of a run, as variables of the environment."""
+    """Return the limits of threads of a run, as environment variables."""
     return {name: kept.machine[name] for name in sorted(kept.machine) if name.isupper()}
 
 
@@ -185,7 +187,7 @@ def list_benchmarks() -> list[str]:
 
 
 def compare(folder: Path = RESULTS) -> int:
-    """Print the changes between the last two versions with results; return 1 if one is worse."""
+    """Print the changes between the last two versions with results. Return 1 if a figure is worse."""
     known = list_versions(folder)
     if len(known) < 2:
         print(f"bench: only {known[0]} has results; nothing to compare with" if known else "bench: nothing is kept yet")
@@ -206,7 +208,7 @@ def compare(folder: Path = RESULTS) -> int:
 
 
 def format_page(folder: Path = RESULTS) -> str:
-    """Return the documentation's page of results: every run, and the tables of runs that `keep` made."""
+    """Return the documentation's page of results: all runs, and the tables of the runs that `keep` made."""
     parts = [
         "# Results over time\n",
         "The first table lists every run of the benchmarks, with its command and date. If `scripts/bench.py keep`\n"

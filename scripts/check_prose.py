@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Report phrases that are hard to read, in pages, docstrings, comments and messages. `make lint` runs it.
 
-It knows only the worst patterns, and accepts no exception. It prints advice with each fault.
+The script knows only the worst patterns, and allows no exception. It prints advice with each fault.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "CHANGELOG.md", "SECURITY.md", "docs", "plugins_contrib", "examples")
 CODE = ("tactile_loc", "cli", "plugins_contrib", "examples", "benchmarks", "scripts")
-GENERATED = ("docs/cli.md", "docs/results.md")  # from texts of the code, which are checked
+GENERATED = ("docs/cli.md", "docs/results.md")  # made from texts in the code, which are checked instead
 LONGEST = 40  # words of a sentence
 
 PARTICIPLES = "told|said|refused|found|located|drawn|pressed|seen"
-# Anywhere in a sentence. A group is the phrase that is printed. A column of the results is named *nobody*.
+# Patterns anywhere in a sentence. A group is the phrase to print. A column of the results is named *nobody*.
 PHRASES = {
     r"\b(?:is|are|was|were|be|been) (?:told|said)\b": "write 'is reported', or who reports it",
     r"\b(?:that|who|which) is (?-i:none)\b": "name what is wrong",
@@ -34,7 +34,7 @@ PHRASES = {
     r"(?<!\*)\bnobody\b(?=\W)": "write 'no one', or who does not",
     rf"\b(?:as|by|for|from|in|of|on|than|to|with) what (?:is|was|are|were) (?:{PARTICIPLES})\b": "use a noun",
 }
-# At the start of a sentence
+# Patterns at the start of a sentence
 STARTS = {
     r"(?:What|Whoever|Whatever(?! [^,]*,)) [^?:]*\b(?:is|are|was|were|has|have|can|does)\b[^?:]*[.;]$":
         "start with a noun, not with a clause",
@@ -64,7 +64,10 @@ def read_page(text: str) -> Prose:
 
 
 def read_code(text: str) -> Prose:
-    """Yield the line and text of each comment, and of each paragraph of a string that has a space, or is a page."""
+    """Yield the line and text of each comment, and of each paragraph of a string with a space.
+
+    A string with a block of code is read as a page.
+    """
     parts: set[ast.AST] = set()  # of formatted strings
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.JoinedStr):
@@ -82,7 +85,7 @@ def read_code(text: str) -> Prose:
 
 
 def read_comments(text: str) -> Prose:
-    """Yield the first line and text of each comment; comments in consecutive lines are one."""
+    """Yield the first line and text of each comment. Comments in consecutive lines count as one comment."""
     block, first, last = [], 0, 0
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type != tokenize.COMMENT or token.string.startswith(("#!", "# type:", "# noqa", "# fmt:")):
@@ -120,7 +123,7 @@ def find_faults(sentence: str) -> Iterator[str]:
 
 
 def list_files(root: Path, names: tuple[str, ...], suffix: str) -> list[Path]:
-    """Return the files of a suffix below files and folders, without generated ones."""
+    """Return the files with a suffix among the named files and folders, without generated files."""
     paths = [root / name for name in names]
     files = {f for p in paths for f in ([p] if p.is_file() else p.rglob(f"*{suffix}")) if f.suffix == suffix}
     return sorted(files - {root / name for name in GENERATED})

@@ -1,8 +1,8 @@
 """Draw the meshes of the demo objects from their dimensions: `python scripts/demo_meshes.py FOLDER` writes them all.
 
-They are six kinds of part that are common in tactile localization, drawn with manifold3d in millimetres. A profile is a
-list of (radius, z). A path lies in the xz plane: rows (x, z, heading), with the heading in radians from +x towards +z.
-The same code and libraries give the same bytes.
+The objects are six kinds of part that are common in tactile localization. They are made with manifold3d, in
+millimetres. A profile is a list of (radius, z). A path in the xz plane has rows (x, z, heading), with the heading in
+radians from +x towards +z. The same code and libraries give the same bytes.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ HALF_DISC = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(-np.pi / 2, np
 
 
 def arc(center: Sequence[float], radius: float, start_rad: float, stop_rad: float) -> Array:
-    """Return (N, 2) points of a circular arc, ends included, with chords within CHORD_ERROR of the circle."""
+    """Return points (N, 2) of a circular arc with both ends. The chords are within `CHORD_ERROR` of the circle."""
     angles = np.linspace(start_rad, stop_rad, _steps(radius, stop_rad - start_rad) + 1)
     return np.asarray(center) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def revolved(profile: Points, sections: int = SECTIONS) -> Manifold:
-    """Return the solid of a profile rotated about z. The profile starts and ends on the axis; a meridian lies at +x."""
+    """Return the solid of a profile rotated about z. The profile starts and ends on the axis. A meridian is at +x."""
     return Manifold.revolve(CrossSection([np.asarray(profile)], FillRule.NonZero), sections)
 
 
@@ -42,16 +42,16 @@ def hexagon(across_flats: float, bottom: float, top: float) -> Manifold:
 
 
 def straight(path: Points, stations: ArrayLike) -> Array:
-    """Return the path with a straight end, which has a point at each distance from the present end."""
+    """Return the path, continued straight, with a new point at each of the distances `stations` from its end."""
     heading = path[-1][2]
     step = np.array([np.cos(heading), np.sin(heading), 0])
     return np.vstack([path, path[-1] + np.asarray(stations)[:, None] * step])
 
 
 def bend(path: Points, radius: float, turn_rad: float, outer_radius: float) -> Array:
-    """Return the path with an arc at its end, to the left if `turn_rad` is positive.
+    """Return the path, continued with an arc, which bends to the left if `turn_rad` is positive.
 
-    The solid's largest radius about the centre of the bend sets the length of the chords.
+    `outer_radius`, the solid's largest radius about the centre of the bend, sets the length of the chords.
     """
     x, z, heading = path[-1]
     side = np.copysign(radius, turn_rad)
@@ -62,10 +62,13 @@ def bend(path: Points, radius: float, turn_rad: float, outer_radius: float) -> A
 
 
 def swept(path: Array, radii: ArrayLike, section: Array) -> Manifold:
-    """Return the solid of a unit section (S, 2), in the axes left and -y, moved along a path and scaled by radii."""
+    """Return the solid that a unit section (S, 2) makes along a path, scaled by radii.
+
+    The axes of the section point to the path's left and to -y.
+    """
     scales = np.broadcast_to(radii, len(path))
 
-    def place(points: Array) -> Array:  # of a prism with a layer for each point of the path
+    def place(points: Array) -> Array:  # `points` are those of a prism with a layer for each point of the path
         layers = np.rint(points[:, 2]).astype(int)
         (x, z, heading), (left, back) = path[layers].T, scales[layers] * points[:, :2].T
         return np.stack([x - left * np.sin(heading), -back, z + left * np.cos(heading)], axis=1)
@@ -75,15 +78,16 @@ def swept(path: Array, radii: ArrayLike, section: Array) -> Manifold:
 
 
 def round_section(sections: int = SECTIONS) -> Array:
-    """Return the (S, 2) section of a round wire of radius 1."""
+    """Return the section (S, 2) of a round wire of radius 1."""
     angles = np.arange(sections) * 2 * np.pi / sections
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def pin() -> Manifold:
-    """Return a stepped locating pin: z is its axis, tip at -z; the origin lies in the seating shoulder. Symmetry z2.
+    """Return a stepped locating pin along z, with the tip at -z. Symmetry z2.
 
-    Its head has two flats that face +-y, and a bore; the shank has a groove and a cross hole along x.
+    The origin lies in the seating shoulder. The head has a bore, and two flats that face +-y. The shank has a groove,
+    and a cross hole along x.
     """
     shank = [(0, -26), (2, -26), (4, -21.5), (4, -17), (3.2, -17), (3.2, -15), (4, -15), (4, -9)]
     body = [(4.6, -9), (5, -8.6), (5, -1.2), (4.4, -1.2), (4.4, 0)]
@@ -93,9 +97,9 @@ def pin() -> Manifold:
 
 
 def damping_pin() -> Manifold:
-    """Return a damping pin: z is its axis, barbed stem at -z, bulb at +z. Symmetry zinf.
+    """Return a damping pin along z, with a barbed stem at -z and a bulb at +z. Symmetry zinf.
 
-    The origin lies in the flange's lower face. A barb is a cone that widens from the tip, a land and a step back.
+    The origin lies in the flange's lower face. A barb is a cone that widens from the tip, a land, and a step inwards.
     """
     stem, neck, bulb, pitch = 2.7, 3.5, 7.0, 3.5
     barbs = [
@@ -109,13 +113,13 @@ def damping_pin() -> Manifold:
 
 
 def head() -> Manifold:
-    """Return a slotted bolt head: z is its axis, shaft at -z; slot and two corners along x. Symmetry z2.
+    """Return a slotted bolt head along z, with the shaft at -z. The slot and two corners are along x. Symmetry z2.
 
-    The origin lies in the seat. The facets' edges miss the hexagon's, and the chamfer's circle lies within the flats:
-    there are no slivers.
+    The origin lies in the seat. The edges of the round parts miss the hexagon's edges, and the chamfer's circle lies
+    within the flats. So the mesh has no slivers.
     """
     rim, face, top, peak = 14.0, 9.6, 7.5, 11.9
-    sphere = (9**2 + 4**2) / (2 * 4)  # the radius of a dome 9 in radius and 4 high
+    sphere = (9**2 + 4**2) / (2 * 4)  # the sphere of a dome with radius 9 and height 4
     dome = arc((0, peak - sphere), sphere, np.arccos(9 / sphere), np.pi / 2)
     shaft = [(0, -12), (5, -12), (6, -11), (6, 0), (rim, 0), (rim, 1.2), (9, 2.5)]
     body = revolved(np.vstack([shaft, dome[:-1], (0, peak)]))
@@ -126,7 +130,7 @@ def head() -> Manifold:
 
 
 def elbow_pipe() -> Manifold:
-    """Return a 90 degree elbow in the xz plane: the pipes' axes meet in the origin, x halves their angle. Symmetry x2.
+    """Return a 90 degree elbow in the xz plane. Its axes meet at the origin, and x bisects their angle. Symmetry x2.
 
     Each end has a chamfered flange and a bead. The bore starts outside the pipe, on the cone of its own chamfer, so
     that no faces coincide.
@@ -137,7 +141,7 @@ def elbow_pipe() -> Manifold:
 
 
 def _elbow(end: Array) -> Manifold:
-    """Return a round solid bent by 90 degrees; both ends have the profile (N, 2): distance from the end, radius."""
+    """Return a round solid bent by 90 degrees. The profile (N, 2) of both ends is (distance from the end, radius)."""
     stations, radii = end.T
     reach = (20 + 14 - stations[0]) * np.sqrt(0.5)
     path = straight([(reach, reach, np.radians(225))], stations[1:] - stations[0])
@@ -148,7 +152,7 @@ def _elbow(end: Array) -> Manifold:
 
 
 def cotter(long_leg: float = 52.0, short_leg: float = 44.0) -> Manifold:
-    """Return a split cotter pin in the xz plane: legs along -z, eye at +z, the longer leg at -x. No symmetry.
+    """Return a split cotter pin in the xz plane: eye at +z, legs along -z, and the longer leg at -x. No symmetry.
 
     The origin lies in the split. The wire is half round.
     """
@@ -165,13 +169,13 @@ def cotter(long_leg: float = 52.0, short_leg: float = 44.0) -> Manifold:
 def hook() -> Manifold:
     """Return a J hook in the xz plane: shank along z, hook towards +x. No symmetry.
 
-    The origin lies in the collar's lower face. Wire and shank both end within the collar, apart from each other. The
-    shank has ring grooves, which a touch can hardly distinguish from a thread.
+    The origin lies in the collar's lower face. Wire and shank both end within the collar, without touching each other.
+    The shank has ring grooves, which a touch can hardly distinguish from a thread.
     """
     wire, core, top, pitch, groove = 4.0, 3.1, 35.0, 2.0, 0.9
     path = straight([(0, 1.5, -np.pi / 2)], [1.5 + 26])
     path = bend(path, 12, np.radians(165), 12 + wire)
-    round_rad = np.radians(np.arange(0, 81, 10))  # a round tip, ground flat at its very end
+    round_rad = np.radians(np.arange(0, 81, 10))  # a round tip with a small flat end
     radii = [*[wire] * len(path), *wire * np.cos(round_rad)]
     path = straight(path, 7 + wire * np.sin(round_rad))
     cut = ((wire, 0), (core, 0.45), (core, 0.55), (wire, 0.875))
@@ -184,7 +188,7 @@ BUILDERS = {draw.__name__: draw for draw in (pin, damping_pin, head, elbow_pipe,
 
 
 def mesh_of(solid: Manifold) -> trimesh.Trimesh:
-    """Return the surface of a solid, metres."""
+    """Return the surface of a solid, in metres."""
     surface = solid.to_mesh64()
     return trimesh.Trimesh(1e-3 * np.asarray(surface.vert_properties)[:, :3], surface.tri_verts, process=False)
 

@@ -1,12 +1,12 @@
-"""The figures of the documentation: each comes from a results file, and is compared with it.
+"""The figures of the documentation. Each figure comes from a results file, and is compared with this file.
 
-A marker before each table names a run, the number of its table and, if not all are shown, its columns:
-`<!-- results: search 1 | object | build, s -->`. The figures of the text are either computed from tables (`quotes.py`)
-or belong to a run: that of the nearest marker above in the section, or of the section's first table. The results file
-of the run keeps these sentences (`beside`). A new measurement renews tables and computed figures. A person must check
-the other sentences, and bind them again (`scripts/bench.py bind RUN`).
+A marker before each table names a run, the number of the run's table, and the columns unless all are shown:
+`<!-- results: search 1 | object | build, s -->`. A figure in the text is either computed from tables (`quotes.py`), or
+its sentence belongs to a run. This run is named by the nearest marker above in the section, or by the section's first
+table. The run's results file keeps such sentences (`beside`). A new measurement renews tables and computed figures. A
+person must check the other sentences, and bind them again (`scripts/bench.py bind RUN`).
 
-A marker without a number stands before text alone, `<!-- results: none -->` before figures from other sources.
+A marker without a number stands before text alone. `<!-- results: none -->` stands before figures from other sources.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ SENTENCE = re.compile(r"(?<=[.:;])\**\s+(?=[^a-z\d])")
 
 @dataclass(frozen=True)
 class Quote:
-    """A part of a page's text with `{}` for each figure; `values` computes the figures. Settings have none.
+    """A part of a page's text with `{}` for each figure. `values` computes the figures, and is empty for settings.
 
-    A figure is right if it is its value, rounded to the decimals that the page shows.
+    A figure is right if it is the value rounded to the decimals that the page shows.
     """
 
     text: str
@@ -48,7 +48,7 @@ class Quote:
         return re.compile(HOLE.join(parts))
 
     def find(self, text: str) -> re.Match[str]:
-        """Return the place of the text in a page. Raises LookupError unless it occurs once."""
+        """Return the match of the text in a page. Raises LookupError unless the page has the text exactly once."""
         matches = list(self.pattern.finditer(text))
         if len(matches) != 1:
             raise LookupError(f"the page has this text {len(matches)} times, and should have it once")
@@ -67,7 +67,7 @@ class Quote:
 
 @dataclass(frozen=True)
 class Sentence:
-    """A sentence with figures outside quotes, its section, and its run, if any."""
+    """A sentence with figures that no quote computes, its section, and its run (empty if it has no run)."""
 
     section: str
     run: str
@@ -80,7 +80,7 @@ def list_quotes(page: str) -> list[Quote]:
 
 
 def format_figure(value: float, before: str) -> str:
-    """Return `before` if it is the rounded value, else the value with as many decimals."""
+    """Return `before` if it is the rounded value. Otherwise, return the value with as many decimals."""
     decimals = len(before.partition(".")[2])
     if abs(value - float(before.replace(" ", ""))) <= 0.5 * 10**-decimals * (1 + 1e-9):
         return before
@@ -89,7 +89,7 @@ def format_figure(value: float, before: str) -> str:
 
 
 def renew_tables(text: str, results: Results) -> str:
-    """Return a page's text with the kept tables after their markers. Raises LookupError for an unknown table."""
+    """Return a page's text with the kept table after each marker. Raises LookupError for an unknown run or table."""
 
     def format_table(shown: re.Match[str]) -> str:
         if shown["number"] is None:
@@ -109,7 +109,7 @@ def find_unmarked(text: str) -> list[str]:
 
 
 def find_sentences(text: str, quotes: Sequence[Quote]) -> Iterator[Sentence]:
-    """Yield the sentences of a page with figures outside quotes."""
+    """Yield the sentences of a page that have figures outside of quotes."""
     for quote in quotes:
         text = quote.pattern.sub(lambda match: re.sub(HOLE, "{}", match[0]), text)
     for section in re.split(r"^(?=#+ )", _blank_code(text), flags=re.MULTILINE):
@@ -166,7 +166,7 @@ def check_page(page: str, text: str, results: Results, quotes: Sequence[Quote]) 
 
 
 def read_pages(root: Path = ROOT) -> dict[str, str]:
-    """Return the texts of the pages by their paths."""
+    """Return the texts of all pages. The keys are the pages' paths."""
     paths = [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
     return {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in paths if path.exists()}
 
@@ -190,7 +190,7 @@ def renew_pages() -> list[Path]:
 
 
 def bind(run: str, folder: Path = RESULTS, root: Path = ROOT) -> None:
-    """Keep the sentences of a run in its results file. Raises SystemExit for an unknown run."""
+    """Keep the documentation's sentences about a run in its results file. Raises SystemExit for an unknown run."""
     results = read_latest(folder)
     if run not in results:
         raise SystemExit(f"bench: there is no run {run}; there are {', '.join(results)}")

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Give damaged inputs to every reader, which must read them correctly or refuse them in one sentence.
 
-The reader's name, the seed and a number make the same input again. A finding is an exception other than tactile-loc's
-own, a refusal that is not one sentence or names no file, more than a minute or 3 GiB, a process that dies, or a file
-written elsewhere. OUT/findings/READER-NUMBER holds a finding and its input. OUT/state.json keeps the counts; the same
-command continues from there.
+The reader's name, the seed and a number define an input. There are these kinds of findings: an exception that is not
+one of tactile-loc's own; a refusal that is not one sentence, or names no file; the use of more than a minute or 3 GiB;
+a process that dies; and a file written elsewhere. OUT/findings/READER-NUMBER has a finding and its input.
+OUT/state.json keeps the counts. The same command continues from this file.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ sys.path.append(str(ROOT / "tests"))  # for the helpers that write results
 from fuzzing.readers import READERS
 from fuzzing.trial import READ, REFUSED, SECONDS, Job, Verdict, make_input, read_all
 
-PATIENCE_S = SECONDS + 60  # for a process that ignores its alarm
+PATIENCE_S = SECONDS + 60  # limit for a process that ignores its alarm
 EXPECTED = (0, 2)  # exit codes of a command: done, refused
 COMMAND_BYTES = 12 * 2**30  # address space, which libraries reserve without using it
 SPAWN = multiprocessing.get_context("spawn")
 
 
 def fuzz(names: Sequence[str], state: Record, inputs: int, commands: int, out: Path) -> None:
-    """Give readers their remaining inputs, in one process, and give the first ones to commands, too."""
+    """Give readers their remaining inputs, in one process. Also give the first inputs of each reader to a command."""
     for name in names:
         _write_corpus(name, out)
     while jobs := [(name, number) for name in names for number in range(state.of(name)["inputs"], inputs)]:
@@ -51,7 +51,7 @@ def fuzz(names: Sequence[str], state: Record, inputs: int, commands: int, out: P
 
 
 def select_findings(counts: Counter[str]) -> dict[str, int]:
-    """Return the number of a reader's findings of each kind."""
+    """Return the numbers of a reader's findings by kind."""
     return {kind: n for kind, n in counts.items() if kind not in (READ, REFUSED, "inputs", "commands")}
 
 
@@ -66,7 +66,7 @@ def _write_corpus(name: str, out: Path) -> None:
 
 
 def _read_inputs(jobs: Sequence[Job], seed: int, out: Path) -> Iterator[Verdict]:
-    """Yield the verdicts of one process; it ends with the last input, or with one that kills it."""
+    """Yield the verdicts of one process. The process ends with the last input, or with an input that kills it."""
     whole: list[Job] = [(name, None) for name in dict.fromkeys(name for name, _ in jobs)]
     with tempfile.TemporaryDirectory() as sandbox:
         hear, say = SPAWN.Pipe(duplex=False)
@@ -118,7 +118,7 @@ def _judge_command(done: Done, left: list[str]) -> str:
 
 
 def _note(name: str, number: int, verdict: Verdict, what: str, state: Record, out: Path) -> None:
-    """Count the outcome of an input; keep the input of a finding."""
+    """Count the outcome of an input, and keep the input of a finding."""
     outcome, details = verdict
     state.of(name).update((what, outcome))
     if outcome in (READ, REFUSED):
@@ -134,7 +134,7 @@ def _note(name: str, number: int, verdict: Verdict, what: str, state: Record, ou
 
 
 def main(words: list[str] | None = None) -> int:
-    """Fuzz the chosen readers; return 1 if there are findings."""
+    """Fuzz the chosen readers. Return 1 if there are findings."""
     numbers = {"inputs": (2000, "inputs of each reader"), "commands": (5, "inputs of each command")}
     given = make_parser(__doc__, "reader", READERS, "fuzz", **numbers).parse_args(words)
     state = Record.open(given.out / "state.json", given.seed)

@@ -2,8 +2,8 @@
 """Kill and starve commands: no work may be lost, no file broken or left behind, and the answer must stay the same.
 
 Each command is killed with all its processes at random moments, and started again. Commands also run on full disks, and
-eight at once on one store. The seed draws the moments, but the step that they hit depends on the machine.
-OUT/record.json keeps the outcomes; the same command continues from there.
+eight commands run at once on one store. The seed sets the moments, but the machine's speed decides which step a kill
+hits. OUT/record.json keeps the outcomes. The same command continues from this file.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def format_table(record: Record) -> str:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Kill and starve the chosen commands; return 1 if there are findings."""
+    """Kill and starve the chosen commands. Return 1 if there are findings."""
     numbers = {kind: (number, "trials of this kind") for kind, number in NUMBERS.items()}
     parser = make_parser(__doc__, "kind", NUMBERS, "kill", **numbers)
     parser.add_argument("--command", action="append", metavar="NAME", choices=list(COMMANDS),

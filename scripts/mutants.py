@@ -1,7 +1,7 @@
 """The targets of mutation, their tests, and the mutants that count.
 
-Mutants of annotations, texts, raised errors, log lines, code for type checkers, and bits do not count. The tests are
-the quick ones that mirror the files, not the whole suite.
+Mutants of annotations, texts, raised errors, log lines, code for type checkers, and operators on bits do not count. The
+tests of a target are only the quick tests that mirror its files.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ BITS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift")  # with floats these ra
 
 Mutation = Any  # cosmic-ray's MutationSpec: operator_name, occurrence, start_pos and end_pos
 Place = tuple[int, int]  # line, from 1, and character of the line, from 0
-Span = tuple[Place, Place]  # a part of a file, from its start to before its end
+Span = tuple[Place, Place]  # start of a part of a file, and the place just after its end
 
 
 @dataclass(frozen=True)
 class Target:
-    """Files of tactile_loc that are mutated together, and the files and options of pytest that judge them."""
+    """Files of tactile_loc that are mutated together, and the test files and options for pytest that judge them."""
 
     name: str
     files: tuple[str, ...]
@@ -34,7 +34,7 @@ class Target:
 
 
 def _mirror(name: str, *files: str, more: tuple[str, ...] = ()) -> Target:
-    """Return a target of files, given without suffix, with the tests that mirror them and `more` words."""
+    """Return a target of files, given without suffix, with the tests that mirror them. pytest also gets `more`."""
     tests = (f"tests/{folder}/test_{stem}.py" for folder, _, stem in (file.rpartition("/") for file in files))
     return Target(name, tuple(f"{file}.py" for file in files), (*tests, NOUNS, *more))
 
@@ -52,7 +52,7 @@ TARGETS = (
 
 
 def counts(mutation: Mutation, spans: list[Span]) -> bool:
-    """Whether a mutant counts, given the parts of its file that `find_uncounted` returned."""
+    """Return whether a mutant counts, given the parts of its file that `find_uncounted` returned."""
     kind, _, change = mutation.operator_name.rpartition("/")[2].partition("_")
     before, _, after = change.partition("_")
     mixes_bits = kind == "ReplaceBinaryOperator" and (before in BITS) != (after in BITS)
@@ -60,7 +60,7 @@ def counts(mutation: Mutation, spans: list[Span]) -> bool:
 
 
 def sample(mutations: list[tuple[str, Mutation]], count: int, seed: int) -> list[int]:
-    """Return the indices of `count` drawn mutants; each mutant has its file's name. Their order does not matter."""
+    """Return the indices of `count` randomly drawn mutants, given as (file, mutant). Their order has no influence."""
     names = [(file, mutation.operator_name, mutation.occurrence) for file, mutation in mutations]
     return Random(seed).sample(sorted(range(len(names)), key=names.__getitem__), min(count, len(names)))
 
@@ -95,7 +95,10 @@ def _is_log(node: ast.AST) -> bool:
 
 
 def _find_span(node: ast.AST, lines: list[str]) -> Span:
-    """Return the place of a node. Python counts bytes, cosmic-ray characters. A decorator is a whole line."""
+    """Return the part of a file that a node covers; a decorator covers its whole line.
+
+    Python counts bytes, and cosmic-ray counts characters.
+    """
     if lines[node.lineno - 1].startswith("@"):
         return (node.lineno, 0), (node.end_lineno + 1, 0)
     start, end = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)

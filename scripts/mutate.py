@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Change the numerical core in one place at a time, and check that a test notices each mutant.
 
-The seed draws a sample of cosmic-ray's mutants of each target. cosmic-ray runs the target's own tests on them, in a
-copy of the project whose kernels run uncompiled. Survivors are shown as diffs. OUT/TARGET-SEED.sqlite keeps a session
-for `cr-report` and `cr-html`; the same command continues from there. It begins anew after a change of the target's
-files, their tests or the number of mutants.
+The seed draws a sample of cosmic-ray's mutants of each target. cosmic-ray runs the target's own tests on these mutants,
+in a copy of the project whose kernels run uncompiled. Survivors are shown as diffs. OUT/TARGET-SEED.sqlite keeps a
+session for `cr-report` and `cr-html`. The same command continues the session. It begins a new session after a change of
+the target's files, their tests or the number of mutants.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from record import ONE_THREAD, ROOT, limit_memory, make_parser
 
 PACKAGE = Path("tactile_loc")
 COPIED = ("tactile_loc", "cli", "tests", "scripts", "pyproject.toml")
-LEAST_S, PATIENCE = 60.0, 5.0  # limit of a trial: seconds, and times the duration without a mutant
+LEAST_S, PATIENCE = 60.0, 5.0  # limits of a trial: least seconds, and multiple of the duration without a mutant
 MEMORY_BYTES = 16 * 2**30  # address space
 SETTINGS = {"NUMBA_DISABLE_JIT": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
 
@@ -54,7 +54,7 @@ def draw_mutants(db: WorkDB, target: Target, count: int, seed: int) -> None:
 
 
 def judge_mutants(db: WorkDB, target: Target) -> None:
-    """Judge the remaining mutants of a session. Raises SystemExit when the tests fail without a mutant."""
+    """Judge the remaining mutants of a session. Raises SystemExit if the tests fail without a mutant."""
     if not (pending := len(list(db.pending_work_items))):
         return
     start = time.monotonic()
@@ -72,7 +72,7 @@ def judge_mutants(db: WorkDB, target: Target) -> None:
 
 
 def prepare_session(out: Path, target: Target, count: int, seed: int) -> Path:
-    """Return the file of a session; delete a session of other sources."""
+    """Return the path of a session's file. Delete the session if it has other sources or another number of mutants."""
     tests = [Path(test) for test in target.tests if test.startswith("tests/")]
     files = [file for test in tests for file in ([test] if test.is_file() else sorted(test.glob("*.py")))]
     texts = [path.read_bytes() for path in [*(PACKAGE / file for file in target.files), *files]]
@@ -85,7 +85,7 @@ def prepare_session(out: Path, target: Target, count: int, seed: int) -> Path:
 
 
 def mutate(targets: Sequence[Target], count: int, seed: int, out: Path) -> None:
-    """Judge a sample of each target's mutants; show the survivors and their number."""
+    """Judge a sample of each target's mutants, and show the survivors and their number."""
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, contextlib.chdir(folder):
         paths = os.pathsep.join(str(Path(name).absolute()) for name in (".", "cli", "tests", "scripts"))

@@ -1,6 +1,6 @@
 """The sentences of the documentation whose figures are computed from results, by page.
 
-`{}` stands for a figure. The page decides how many decimals it shows. SETTINGS have figures that come from no table.
+`{}` stands for a figure. The page decides how many decimals it shows. Figures in SETTINGS do not come from a table.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Values = Callable[[Results], Sequence[float]]
 
 DRAWN = ("same mesh", "scanned, 0.05 mm", "scanned, 0.1 mm", "decimated, 0.1 mm", "unseen noise")
 PARTS_APART = ("pin", "damping pin", "cotter")
-EXAMPLES = 15  # in each row of the table of outliers
+EXAMPLES = 15  # number of examples in each row of the table of outliers
 ONE_FACE = ("ten refined hypotheses of one", "only the most probable of these poses")  # rows of times
 PAPER = (
     ("pin", "best-1", "0.11"), ("damping pin", "best-1", "0.16"), ("head", "best-1", "0.18"),
@@ -36,12 +36,12 @@ def ratios(above: Sequence[float], below: Sequence[float]) -> list[float]:
 
 
 def beside_the_paper(name: str, line: str) -> Values:
-    """Return a function for a row of normalised medians: of pixels, and of the learned encoder."""
+    """Return a function for the normalised medians in a row: those of pixels and of the learned encoder."""
     return lambda r: [r.at("encoders", 1, line, name, encoder)[1] for encoder in ("pixel", "moco")]
 
 
 def presses(column: str, way: int) -> Values:
-    """Return a function for the errors of random (0) or spread (1) presses, divided by those of all presses."""
+    """Return a function for the errors with random (0) or spread (1) presses, divided by the errors with all."""
     return lambda r: ratios(r.column("few_presses", 1, column)[way::2], r.column("few_presses", 1, "all"))
 
 
@@ -51,13 +51,13 @@ def range_of(run: str, number: int, column: str) -> Values:
 
 
 def five_located(r: Results) -> list[float]:
-    """Return shares of located cases, %: solvable ones with 2, 3 and 5 clean touches, all with 3 and 5."""
+    """Return shares of located cases, %: of solvable cases with 2, 3 and 5 clean touches, of all cases with 3 and 5."""
     cells = [r.at("contacts-clean", 1, touches, "all 14") for touches in "235"]  # such as 80% (114 of 117)
     return [*(100 * hits / of for _, hits, of in cells), cells[1][0], cells[2][0]]
 
 
 def outside(r: Results, column: int, *drawn: str) -> list[float]:
-    """Return the shares of touches within 1 mm, %, means over the parts, for touches of other meshes."""
+    """Return the mean share over the parts, %, of touches within 1 mm, for touches of each of the meshes `drawn`."""
     return [mean(r.at("outside", 1, column, part, one)[0] for part in PARTS_APART) for one in drawn]
 
 
@@ -77,7 +77,7 @@ def renderer(r: Results, digits: int, place: int) -> list[float]:
 
 
 def one_touch(r: Results) -> list[float]:
-    """Return the range of the errors on the seven parts with the smallest ones, mm."""
+    """Return the range of the errors, mm, on the seven parts with the smallest errors."""
     return ends(sorted(r.column("single_touch", 1, "chosen"))[:7])
 
 
@@ -88,13 +88,13 @@ def encoded(r: Results, encoder: str, column: str) -> list[float]:
 
 
 def learned(r: Results) -> list[float]:
-    """Return the number of objects where the learned encoder beats pixels, that of all, and the mean error ratio."""
+    """Return the number of objects where the learned encoder beats pixels, of all objects, and the mean error ratio."""
     found = ratios(encoded(r, "moco", "best-1"), encoded(r, "pixel", "best-1"))
     return [sum(ratio < 1 for ratio in found), len(found), geometric_mean(found)]
 
 
 def seven_contacts(r: Results) -> list[float]:
-    """Return the ranges of normalised errors of contact alone with seven contacts, and of their ratio to best-1."""
+    """Return the ranges of the normalised errors of contact alone and of their ratios to best-1, with 7 contacts."""
     table = r["evaluate-contacts"].table(1)
     lines = ("kinematic", "best-1")
     alone, best = ([table.numbers("7", *row[:4]) for row in table.rows if row[3] == line] for line in lines)
@@ -107,7 +107,7 @@ def second_contact(r: Results) -> list[float]:
 
 
 def outliers(r: Results, column: str) -> list[tuple[bool, str, int]]:
-    """Return for each row of the table of outliers whether it has one, the kind of its touches, and a column."""
+    """Return (has an outlier, kind of touches, number in the column) for each row of the table of outliers."""
     table = r["contacts-outliers"].table(1)
     touches = accumulate((row[1] for row in table.rows), lambda above, cell: cell or above)
     place = table.find_column(column)
@@ -115,7 +115,10 @@ def outliers(r: Results, column: str) -> list[tuple[bool, str, int]]:
 
 
 def wrongly(r: Results) -> list[float]:
-    """Return the number of named right touches without a wrong one, and the examples without and with one."""
+    """Return the number of right touches named in examples without a wrong touch, and the numbers of examples.
+
+    The examples without a wrong touch come first, then those with one.
+    """
     without, with_one = ([n for one, _, n in outliers(r, "wrongly") if one is which] for which in (False, True))
     if sum(with_one):
         raise ValueError("a right touch was named beside a wrong one; change the sentence")
@@ -129,14 +132,14 @@ def named(r: Results) -> list[float]:
 
 
 def more_touches(r: Results) -> list[float]:
-    """Return the touches needed after the first, chosen and random, and the shares known within three, %."""
+    """Return the numbers of further touches needed, chosen and random, and the shares known within three, %."""
     row = "the 12 in most doubt after the first touch"
     cells = {place: r.at("next_touch", 1, place, row) for place in (3, 4, 6, 7)}
     return [cells[4][0] - 1, cells[7][0] - 1, cells[3][2], cells[6][2]]
 
 
 def worse_found(r: Results) -> list[float]:
-    """Return the excess error of found labels over those by hand, %, for the last two sets."""
+    """Return by how much, in %, found labels have larger errors than labels by hand, for the last two sets."""
     columns = ("found on hand", "hand on hand")
     pairs = ([r.at("found_labels", 2, column, name)[0] for column in columns] for name in ("160 x 120", "FOTS"))
     return [100 * (found / hand - 1) for found, hand in pairs]

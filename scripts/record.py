@@ -1,4 +1,4 @@
-"""The command line and the record of long programs, and the way they start commands."""
+"""What long programs share: their command line, their record of outcomes, and the start of commands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OURS = {"PYTHONPATH": PATHS, "TACTILE_LOC_PLUGINS": "", **ONE_THREAD}  # environ
 
 
 def make_parser(about: str | None, what: str, known: Iterable[str], out: str, **numbers: tuple[int, str]) -> Any:
-    """Return a parser of `names` among those `known`, of `numbers` (default, help), of a seed, and of a folder."""
+    """Return a parser for names among those `known`, options for `numbers` (default, help), a seed and a folder."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = list(known)
 
@@ -43,13 +43,13 @@ def make_parser(about: str | None, what: str, known: Iterable[str], out: str, **
 
 
 def limit_memory(nbytes: int) -> tuple[str, ...]:
-    """Return the words before a command that limit the address space of its processes."""
+    """Return the words to put before a command, to limit the address space of its processes to `nbytes`."""
     return "bash", "-c", f'ulimit -v {nbytes // 1024}; exec "$@"', "-"
 
 
 @dataclass
 class Record:
-    """Counts of outcomes by name, and findings. The same command continues from the file."""
+    """Counts of outcomes by name, and findings, kept in a file. The same command continues from this file."""
 
     path: Path
     seed: int
@@ -58,7 +58,7 @@ class Record:
 
     @classmethod
     def open(cls, path: Path, seed: int) -> Record:
-        """Read the record; return an empty one if the file is missing, or belongs to another seed."""
+        """Read the record. Return an empty record if the file is missing or belongs to another seed."""
         try:
             kept = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -72,13 +72,13 @@ class Record:
         return self.counts.setdefault(name, Counter())
 
     def save(self) -> None:
-        """Write the file. Raises OutputError."""
+        """Write the file. Raises OutputError if it cannot be written."""
         write_json(self.path, {"seed": self.seed, "counts": self.counts, "findings": self.findings})
 
 
 @dataclass(frozen=True)
 class Done:
-    """A finished command: its exit code (negative: the signal that killed it), and its output."""
+    """A finished command: its exit code (if a signal killed it, minus the signal's number), and its output."""
 
     code: int
     out: str
@@ -86,6 +86,6 @@ class Done:
 
     @property
     def is_refusal(self) -> bool:
-        """Whether it ended with one error line, apart from warnings, and the exit code of bad input."""
+        """Whether the command ended with the exit code of bad input and, apart from warnings, one error line."""
         lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
         return self.code == 2 and len(lines) == 1 and lines[0].startswith("error: ") and lines[0].isprintable()

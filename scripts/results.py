@@ -1,7 +1,7 @@
 """The tables of benchmarks, kept in benchmarks/results/VERSION/RUN.json.
 
-A run is a benchmark with its arguments. Its name is that of the benchmark, or another. Runs that are older than these
-files were copied from a page, their `source`.
+A run is a benchmark with its arguments. Its name is the benchmark's name or another name. Runs that are older than
+these files were copied from a page, which is their `source`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 @dataclass(frozen=True)
 class Table:
-    """A printed table. An empty first cell of a row stands for the one above."""
+    """A printed table. If the first cell of a row is empty, it stands for the first cell of the row above."""
 
     columns: list[str]
     rows: list[list[str]]
@@ -39,7 +39,7 @@ class Table:
 
     @cached_property
     def filled(self) -> list[list[str]]:
-        """The rows, each with its first cell."""
+        """The rows, with empty first cells filled from the row above."""
         firsts = accumulate((row[0] for row in self.rows), lambda above, cell: cell or above)
         return [[first, *row[1:]] for first, row in zip(firsts, self.rows, strict=True)]
 
@@ -50,24 +50,30 @@ class Table:
         return self.columns.index(column) if isinstance(column, str) else column
 
     def numbers(self, column: str | int, *words: str) -> list[float]:
-        """Return the numbers of a cell in the first row that begins with `words`. Raises LookupError without one."""
+        """Return the numbers of a cell in the first row that begins with `words`.
+
+        Raises LookupError if there is no such row.
+        """
         for row in self.filled:
             if row[: len(words)] == list(words):
                 return [float(number) for number in NUMBER.findall(row[self.find_column(column)])]
         raise LookupError(f"no row of the table begins with {words}")
 
     def column(self, column: str | int) -> list[float]:
-        """Return the first number of each cell of a column that has one. Raises LookupError for an unknown column."""
+        """Return the first number of each cell of a column, without cells that have no number.
+
+        Raises LookupError for an unknown column.
+        """
         found = [NUMBER.search(row[self.find_column(column)]) for row in self.rows]
         return [float(number[0]) for number in found if number]
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The tables of a run, with its place and time. `yardstick_ms` is the median time of a fixed piece of work.
+    """The tables of a run, with the machine and the date. `yardstick_ms` is the median time of a fixed piece of work.
 
-    `beside` holds the documentation's sentences with figures of this run that its tables do not have. The duration and
-    the yardstick of a run that was copied from a page are unknown.
+    `beside` has the documentation's sentences about this run whose figures are not computed from its tables. If a run
+    was copied from a page, its duration and yardstick are unknown.
     """
 
     benchmark: str
@@ -111,7 +117,7 @@ class Kept:
 
 
 class Results(dict[str, Kept]):
-    """The runs by name. Its functions raise LookupError for anything unknown."""
+    """The runs by name. The methods raise LookupError for an unknown run, table, column or row."""
 
     def at(self, run: str, number: int, column: str | int, *words: str) -> list[float]:
         """Return the numbers of a cell in the first row that begins with `words`."""
@@ -123,7 +129,7 @@ class Results(dict[str, Kept]):
 
 
 def find_tables(text: str) -> list[Table]:
-    """Return the Markdown tables of a benchmark's output; other lines between rows do not end a table."""
+    """Return the Markdown tables of a benchmark's output. Other lines between rows do not end a table."""
     lines = [line.strip() for line in text.splitlines() if line.strip().startswith("|")]
     rows = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
     rules = [k for k, row in enumerate(rows) if k and all(re.fullmatch(r":?-+:?", cell) for cell in row)]

@@ -1,7 +1,7 @@
 """Hooks of mkdocs that warn if the API reference documents a name twice.
 
 mkdocs itself warns only if a page links to such a name. Names of the API are the anchors with a dot, as in
-`tactile_loc.Touch`; anchors of headings have none.
+`tactile_loc.Touch`. Anchors of headings have no dot.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ import logging
 import re
 from typing import Any
 
-LOG = logging.getLogger("mkdocs.hooks.site_checks")  # below mkdocs, whose --strict counts its warnings
+LOG = logging.getLogger("mkdocs.hooks.site_checks")  # a logger below mkdocs, because --strict counts its warnings
 ANCHOR = re.compile(r'\sid="([^"]+\.[^"]+)"')
 
 _page_of: dict[str, str] = {}  # the first page that documents a name
 
 
 def on_pre_build(**_: Any) -> None:
-    """Forget the names of the previous build; `mkdocs serve` builds many times."""
+    """Forget the names of the previous build, because `mkdocs serve` builds many times."""
     _page_of.clear()
 
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:
-    """Warn of each name that was documented before; members of such a name are left out."""
+    """Warn of each name that another page already documents. Members of such a name give no warning."""
     here, twice = page.file.src_uri, {}
     for name in ANCHOR.findall(output):
         if name in _page_of:

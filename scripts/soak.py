@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Locate the same touches again and again, and track a slide to and fro: nothing may grow or change.
+"""Locate the same touches again and again, and track a slide to and fro. Memory must not grow, nor answers change.
 
-Resident memory and open files are read after a tenth of the work, once libraries have allocated their memory, and at
-the end. Each answer must equal the first one of its touch, to the bit. After tracking, a new tracker must track the
+Resident memory and open files are read at the end, and after a tenth of the work, when libraries have allocated their
+memory. Each answer must equal the first answer for its touch, to the bit. After tracking, a new tracker must track the
 slide as at the beginning. The exit code is 1 if memory grew by more than 2 %, a file stayed open, or an answer changed.
 """
 
@@ -34,7 +34,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.tracker import Tracker
 
 MOST_GROWTH = 0.02
-WARM = 10  # the first of this many parts is not measured
+WARM = 10  # the first of these parts of the work is not measured
 RATE_HZ, SLIDE = 100, 300  # frames per second, and frames of a slide
 COLUMNS = ["", "times", "s", "memory once warm, MiB", "at the end", "growth", "files open", "at the end",
            "answers changed"]  # fmt: skip
@@ -48,14 +48,14 @@ class Held(NamedTuple):
 
     @classmethod
     def now(cls) -> Held:
-        """Read them from the system."""
+        """Return the resources that the process uses now."""
         gc.collect()
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return cls(pages * os.sysconf("SC_PAGE_SIZE"), len(os.listdir("/proc/self/fd")))
 
 
 class Soaked(NamedTuple):
-    """A work done `count` times: the resources once warm and at the end, and the number of changed answers."""
+    """A work done `count` times: the resources after the warm-up and at the end, and the number of changed answers."""
 
     name: str
     count: int
@@ -71,7 +71,7 @@ class Soaked(NamedTuple):
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing grew and nothing changed."""
+        """Whether memory and files did not grow, and no answer changed."""
         return self.growth <= MOST_GROWTH and self.end.files <= self.warm.files and not self.changed
 
     def list_cells(self) -> list[str]:
@@ -83,7 +83,7 @@ class Soaked(NamedTuple):
 
 
 def soak(name: str, count: int, changes: Iterator[bool]) -> Soaked:
-    """Take `count` answers, each of which says whether it has changed, and compare the resources."""
+    """Take `count` items, each true if an answer has changed, and measure the resources."""
     start, warm, changed = time.monotonic(), Held.now(), 0
     with make_progress().task(name, count) as advance:
         for number, has_changed in enumerate(itertools.islice(changes, count), start=1):
@@ -95,7 +95,7 @@ def soak(name: str, count: int, changes: Iterator[bool]) -> Soaked:
 
 
 def locate(localizer: Localizer, touches: list[Touch]) -> Iterator[bool]:
-    """Locate touches in turn, without end; yield whether an answer differs from the first one of its touch."""
+    """Locate touches in turn, without end. Yield whether each answer differs from the first answer for its touch."""
     first: dict[int, NDArray[np.float64]] = {}
     for k in itertools.cycle(range(len(touches))):
         poses = np.stack([hypothesis.T_sensor_object for hypothesis in localizer.localize(touches[k]).hypotheses])
@@ -103,7 +103,10 @@ def locate(localizer: Localizer, touches: list[Touch]) -> Iterator[bool]:
 
 
 def track(localizer: Localizer, frames: list[Frame], count: int) -> Iterator[bool]:
-    """Track a slide to and fro; yield at the last frame whether a new tracker finds other poses than the first one."""
+    """Track a slide to and fro. Yield False for each frame except the last.
+
+    For the last frame, yield whether the poses of a new tracker differ from the poses of the first tracker.
+    """
     first, tracker = _track_once(localizer, frames), _start_tracker(localizer, frames)
     for number, frame in zip(range(count), itertools.cycle([*frames, *frames[-2:0:-1]]), strict=False):
         tracker.update(number / RATE_HZ, frame.touch, frame.T_base_sensor)

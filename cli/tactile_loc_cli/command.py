@@ -1,4 +1,4 @@
-"""The options and the error handling that all commands share: --json, -v, -q, completion of names."""
+"""What all commands share: the options --json, -v and -q, the error handling, and the completion of names."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, Fa
 
 
 def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[..., None]:
-    """Make a command of a function that prints its result and returns it as JSON values.
+    """Make a command from a function, which prints its result and returns the result as JSON values.
 
-    A parameter of type RunOptions becomes several options of the command; `options.Takes` names them.
+    A parameter of type RunOptions becomes several options of the command; `options.Takes` names these options.
     """
     name = function.__name__.replace("_", "-")
     own = list(inspect.signature(function, eval_str=True).parameters.values())
@@ -72,14 +72,14 @@ def _call(
 
 
 def _read_taken(annotation: Any) -> tuple[str, ...]:
-    """Return the names of the shared options that a parameter stands for; empty if it is an option itself."""
+    """Return the names of the shared options that a parameter stands for; empty if the parameter is an option."""
     return next((extra.names for extra in getattr(annotation, "__metadata__", ()) if isinstance(extra, Takes)), ())
 
 
 def _list_parameters(
     own: Sequence[inspect.Parameter], taken: Mapping[str, Sequence[str]]
 ) -> Iterator[inspect.Parameter]:
-    """Yield the parameters of the command: the function's, with completion of names, and those of all commands."""
+    """Yield the command's parameters: those of the function, with completion of names, and those of all commands."""
     keyword = inspect.Parameter.KEYWORD_ONLY
     declared, defaults = get_type_hints(RunOptions, include_extras=True), RunOptions()
     yield inspect.Parameter("context_", keyword, annotation=typer.Context)
@@ -93,7 +93,7 @@ def _list_parameters(
         yield inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
-LONGEST = 60  # characters of an explanation: some shells take the second line of a longer one for a name
+LONGEST = 60  # characters of an explanation; some shells read the second line of a longer explanation as a name
 
 Offers = Iterator[tuple[str, str]]  # names and their explanations
 
@@ -133,7 +133,7 @@ def _offer_slots(_: typer.Context) -> Offers:
 
 
 def _offer_components_of_slot(context: typer.Context) -> Offers:
-    """Offer the components of the slot that stands before the name."""
+    """Offer the components of the slot that the user wrote before the name."""
     slot = context.params.get("slot")
     yield from _offer_components(slot, context) if slot in SLOTS and context.info_name == "plugins" else ()
 

@@ -20,12 +20,12 @@ from tactile_loc.core.progress import Progress, rank
 
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
-REASONS = 5  # shown why frames were refused
-UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of output that is not a terminal, and of a folded column at least
+REASONS = 5  # number of shown reasons why frames were refused
+UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and least width of a folded column
 
 
 def say(text: str = "") -> None:
-    """Write a line of results, never wrapped. Of processes that work together, only the first writes."""
+    """Write a line of results, without wrapping it. If several processes work together, only the first one writes."""
     if rank() == 0:
         sys.stdout.write(text + "\n")
 
@@ -39,7 +39,7 @@ def say_written(paths: Iterable[Path]) -> list[str]:
 
 
 def format_count(number: int, noun: str) -> str:
-    """Write a number with its noun: 1 touch, 2 touches, 3 entries."""
+    """Return a number with its noun: 1 touch, 2 touches, 3 entries."""
     plural = f"{noun}es" if noun.endswith("ch") else f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
 
@@ -52,11 +52,11 @@ def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
 
 
 def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap: int = 1, fold: bool = False) -> None:
-    """Write rows of cells, the header first; they are never cut to the window.
+    """Write a table: rows of cells, the header first. Lines are not cut to the width of the window.
 
-    `left` is the number of left-aligned columns, or their indices; the others are right-aligned. Columns are `gap`
-    blanks apart. In a row with fewer cells than the header, the last cell may be longer than its column. With `fold`,
-    the last column is broken into lines if the window is too narrow.
+    `left` is the number of left-aligned columns, or their indices. The other columns are right-aligned. Columns are
+    `gap` blanks apart. In a row with fewer cells than the header, the last cell may be longer than its column. With
+    `fold`, the last column is broken into lines if the window is too narrow.
     """
     to_left = range(left) if isinstance(left, int) else left
     whole = [row for row in rows if len(row) == len(rows[0])]
@@ -72,7 +72,7 @@ def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap
 
 
 def _fold_line(line: str, indent: int) -> list[str]:
-    """Break a line between words if it is wider than the window; further lines begin at the column `indent`."""
+    """Break a line between words if the line is wider than the window. Further lines begin at the column `indent`."""
     width = shutil.get_terminal_size((UNKNOWN_WIDTH, 1)).columns if sys.stdout.isatty() else UNKNOWN_WIDTH
     parts = textwrap.wrap(line[indent:], max(width - indent, NARROWEST)) or [""]
     return [line[:indent] + parts[0], *(" " * indent + part for part in parts[1:])]
@@ -85,7 +85,10 @@ def complain(kind: str, text: str) -> None:
 
 
 class OneLineHandler(logging.Handler):
-    """Shows the library's log, one line for each record; below the level of warnings, with the seconds since start."""
+    """Log handler that writes each record of the library as one line.
+
+    Lines below the level of warnings begin with the seconds since the start.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -93,7 +96,7 @@ class OneLineHandler(logging.Handler):
         self._warned: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write the record to stderr; skip a repeated warning."""
+        """Write the record to stderr, unless it repeats a warning."""
         text = record.getMessage()
         if record.levelno < logging.WARNING:
             text = f"[{time.perf_counter() - self._start_s:.1f} s] {text}"
@@ -107,7 +110,7 @@ class OneLineHandler(logging.Handler):
 def show_log(verbosity: int = 0) -> Iterator[None]:
     """Show the library's log, and hide Python warnings of other libraries.
 
-    `verbosity` -1 shows errors, 0 warnings, 1 each step, 2 all details.
+    `verbosity` -1 shows only errors, 0 also warnings, 1 also each step, and 2 all details.
     """
     handler = OneLineHandler()
     loggers = [logging.getLogger(name) for name in PACKAGES]
@@ -127,7 +130,7 @@ def show_log(verbosity: int = 0) -> Iterator[None]:
 
 
 def is_shown(level: int) -> bool:
-    """Whether the log of this level, such as logging.DEBUG, is shown."""
+    """Return whether log messages of a level, such as logging.DEBUG, are shown."""
     return logging.getLogger(PACKAGES[1]).isEnabledFor(level)
 
 
@@ -139,12 +142,12 @@ def hide_results() -> Iterator[None]:
 
 
 def say_json(value: Mapping[str, Any]) -> None:
-    """Write a value as a JSON document; numbers that are not finite are null."""
+    """Write a value as a JSON document; numbers that are not finite become null."""
     say(json.dumps(_make_plain(value), indent=1, allow_nan=False))
 
 
 def _make_plain(value: Any) -> Any:
-    """Copy a value with JSON's own types; other types, such as paths, become text."""
+    """Return a copy of a value in JSON's types; values of other types, such as paths, become text."""
     if isinstance(value, Mapping):
         return {str(key): _make_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -164,7 +167,7 @@ class Bars(Progress):
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a bar of `total` steps; yield the function to call with the number of steps just done."""
+        """Show a bar of `total` steps. Yield a function; call it with the number of steps just done."""
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as RichProgress
@@ -179,11 +182,11 @@ class Bars(Progress):
                 self._note = None
 
     def note(self, text: str) -> None:
-        """Show a text beside the open bar, if there is one."""
+        """Show a text beside the bar, if a bar is open."""
         if self._note is not None:
             self._note(text)
 
 
 def make_progress() -> Progress:
-    """Return progress bars if stderr is a terminal and -q was not given, and otherwise a watcher that shows nothing."""
+    """Return progress bars if stderr is a terminal and -q was not given; otherwise, a Progress that shows nothing."""
     return Bars() if sys.stderr.isatty() and rank() == 0 and is_shown(logging.WARNING) else Progress()

@@ -23,12 +23,12 @@ from tactile_loc_cli.console import complain, is_shown, say_json
 
 UNEXPECTED, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
-UsageError: Any = typer.BadParameter.__mro__[1]  # typer brings its own click or uses the installed one
+UsageError: Any = typer.BadParameter.__mro__[1]  # from typer, because typer may have its own copy of click
 TO_BE_RESUMED = "finished parts are kept; run the same command again to resume"
 
 
 class Finding(typer.Exit):
-    """Ends a command with a result and an exit code that a script should notice."""
+    """Ends a command with a result, and with an exit code that tells a script about the result."""
 
     def __init__(self, code: int, result: dict[str, Any]) -> None:
         super().__init__(code)
@@ -37,7 +37,7 @@ class Finding(typer.Exit):
 
 @contextmanager
 def report_failures(command: str, as_json: bool) -> Iterator[None]:
-    """End the program with one line when the block fails. Raises typer.Exit."""
+    """Report a failure of the block in one line, and raise typer.Exit."""
     try:
         yield
     except (typer.Exit, typer.Abort, UsageError, BrokenPipeError):
@@ -55,7 +55,7 @@ def report_failures(command: str, as_json: bool) -> Iterator[None]:
 
 
 def end(code: int, kind: str, text: str, as_json: bool, prefix: str = "error") -> NoReturn:
-    """Report a failure and end the program. Raises typer.Exit."""
+    """Report a failure, and raise typer.Exit to end the program."""
     tell(kind, text, as_json, prefix)
     raise typer.Exit(code)
 
@@ -68,7 +68,7 @@ def tell(kind: str, text: str, as_json: bool, prefix: str = "error") -> None:
 
 
 def describe_usage_error(error: Any, command: str) -> str:
-    """Describe a wrong command line; a value that cannot be validated in the same words as in a configuration."""
+    """Describe a wrong command line. For an invalid value, use the words of the same error in a configuration."""
     flags, cause = getattr(getattr(error, "param", None), "opts", []), error.__cause__
     if flags and isinstance(cause, ValidationError):
         problem = cause.errors()[0]
@@ -92,7 +92,7 @@ def _show_traceback() -> None:
 
 
 def _describe_full_disk(error: OSError) -> str:
-    """Describe a full disk under caches and temporary files. Results and the store raise their own errors."""
+    """Describe a full disk of caches or temporary files. Results and the store raise their own errors."""
     where = f" for {error.filename}" if error.filename else ""
     return f"the disk has no space{where}; free some, for instance with `tactile-loc store prune`, and run this again"
 
@@ -104,7 +104,7 @@ def _describe_unexpected(error: Exception, command: str) -> str:
 
 
 def _find_component(trace: TracebackType | None) -> str | None:
-    """Return the innermost component whose method raised; None if no component's did."""
+    """Name the innermost component whose method raised the error. Return None if no component's method did."""
     from tactile_loc.core.slots.component import Component
 
     for frame, _ in reversed(list(traceback.walk_tb(trace))):
@@ -115,7 +115,7 @@ def _find_component(trace: TracebackType | None) -> str | None:
 
 
 def _find_name(component: Any) -> str:
-    """Return the name that selects a component, or that of its class if it is not registered."""
+    """Return the name that selects a component, or the name of its class if the component is not registered."""
     kind = type(component)
     target = f"{kind.__module__}:{kind.__qualname__}"
     names = (c.spec.name for c in registry().components if c.spec.target == target)

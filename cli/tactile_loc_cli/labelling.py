@@ -19,10 +19,10 @@ SAME_SCALE = 1e-6
 def label_presses(
     source: Path, sensor: str | None, ball_radius_mm: float | None, mm_per_px: float | None
 ) -> tuple[Path, Path, dict[str, Any]]:
-    """Return the folder with `presses.csv`, the sensor's file, and the labels' part of the command's result.
+    """Return the folder with `presses.csv`, the sensor's file, and the labels for the command's result.
 
     An existing table is used unchanged. Otherwise the ball is detected in the images, and the table and the sheet
-    `labels.png` are written. Raises CalibrationError, ConfigError or SensorError.
+    `labels.png` are written. Raises CalibrationError, ConfigError or SensorError for unusable input.
     """
     from tactile_loc.calibration.frames import name_frames_folder, read_frames
     from tactile_loc.calibration.presses import TABLE
@@ -47,7 +47,10 @@ def label_presses(
 
 
 def _use_table(folder: Path, ball_radius_mm: float) -> None:
-    """Report that the table is used, and which images it lacks. Raises ConfigError if its balls have another radius."""
+    """Report that the table is used, and how many images are not in it.
+
+    Raises ConfigError if a ball in the table has another radius.
+    """
     from tactile_loc.calibration.frames import list_pictures
     from tactile_loc.calibration.presses import TABLE, summarize_table
 
@@ -64,7 +67,11 @@ def _use_table(folder: Path, ball_radius_mm: float) -> None:
 
 
 def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
-    """Return the given pixel size or the sensor file's, mm. Raises CalibrationError, ConfigError or SensorError."""
+    """Return the pixel size in mm, from the sensor's file if it exists, and otherwise `mm_per_px`.
+
+    Raises CalibrationError if neither is given, SensorError if the named file does not exist, and ConfigError if both
+    differ.
+    """
     from tactile_loc.calibration.presses import SENSOR
 
     file = folder / SENSOR if sensor is None else Path(sensor)
@@ -81,7 +88,7 @@ def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> fl
 
 
 def _read_scale(file: Path, mm_per_px: float | None) -> float:
-    """Return the pixel size in the sensor's file, mm. Raises ConfigError if `mm_per_px` is another."""
+    """Return the pixel size from the sensor's file, in mm. Raises ConfigError if `mm_per_px` differs."""
     from tactile_loc.io.sensor_files import read_sensor_file
 
     scale = 1e3 * read_sensor_file(file).pixel_pitch_m
@@ -94,10 +101,10 @@ def _read_scale(file: Path, mm_per_px: float | None) -> float:
 
 
 def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
-    """Return the sensor's description: the given file, the folder's, or one that this function writes from the scale.
+    """Return the path of the sensor's file: the given file, or the file in the folder.
 
-    `shape` is the images' (rows, columns), by default read from the first image. Raises ConfigError when file and
-    `mm_per_px` disagree.
+    If the folder has no such file, the file is written from `mm_per_px`. `shape` is the images' size (rows, columns),
+    by default that of the first image. Raises ConfigError if file and `mm_per_px` differ.
     """
     from tactile_loc.calibration.frames import read_frames
     from tactile_loc.calibration.presses import SENSOR, write_scale

@@ -29,7 +29,7 @@ from tactile_loc_cli.scaffold.command import new_plugin
 
 
 class PlainErrors(TyperGroup):
-    """Turns a wrong command line into one line on stderr and an exit code; make_command handles all other failures."""
+    """Reports a wrong command line in one line on stderr and an exit code; make_command handles all other failures."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command line and end the process."""
@@ -81,7 +81,8 @@ def begin(
 ) -> None:
     """Locate a known object by touch.
 
-    From a CAD model and tactile images to a distribution over 6-DoF poses. Lengths are in mm, angles in degrees.
+    The input is a CAD model and tactile images. The result is a distribution over 6-DoF poses. Lengths are in mm,
+    angles in degrees.
     """
     context.obj = verbose - quiet
     if context.invoked_subcommand is None:

@@ -1,4 +1,4 @@
-"""Options that several commands share, and their merging with a configuration file into a RunConfig."""
+"""Options that several commands share, and functions that merge them with a configuration file into a RunConfig."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
 
 
 def declare(flag: str, metavar: str | None, about: str, **limits: Any) -> Any:
-    """Return the declaration of an option with its help. A flag or an option of few values has no `metavar`."""
+    """Return the declaration of an option with its help. A flag, or an option with fixed values, has no `metavar`."""
     return typer.Option(flag, metavar=metavar, help=about, **limits)
 
 
@@ -41,9 +41,9 @@ def set_option(about: str, metavar: str = "SLOT.OPTION=VALUE") -> Any:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """The options that decide a run, each with its declaration; None where it was not given.
+    """The options that define a run. An option that was not given is None, a flag that was not given False.
 
-    A command takes some of them through a parameter of this type: see `Takes`.
+    A command takes some of these options through a parameter of this type: see `Takes`.
     """
 
     object: Annotated[
@@ -122,7 +122,7 @@ class RunOptions:
 
 
 class Takes:
-    """Marks a command's parameter of type RunOptions: `names` are the options that it takes, by default all.
+    """Marks a command's parameter of type RunOptions. `names` are the options that the command takes; default: all.
 
     Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line.
     """
@@ -144,7 +144,10 @@ Store = Annotated[
 
 
 def make_config(given: RunOptions) -> RunConfig:
-    """Merge options over their configuration file, if they name one. Raises ConfigError for unknown settings."""
+    """Merge options with the configuration file that they name, if any. An option overrides the file's setting.
+
+    Raises ConfigError for unknown settings.
+    """
     from tactile_loc.io.config import COMMAND_LINE, WHOLE, RunConfig, parse_overrides, parse_settings
     from tactile_loc.io.options import TUNABLE
     from tactile_loc.io.toml import read_toml
@@ -175,7 +178,7 @@ def make_config(given: RunOptions) -> RunConfig:
 
 
 def _require_zero(sensor: str) -> None:
-    """Raise ConfigError when the sensor of this name takes no newer image of the untouched gel."""
+    """Raise ConfigError if the sensor of this name cannot take a newer image of the untouched gel."""
     if "zero" not in registry().load("sensor", sensor).Options.model_fields:
         raise ConfigError(
             f"--zero needs a calibrated sensor, but {sensor} is not one; choose --sensor FOLDER, or leave out --zero"
@@ -193,9 +196,10 @@ def _require_table(value: Any, section: str) -> dict[str, Any]:
 
 
 def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any], grid: str) -> Any:
-    """Return the name and options of one slot: the file's, unless the flag names another component, then `overrides`.
+    """Return the name and options of a slot's component.
 
-    Without either, it is the default component for this `grid`.
+    They come from the file, unless the flag names another component. `overrides` replaces single options. If neither
+    the file nor the flag names a component, the default component for this `grid` is used.
     """
     from tactile_loc.io.config import choose_component, find_sensor_kind
 
@@ -216,7 +220,7 @@ def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[
 
 
 def _warn_of_namesake(name: str) -> None:
-    """Warn when the chosen sensor and a calibration folder have the same name."""
+    """Warn if the chosen sensor and a calibration folder have the same name."""
     from tactile_loc.io.sensor_files import is_calibrated_sensor
 
     if name in registry().names("sensor") and is_calibrated_sensor(Path(name)):
@@ -224,7 +228,7 @@ def _warn_of_namesake(name: str) -> None:
 
 
 def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | None = None) -> Localizer:
-    """Make a localizer; load the object if it is not given. Raises TactileLocError for bad input."""
+    """Make a localizer, and load the object if it is not given. Raises TactileLocError for bad input."""
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.locate.stored_object import load_stored_object
     from tactile_loc.store.store import StageStore
@@ -248,7 +252,7 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
 
 
 def require_slot(slot: str) -> None:
-    """Raise UnknownPluginError when there is no such slot."""
+    """Raise UnknownPluginError if there is no slot of this name."""
     if slot not in SLOTS:
         raise UnknownPluginError(
             f"there is no slot {slot!r}.{did_you_mean(slot, SLOTS)} The slots are {', '.join(SLOTS)}"
@@ -256,13 +260,13 @@ def require_slot(slot: str) -> None:
 
 
 def require_mcap(flag: str, path: Path) -> None:
-    """Raise OutputError when a recording to be written is not called .mcap."""
+    """Raise OutputError if the name of a new recording does not end in .mcap."""
     if path.suffix.lower() != ".mcap":
         raise OutputError(f"{flag} {path.name} must end in .mcap; choose another name")
 
 
 def require_rerun(path: Path | None) -> None:
-    """Raise OutputError or MissingLibraryError when a Rerun file is asked for and cannot be written."""
+    """Raise OutputError or MissingLibraryError if a requested Rerun file cannot be written."""
     if path is not None:
         from tactile_loc.drawing import rerun_log
 

@@ -93,7 +93,7 @@ def _list_helps() -> Iterator[str]:
 
 
 def _list_commands() -> Iterator[list[str]]:
-    """Yield the words of every command; the commands of a group follow it."""
+    """Yield the words of every command. The commands of a group follow the group's name."""
     from typer.main import get_command
 
     from tactile_loc_cli.main import app
@@ -138,7 +138,7 @@ def _describe_record(model: type[BaseModel]) -> str:
 
 
 def _name_type(annotation: Any) -> str:
-    """Name a type as JSON would."""
+    """Return the name of a type in the terms of JSON."""
     arms = get_args(annotation)
     if type(None) in arms:
         return f"{_name_type(next(a for a in arms if a is not type(None)))} or null"

@@ -23,7 +23,7 @@ POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
 def make_title(record: ResultRecord) -> str:
-    """Return the picture's title: object, sensor, normalised entropy, error."""
+    """Return the picture's title: object, sensor, normalised entropy, and error if it is known."""
     text = f"{record.object.name} on {record.sensor_name}: normalised entropy {record.normalised_entropy:.2f}"
     return text if record.errors is None else f"{text}, error {format_millimetres(record.errors.best_m)}"
 
@@ -73,7 +73,7 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
 
 
 def _describe_side(record: ResultRecord) -> str:
-    """Name the searched side by its outward direction, which points into the sensor, in the object's frame."""
+    """Name the searched side by its outward normal in the object's frame. The normal points into the sensor."""
     x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
     return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
 
@@ -104,7 +104,7 @@ def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
 
 
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
-    """Write the best approaches, those out of reach, and the poses that no approach distinguishes."""
+    """Write the best approaches, the approaches out of reach, and the poses that no approach distinguishes."""
     say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
     header = ["rank", "approach", "information nats", "entropy left nats", "meets %", "travel mm", "cost"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
@@ -150,7 +150,7 @@ def _list_known_cells(one: KnownObjectRecord) -> list[str]:
 
 
 def say_located(files: Sequence[LocatedFile]) -> None:
-    """Write a line for each of many touches: its best pose, or why it has none."""
+    """Write a line for each touch, with its best pose or the reason why it has no pose."""
     header = ["touch", "verdict", "prob. %", IMPRINT, *POSE]
     say_table([header, *([one.path.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
 

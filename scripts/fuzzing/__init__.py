@@ -1,1 +1,1 @@
-"""The fuzzer of every reader: correct files, damage to them, readers, and findings."""
+"""The fuzzer of every reader: correct files, the damage to these files, the readers, and the findings."""

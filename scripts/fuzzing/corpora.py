@@ -1,4 +1,4 @@
-"""Correct files, which are then damaged. The folder `whole` has the texts."""
+"""Correct files, which are then damaged. The folder `whole` has the TOML files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def texts(names: str, folder: Path) -> None:
 
 
 def mesh(suffix: str, folder: Path, **options: object) -> None:
-    """Write a wedge on a plate, 24 faces without symmetry, in mm."""
+    """Write a mesh file of a wedge on a plate, in mm, with 24 faces and without symmetry."""
     plate = trimesh.creation.box((30.0, 20.0, 4.0))
     wedge = trimesh.convex.convex_hull([[0, 0, 2], [9, 0, 2], [0, 5, 2], [0, 0, 8], [9, 0, 3], [0, 5, 5]])
     part = trimesh.util.concatenate([plate, wedge])
@@ -49,7 +49,7 @@ def sensor(folder: Path) -> None:
 
 
 def touches(folder: Path) -> None:
-    """Write one touch of a sphere in each of the formats, and the sensor that took it."""
+    """Write a touch of a sphere in each format, and the sensor of this touch."""
     sensor(folder)
     y, x = np.mgrid[:40, :48]
     depth_m = np.minimum(1e-6 * ((x - 20.0) ** 2 + (y - 18.0) ** 2) * 20, 2e-3).astype(np.float32)
@@ -77,7 +77,7 @@ def calibration(folder: Path) -> None:
 
 
 def presses(folder: Path) -> None:
-    """Write labelled presses of a ball, one of a mesh, and the sensor."""
+    """Write labelled presses of a ball and of a mesh, and the sensor."""
     mesh("stl", folder)
     balls = ball_set(3, px=32)
     balls.write(folder)
@@ -97,7 +97,7 @@ def weights(folder: Path) -> None:
 
 
 def make_stage(work: Workspace) -> None:
-    """Write one of each kind of file into an artifact."""
+    """Write a file of each kind into an artifact."""
     work.save_array("mapped", np.arange(30.0))
     work.save_array("packed", np.arange(40), packed=True)
     work.save_json("sizes", [3, 4])
@@ -142,7 +142,7 @@ def mcap(folder: Path) -> None:
 
 
 def bag(kind: str, name: str, folder: Path) -> None:
-    """Write a bag of ROS 1 or the folder of one of ROS 2."""
+    """Write a ROS 1 bag, or the folder of a ROS 2 bag."""
     from recording_helpers import write_bag
 
     write_bag(folder / name, IMAGES, kind)

@@ -50,7 +50,7 @@ BLOCK, BLOCKS = 2**26, 32  # zeros: bytes of a block, and number of blocks
 
 
 def damage(name: str, content: bytes, other: bytes, draw: Random) -> bytes:
-    """Return the damaged content of a file; it may contain parts of `other`. The suffix of `name` sets the format."""
+    """Return the damaged content of a file, perhaps with parts of `other`. The suffix of `name` sets the format."""
     suffix = name.rpartition(".")[2].lower()
     if suffix in {"png", "safetensors", *VALUES} and draw.random() < 0.5:
         return _change_form(suffix, content, draw)
@@ -60,7 +60,7 @@ def damage(name: str, content: bytes, other: bytes, draw: Random) -> bytes:
 
 
 def _change_form(suffix: str, content: bytes, draw: Random) -> bytes:
-    """Return content of a valid form with other values."""
+    """Return content in the same valid format, with other values."""
     if suffix == "png":
         return _change_png(content, draw)
     if suffix == "safetensors":
@@ -106,7 +106,7 @@ def _change_bytes(content: bytes, other: bytes, draw: Random) -> bytes:
 
 
 def change_tree(tree: Any, draw: Random) -> Any:
-    """Return nested values after one of them was replaced, removed, renamed, doubled or moved to the end."""
+    """Return nested values with one value replaced, removed, renamed, doubled or moved to the end."""
     if not isinstance(tree, (dict, list)) or not tree or draw.random() < 0.08:
         return _change_value(tree, draw)
     items = dict(tree if isinstance(tree, dict) else enumerate(tree))
@@ -121,7 +121,7 @@ def change_tree(tree: Any, draw: Random) -> Any:
 
 
 def _change_value(value: Any, draw: Random) -> Any:
-    """Return another value: a number, a bad name of a file, or another type."""
+    """Return another value: a number, a bad file name, or a value of another type."""
     if isinstance(value, np.ndarray):
         return _change_array(value, draw)
     others = [draw.choice(draw.choice([NUMBERS, NUMBERS, NAMES, OTHERS]))] * 6 + [[value], str(value)]
@@ -133,7 +133,7 @@ def _change_value(value: Any, draw: Random) -> Any:
 
 
 def _change_values(content: bytes, load: Callable[[bytes], Any], dump: Callable[[Any], bytes], draw: Random) -> bytes:
-    """Return the content of a format with one or several changed values."""
+    """Return the content of a file with one or several changed values."""
     tree = load(content)
     for _ in range(draw.choice([1, 1, 2, 4])):
         tree = change_tree(tree, draw)
@@ -170,7 +170,7 @@ def _from_yaml(content: bytes) -> Any:
 
 
 def _change_array(array: np.ndarray, draw: Random) -> np.ndarray | bytes:
-    """Return an array with another shape, type or extreme numbers, or a file with a false header."""
+    """Return an array with another shape, another type or extreme numbers, or an .npy file with a false header."""
     kind, flat = draw.random(), array.ravel()
     if kind < 0.15:
         return _make_false_npy(draw)
@@ -205,7 +205,7 @@ def _from_npy(content: bytes) -> np.ndarray:
 
 
 def _as_npy(value: Any) -> bytes:
-    """Return an .npy file; numpy pickles Python objects."""
+    """Return an .npy file of a value, in which numpy pickles Python objects."""
     if isinstance(value, bytes):
         return value
     file = io.BytesIO()
@@ -230,7 +230,7 @@ def _as_npz(tree: Any) -> bytes:
 
 @cache
 def _make_inflating(name: str) -> bytes:
-    """Return an archive of some MB with one array of zeros of 2 GiB."""
+    """Return an archive of a few MB with an array of 2 GiB of zeros."""
     file, member = io.BytesIO(), zipfile.ZipInfo(f"{name}.npy")
     member.compress_type = zipfile.ZIP_DEFLATED
     with zipfile.ZipFile(file, "w") as archive, archive.open(member, "w", force_zip64=True) as array:

@@ -45,9 +45,10 @@ NEXT = "next-touch FOLDER/result.json --candidates FOLDER/approaches.toml --out 
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader of a folder's files, and the command `line` that reads them, if any; FOLDER stands for the folder.
+    """A reader of a folder's files.
 
-    `write` makes correct files. `read` reads them and checks the outcome. Files that match `fuzzed` are damaged. With
+    `write` makes correct files. `read` reads the files and checks the outcome. `line` is a command that reads the
+    files, if there is one; FOLDER in it stands for the folder. Files that match `fuzzed` are damaged. With
     `names_file`, a refusal must name a file.
     """
 
@@ -64,7 +65,7 @@ class Reader:
 
 
 def _read_every(reads: Iterable[Callable[[], object]]) -> None:
-    """Read all, then raise the first refusal."""
+    """Call every read function, and then raise the first refusal."""
     refusals = []
     for read in reads:
         try:
@@ -141,7 +142,7 @@ def _weights(folder: Path) -> None:
 
 
 def _artifact(folder: Path) -> None:
-    """The store returns the built artifact after any damage."""
+    """Check that the store returns the built artifact after any damage."""
     store = StageStore(folder)
     store.entries()
     found = store.build(corpora.STAGE, corpora.make_stage)
@@ -197,7 +198,7 @@ def _touch_reader(suffix: str, unit: str | None) -> Reader:
 
 def _recorded(name: str, write: Callable[[Path], None], recording: str) -> Reader:
     line = f"replay FOLDER/{recording} --object pin --grid face -o grid.spacing_mm=8 --out FOLDER/out/x.mcap"
-    return Reader(name, write, _recording, line, names_file=False)  # it names the topic
+    return Reader(name, write, _recording, line, names_file=False)  # a refusal names the topic
 
 
 _ALL = (

@@ -19,26 +19,26 @@ from fuzzing.damage import damage
 from fuzzing.readers import READERS, Reader
 from tactile_loc.core.errors import TactileLocError
 
-Job = tuple[str, int | None]  # a reader, and the number of its input; None: its correct files
+Job = tuple[str, int | None]  # a reader, and the number of its input, or None for its correct files
 Verdict = tuple[str, str]  # READ, REFUSED or the kind of a finding, and details
 
 SECONDS = 60
-MOST_BYTES = 3 * 2**30  # address space beyond that of the libraries
-MOST_TAKEN = 2**30  # growth of the peak of the memory, bytes
-LONGEST = 1600  # sentence, letters
+MOST_BYTES = 3 * 2**30  # address space in addition to that of the libraries
+MOST_TAKEN = 2**30  # largest growth of the peak memory, bytes
+LONGEST = 1600  # letters of a sentence
 WRITES = re.compile(r"[wxa+]")
-CACHES = re.compile(r"__pycache__|/dev/null|/matplotlib|\.cache/")  # of libraries
+CACHES = re.compile(r"__pycache__|/dev/null|/matplotlib|\.cache/")  # files that libraries write
 MOVES = {"os.rename": 2, "os.remove": 1, "os.rmdir": 1, "os.mkdir": 2, "os.symlink": 2, "shutil.rmtree": 1}
 READ, REFUSED = "read", "refused"
 written: list[str] = []  # files written, moved or removed since `watch_writes`
 
 
 class TooLongError(BaseException):
-    """A reader took longer than SECONDS; `except Exception` must not catch this."""
+    """Raised if a reader takes longer than `SECONDS`. `except Exception` must not catch this error."""
 
 
 def make_input(reader: Reader, pristine: Path, folder: Path, seed: int, number: int) -> None:
-    """Copy the files of `pristine` to `folder`, and damage one of them, sometimes two."""
+    """Copy the files of `pristine` to `folder`, and damage one file, sometimes two."""
     shutil.copytree(pristine, folder)
     draw, files = Random(f"{seed} {reader.name} {number}"), reader.files(folder)
     for path in draw.sample(files, min(len(files), 2 if draw.random() < 0.1 else 1)):
@@ -84,7 +84,7 @@ def _judge_refusal(error: TactileLocError, folder: Path, names_file: bool) -> Ve
 
 
 def _read_peak() -> int:
-    """Return the peak of the memory of this process, bytes."""
+    """Return the peak memory of this process, in bytes."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
@@ -98,7 +98,7 @@ def _give_up(*_: object) -> None:
 
 
 def watch_writes() -> None:
-    """From now on, add each file that Python opens for writing, moves or removes to `written`."""
+    """From now on, add to `written` each file that Python opens for writing, moves or removes."""
 
     def note(event: str, values: tuple[object, ...]) -> None:
         if event == "open" and isinstance(values[0], (str, bytes)):
@@ -114,9 +114,9 @@ def watch_writes() -> None:
 def read_all(jobs: list[Job], seed: int, whole: Path, folder: Path, said: Connection) -> None:
     """Read one input after another in `folder`, and send the verdicts.
 
-    Correct files come first: they import and compile before the memory is limited.
+    Correct files come first, so that imports and compilation happen before the memory is limited.
     """
-    nowhere = os.open(os.devnull, os.O_WRONLY)  # for output of libraries
+    nowhere = os.open(os.devnull, os.O_WRONLY)  # takes the output of libraries
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
     logging.disable()

@@ -1,1 +1,1 @@
-"""Commands that are killed and starved, the trials, and the checks of the files that they leave."""
+"""Commands to kill and starve, the trials, and the checks of the files that commands leave."""

@@ -1,4 +1,4 @@
-"""The commands that are killed and starved, their folders, and the moments of the kills."""
+"""The commands to kill and starve, their folders, and the moments of the kills."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from record import OURS, PROGRAM, Done
 FLAT = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 SMALL = 'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
 GRID = "--sensor flat.toml --grid face -o grid.spacing_mm=8"
-SURE = "-o temperature=0.001"  # instead of a fitted temperature
+SURE = "-o temperature=0.001"  # instead of fitting a temperature
 MOCO = "--encoder moco -o encoder.epochs=4 -o encoder.queries=64 -o encoder.batch=32 -o encoder.channels=4"
 COMMANDS = {
     "build": f"build --object pin {GRID}",
@@ -39,9 +39,9 @@ INPUTS = (
     f"simulate --object head {GRID} --renderer zbuffer --seed 3 --count 30 --recording slide.mcap",
 )
 HANGS_S = 900
-GLANCE_S = 0.003  # between two looks at the disk
-AFTER_S = 0.02  # at most, between a change and the kill
-GONE_S = 10.0  # at most, until a killed group is gone
+GLANCE_S = 0.003  # time between two looks at the disk
+AFTER_S = 0.02  # longest time between a change and the kill
+GONE_S = 10.0  # longest time until a killed group has ended
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ class Life:
 
 @dataclass(frozen=True)
 class Moment:
-    """When to kill: after a number of changes on the disk, and then a number of seconds."""
+    """The moment of a kill: a number of seconds after a number of changes on the disk."""
 
     seconds: float
     changes: int = 0
 
     @classmethod
     def draw(cls, life: Life, generator: np.random.Generator) -> Moment:
-        """Draw a moment of a life: half of them by the time, half of them just after a change of the disk."""
+        """Draw a moment of a run: with equal probability a random time, or just after a change on the disk."""
         if generator.random() < 0.5:
             return cls(float(generator.uniform(0.8 * life.first_s, life.whole_s)))
         return cls(float(generator.uniform(0, AFTER_S)), 1 + int(life.changes * generator.random() ** 2))
@@ -76,7 +76,7 @@ class Place:
         self.out, self.err = (output or root) / "out.txt", (output or root) / "err.txt"
 
     def reset(self, inputs: Path) -> Place:
-        """Delete all files, copy the inputs, and return the place."""
+        """Delete all files, copy the inputs, and return this place."""
         for folder in (self.work, self.store, self.temporary):
             shutil.rmtree(folder, ignore_errors=True)
         for folder in (self.root, self.out.parent):
@@ -116,7 +116,7 @@ class Place:
         return done, Life(seen[0] if seen else whole_s, whole_s, len(seen))
 
     def run_and_kill(self, line: str, moment: Moment) -> Done:
-        """Run a command and kill its group of processes at a moment, unless it ends before."""
+        """Run a command, and kill its group of processes at a moment, unless the command ends before."""
         process = self.start(line)
         if moment.changes:
             next(islice(self._find_changes(process), moment.changes - 1, None), None)
@@ -145,7 +145,7 @@ class Place:
 
 
 def kill_group(process: subprocess.Popen[str]) -> None:
-    """Kill a command with all the processes that it has started, and wait until they are gone."""
+    """Kill a command with all processes that it has started, and wait until these have ended."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -155,7 +155,7 @@ def kill_group(process: subprocess.Popen[str]) -> None:
 
 
 def _is_alive(group: int) -> bool:
-    """Whether a process of a group lives; zombies do not count."""
+    """Return whether a process of a group is alive; zombies do not count."""
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):
             state, _, of, *_ = (folder / "stat").read_text().rpartition(")")[2].split()

@@ -28,12 +28,12 @@ LINES = (".jsonl", ".journal")
 UNREADABLE = (OSError, ValueError, LookupError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error, TactileLocError)
 CLOCKED = re.compile(
     r"result_sha256|seconds|created|versions|duration|time_s|^built$|_ms$|^time_|_s$|distributions|^(key|source|path)$"
-)  # keys and files that depend on the clock, the number of starts, or the folder
-DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # pictures and pages, and copies of the rows
+)  # keys and files whose content depends on the clock, the number of starts, or the folder
+DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # files that are not compared, such as pictures
 
 
 def find_broken(place: Place, ended: bool) -> list[str]:
-    """Return a finding for each unreadable file. Incomplete lines are a fault only if the command `ended`."""
+    """Return a finding for each unreadable file. An incomplete line is a fault only if the command `ended`."""
     found = []
     for entry in StageStore(place.store).entries():
         try:
@@ -52,7 +52,7 @@ def find_broken(place: Place, ended: bool) -> list[str]:
 
 
 def list_finished(place: Place) -> set[str]:
-    """Return the finished artifacts, pieces, lines and rows; doing one again changes its text."""
+    """Return a text for each finished artifact, piece, line and row. Doing the work again gives another text."""
     found = set()
     for entry in StageStore(place.store).entries():
         manifest = entry.path / MANIFEST
@@ -71,13 +71,13 @@ def list_finished(place: Place) -> set[str]:
 
 
 def find_lost(before: set[str], after: set[str], place: Place) -> list[str]:
-    """Return the work that was finished `before` and is gone, unless a finished file has replaced it."""
+    """Return the work that was finished `before` and is missing `after`, unless a finished file has replaced it."""
     artifacts = {word.split()[1] for word in after if word.startswith("artifact ")}
     return sorted(word for word in before - after if not _is_replaced(word, artifacts, place))
 
 
 def _is_replaced(word: str, artifacts: set[str], place: Place) -> bool:
-    """Whether the artifact of a piece exists, or the file of a journal."""
+    """Return whether the finished file exists: the artifact of a piece, or the result of a journal."""
     kind, name, *_ = word.split()
     if kind == "piece":
         return name.rsplit("/", 1)[0] in artifacts
@@ -102,7 +102,7 @@ def count_locks(place: Place) -> int:
 
 
 def digest_answer(place: Place) -> dict[str, str]:
-    """Return a digest of each result by its name; times do not count."""
+    """Return a digest of each result, by the result's name. Times have no influence."""
     found = {}
     for entry in StageStore(place.store).entries():
         if entry.complete:
@@ -116,12 +116,12 @@ def digest_answer(place: Place) -> dict[str, str]:
 
 
 def _is_left(path: Path) -> bool:
-    """Whether a file or folder serves only an unfinished command."""
+    """Return whether only an unfinished command needs a file or folder."""
     return path.name.startswith(BESIDE) or path.suffix in (".partial", ".journal")
 
 
 def _list_files(place: Place) -> Iterator[Path]:
-    """Yield the files of the working folder and of the store; not locks, nor files written beside their place."""
+    """Yield the files of the working folder and of the store, without locks and temporary files."""
     for root in (place.work, place.store):
         for path in sorted(root.rglob("*")):
             beside = any(part.startswith(BESIDE) for part in path.relative_to(root).parts)
@@ -135,13 +135,13 @@ def _read_lines(path: Path) -> list[bytes]:
 
 
 def _read_timeless(path: Path, ended: bool = True) -> str:
-    """Return the content of a file without times. Raises one of UNREADABLE if it is incomplete."""
+    """Return the content of a file without times. Raises one of `UNREADABLE` if the file is incomplete."""
     text = path.read_bytes()
     if path.suffix in (".csv", ".md", ".html", *(LINES if ended else ())) and not (b"\n" + text).endswith(b"\n"):
         raise ValueError("ends in half a line")
     if path.suffix == ".json":
         return json.dumps(_drop_times(json.loads(text)))
-    if path.suffix in LINES:  # each run appends to a .jsonl file; the last line of a name counts
+    if path.suffix in LINES:  # each run appends to a .jsonl file; only the last line of each name counts
         records = [_drop_times(json.loads(line)) for line in _read_lines(path)]
         return json.dumps({record["name"]: record for record in records} if path.suffix == ".jsonl" else records)
     if path.suffix == ".csv":

@@ -1,4 +1,4 @@
-"""Kinds of trials: commands killed, on full disks, and several at once; and the checks after each trial."""
+"""The kinds of trials (killed commands, full disks, several commands at once), and the checks after each trial."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ BEGINS = re.compile(r"stage (\S+ \S+) is being built(?! by)")
 
 @dataclass(frozen=True)
 class Calm:
-    """An undisturbed command: its run with nothing stored, its second run, and the files of both."""
+    """An undisturbed command: its first run with an empty store, its second run, and the files of both runs."""
 
     cold: Life
     warm: Life
     answer: dict[str, str]
     leftovers: list[str]
     locks: int
-    nbytes: int  # on the disk, without the inputs
+    nbytes: int  # bytes on the disk, without the inputs
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The trials to do, and their folder. `wanted` holds the number of trials of each kind, all commands together."""
+    """The trials to do, and their folder. `wanted` has the number of trials of each kind, for all commands together."""
 
     out: Path
     inputs: Path
@@ -52,7 +52,7 @@ class Plan:
     wanted: dict[str, int]
 
     def run_calm(self, name: str) -> Calm:
-        """Run a command undisturbed, or read its earlier outcome. Raises RuntimeError when it fails."""
+        """Run a command undisturbed, or read its earlier outcome. Raises RuntimeError if the command fails."""
         kept = self.out / "calm" / f"{name}.json"
         if kept.is_file():
             values = json.loads(kept.read_text(encoding="utf-8"))
@@ -107,21 +107,21 @@ class Trials:
         self.plan.record.findings += [{**trial, "what": one} for one in findings]
 
     def expect(self, holds: bool, finding: str, done: Done | None = None) -> bool:
-        """Note a finding, with the output of a command, unless `holds`. Return `holds`."""
+        """Unless `holds`, note a finding with the output of a command. Return `holds`."""
         if not holds:
             self.add_findings(finding if done is None else f"{finding}: exit code {done.code}, {done.err[-1500:]!r}")
         return holds
 
     def find_lost(self, before: set[str], place: Place) -> set[str]:
-        """Note work that was finished before and is lost. Return the work that is finished now."""
+        """Note lost work as findings: work that was finished before and is missing now. Return the finished work."""
         after = remains.list_finished(place)
         self.add_findings(*(f"lost: {one}" for one in remains.find_lost(before, after, place)))
         return after
 
     def check(self, done: Done, place: Place, name: str, stored: bool = True) -> None:
-        """Check a finished command: it gives the answer of an undisturbed run, and leaves no other files.
+        """Check that a finished command gives the answer of an undisturbed run, and leaves no other files.
 
-        `stored` is false after the store was deleted and old results were kept. Then stages may be missing.
+        `stored` is false if the store was deleted while old results were kept. Then stages may be missing.
         """
         if not self.expect(done.code == 0, "it does not continue", done):
             return
@@ -138,7 +138,7 @@ class Trials:
 
 
 def _kill_once(trials: Trials) -> str:
-    """Kill a command again and again, with the files that it left, until it may finish or ends before the kill."""
+    """Start and kill a command repeatedly, on the files that it left, until it finishes."""
     draw, place, line = trials.make_generator(), Place(trials.folder), COMMANDS[trials.name]
     calm, stored, before = trials.plan.run_calm(trials.name), _begin_anew(place, trials.plan.inputs, draw), set[str]()
     while True:
@@ -159,7 +159,7 @@ def _kill_once(trials: Trials) -> str:
 
 
 def _begin_anew(place: Place, inputs: Path, draw: np.random.Generator) -> bool:
-    """Delete all files, the store, or the results. Return whether a run will store all its stages."""
+    """Delete all files, only the store, or only the results. Return whether a run will store all its stages."""
     kept = draw.integers(3) if place.work.is_dir() else 0
     if kept == 0:
         place.reset(inputs)
@@ -175,7 +175,7 @@ def _begin_anew(place: Place, inputs: Path, draw: np.random.Generator) -> bool:
 
 @cache
 def can_mount() -> bool:
-    """Whether this process may mount disks."""
+    """Return whether this process may mount disks."""
     words = ["unshare", "-m", "mount", "-t", "tmpfs", "none", "/mnt"]
     return os.geteuid() == 0 and subprocess.run(words, capture_output=True, check=False).returncode == 0
 
@@ -218,7 +218,7 @@ def _starve(trials: Trials) -> str:
 
 
 def _run_together(trials: Trials) -> str:
-    """Run a command several times at once on one store, undisturbed, with some killed, or all into one folder."""
+    """Run a command several times at once on one store: undisturbed, with some runs killed, or all in one folder."""
     name, _, how = trials.name.partition(", ")
     draw, folder, left = trials.make_generator(), trials.folder, list(range(PROCESSES))
     roots = [folder / f"{0 if how == 'one folder' else k}" for k in left]
@@ -246,7 +246,7 @@ KINDS = {"kill": _kill_once, "full": _starve, "at-once": _run_together}
 
 
 def run_trials(plan: Plan, kind: str) -> Iterator[int]:
-    """Do the trials of a kind that are still missing; yield the number of trials, or kills, of each step."""
+    """Do the missing trials of a kind. Yield the number of trials (or kills) in each step."""
     names = TOGETHER if kind == "at-once" else plan.commands
     every, more = divmod(plan.wanted[kind], len(names))
     counted = "killed" if kind == "kill" else "trials"

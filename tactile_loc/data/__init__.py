@@ -1,6 +1,7 @@
 """Small demo objects, for first steps without your own CAD file.
 
-The meshes are watertight, in metres. The functions of `scripts/demo_meshes.py` make them and describe their frames.
+The meshes are watertight and in metres. The functions of `scripts/demo_meshes.py` make the meshes and describe the
+objects' frames.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ _FOLDER = Path(__file__).parent / "objects"
 
 @dataclass(frozen=True)
 class DemoObject:
-    """One shipped object.
+    """A demo object that comes with the package.
 
-    `path` is its mesh (binary PLY, metres). `symmetry` declares its rotational symmetry: `none`, or terms joined with
-    `*`, each an axis through the origin and an order (`z2`, `x2`, `zinf`).
+    `path` is the file of its mesh (binary PLY, metres). `symmetry` states its rotational symmetry: `none`, or terms
+    joined with `*`. A term is an axis through the origin and an order, such as `z2`, `x2` or `zinf`.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: the labels found in its images, and its estimates for held-out presses."""
+"""Pictures of a calibration: the circles found in its photos, and the estimates for held-out presses."""
 
 from __future__ import annotations
 
@@ -22,12 +22,15 @@ if TYPE_CHECKING:
 MOST = 4
 USED, DROPPED = "#ffffff", "#e03131"
 TILE_INCH, MOST_COLUMNS = 1.9, 8
-STRONG = 0.995  # share of the colour changes within the drawn range
+STRONG = 0.995  # quantile of the absolute colour changes that reaches the end of the drawn range
 LONGEST = 30  # characters of a name
 
 
 def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:
-    """Draw presses (by number): the image, the known and the estimated indentation, and both along a line."""
+    """Draw a row for each of at most `MOST` presses, given by their `numbers`.
+
+    A row shows the image, the known indentation, the estimated one, and both along x at the deepest estimated point.
+    """
     shown = list(numbers)[:MOST]
     figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True)
     figure.suptitle(title, size=13, weight="bold")
@@ -36,7 +39,7 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     for row, number in zip(rows, shown, strict=True):
         image, label = presses.read_press(number)
         found_mm, known_mm = 1e3 * estimator.read_indentation(image), 1e3 * label.indentation_m
-        if not label.absolute:  # the depth of the visible circle is unknown: use the estimate's
+        if not label.absolute:  # its depth has an unknown offset: take the offset from the estimate
             known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
         deepest = float(max(found_mm.max(), known_mm.max()))
         row[0].imshow(image, extent=extent)
@@ -63,9 +66,10 @@ def _draw_profile(axes: Any, found_mm: Any, known_mm: Any, known: Any, extent: S
 
 
 def draw_labels(found: FoundPresses, title: str) -> Figure:
-    """Draw the untouched gel, and the amplified difference of each press to it, with circle, name and radius.
+    """Draw the image of the untouched gel, and the amplified difference of each press from this image.
 
-    Dropped presses have a red frame, and their reason as title.
+    The tile of a press shows its circle, name and radius. The tile of a dropped press has a red frame, and states the
+    reason instead of the radius.
     """
     count = len(found.presses) + 1
     columns = min(MOST_COLUMNS, max(3, math.ceil(math.sqrt(count))))

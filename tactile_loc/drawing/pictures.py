@@ -1,4 +1,4 @@
-"""Pictures of a result in millimetres, degrees and per cent. Matplotlib's global state is not used."""
+"""Pictures of touches and results, in millimetres and per cent. They do not use matplotlib's global state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.layout_engine import LayoutEngine
 
 NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
-EXPECTED = "#ffffff"  # on a photo
+EXPECTED = "#ffffff"  # colour of the predicted outline on a photo
 MOST_TOUCHES = 30
 DPI = 130
 LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the labels of panels apart
@@ -34,10 +34,11 @@ LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the label
 def draw_result(
     localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | None = None
 ) -> Figure:
-    """Draw the touch, the contact shapes of the best hypotheses with the touch's outline, and the object on the sensor.
+    """Draw the touch, the contact shapes of the best hypotheses, and the object on the sensor.
 
-    If the touch was estimated from an image, the image comes first, with the outline of the best pose. `scene` renders
-    at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the true pose, metres.
+    Each contact shape has the touch's outline. If the touch was estimated from an image, the image comes first, with
+    the outline that the best pose predicts. `scene` must have the touch's geometry. `errors_m` (K,) are the errors of
+    the K hypotheses, in metres.
     """
     columns = 1 if len(localization.hypotheses) < 3 else 2
     photo = [] if localization.touch.image is None else [4.7]
@@ -77,7 +78,7 @@ def draw_contact_shape(
 ) -> AxesImage:
     """Draw a contact shape (H, W) as the sensor sees it, x right and y down, in mm on the sensing surface.
 
-    The colours end at `deepest_m`, by default the shape's press depth.
+    The colour scale ends at `deepest_m` metres. The default is the shape's press depth.
     """
     from matplotlib import colormaps
     from matplotlib.patches import Rectangle
@@ -99,9 +100,9 @@ def draw_contact_shape(
 
 
 def save_figure(path: str | Path, figure: Figure, dpi: int | None = None) -> Path:
-    """Write a figure as PNG with `dpi` (default `DPI`) dots per inch, atomically, and return the path.
+    """Write a figure atomically as PNG with `dpi` (default `DPI`) dots per inch, and return the path.
 
-    Raises OutputError.
+    Raises OutputError if the file cannot be written.
     """
     return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi or DPI, facecolor="white"))
 
@@ -120,7 +121,7 @@ def _draw_observed(panel: SubFigure, touch: Touch) -> None:
 
 
 def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> None:
-    """Draw the image, and the contact's outline predicted by the best pose."""
+    """Draw the touch's image, and the contact outline that the best pose predicts."""
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     axes.imshow(np.asarray(touch.image), extent=compute_extent_mm(touch.geometry), origin="upper")
@@ -174,7 +175,11 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
 
 
 def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) -> list[list[int]]:
-    """Group places (N, D) by index: each is nearer than `apart` to its group's first, in the norm of this order."""
+    """Group places (N, D), and return the indices of the places in each group.
+
+    Each place is nearer than `apart` to the first place of its group. `order` is the order of the norm that measures
+    distances.
+    """
     groups: list[list[int]] = []
     for i, place in enumerate(places):
         near = next((g for g in groups if np.linalg.norm(places[g[0]] - place, order) < apart), None)
@@ -183,7 +188,7 @@ def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) ->
 
 
 def add_panels(parent: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
-    """Return rows of axes (R, C) in a figure, `columns` in each row; only the first `count` are visible."""
+    """Add axes (R, C) to a figure, with `columns` in each row, and return them; only the first `count` are visible."""
     panels: NDArray[Any] = parent.subplots(-(-count // columns), columns, squeeze=False, **options)
     for axes in panels.flat[count:]:
         axes.set_axis_off()
@@ -191,7 +196,7 @@ def add_panels(parent: Figure | SubFigure, count: int, columns: int, **options: 
 
 
 def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
-    """Draw the border of the touch's contact, as the sensor sees it, in mm."""
+    """Draw the outline of the touch's contact as the sensor sees it, in mm."""
     left, right, bottom, top = compute_extent_mm(touch.geometry)
     height, width = touch.geometry.shape
     x = left + (np.arange(width) + 0.5) / width * (right - left)
@@ -200,7 +205,7 @@ def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
 
 
 def compute_extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
-    """Return the image's borders (left, right, bottom, top) on the sensing surface, mm; y runs down."""
+    """Return the image's borders (left, right, bottom, top) on the sensing surface, in mm; y points down."""
     sx, sy = geometry.scale_at_surface
     x0, x1 = -geometry.cx / sx, (geometry.width_px - geometry.cx) / sx
     y0, y1 = -geometry.cy / sy, (geometry.height_px - geometry.cy) / sy

@@ -1,4 +1,4 @@
-"""The object on the sensor in a matplotlib Axes: the estimate solid, the true pose as lines, axes in mm."""
+"""Picture of the object on the sensor: a solid at the estimated pose, lines at the true pose, and axes in mm."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
 EDGE, TRUTH = "#16202c", "#e8590c"
 PIXELS, SUPERSAMPLE = 620, 2
 AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
-GEL_MM, RIM_MM = 1.5, 1.6  # drawn thickness of the gel, drawn width of the housing around it
+GEL_MM, RIM_MM = 1.5, 1.6  # drawn thickness of the gel, and drawn width of the housing around the gel
 
 
 def draw_pose(
     axes: Axes, mesh: TriangleMesh, geometry: SensorGeometry, T_estimate: Array, T_true: Array | None = None
 ) -> None:
-    """Draw the object at `T_estimate` (4, 4) on the sensing rectangle, and its edges at `T_true`; metres."""
+    """Draw the sensor, the object at `T_estimate` (4, 4), and the object's edges at `T_true` (4, 4); metres."""
     view = choose_view(mesh, T_estimate)
     estimate = _pose_triangles(mesh, T_estimate)
     truth = None if T_true is None else _pose_triangles(mesh, T_true)
@@ -54,7 +54,7 @@ def _pose_triangles(mesh: TriangleMesh, T: Array) -> Array:
 
 
 def build_sensor_mm(geometry: SensorGeometry) -> list[Array]:
-    """Return the gel under the sensing rectangle and the housing around it: triangles (12, 3, 3), mm, sensor frame."""
+    """Return two boxes, the gel and its housing, each as triangles (12, 3, 3), mm, in the sensor frame."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     top = 1e3 * geometry.surface_m
     rim, gel = RIM_MM, make_box((x0, x1), (y0, y1), (top - GEL_MM, top))
@@ -62,7 +62,7 @@ def build_sensor_mm(geometry: SensorGeometry) -> list[Array]:
 
 
 def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = View.elevation_deg) -> View:
-    """Return the view that shows the most of the object at T (4, 4), metres, and hides the least of the sensor."""
+    """Return the view that best shows both the object at T (4, 4), metres, and the sensor."""
     points = 1e3 * transform_points(T, mesh.vertices_m)
 
     def rate(view: View) -> float:
@@ -81,7 +81,7 @@ def _fit_bounds(view: View, surfaces: list[Array]) -> Bounds:
 
 
 def _choose_size(bounds: Bounds) -> tuple[int, int]:
-    """Return the image size (H, W): `PIXELS` times the supersampling along the longer side."""
+    """Return the image size (H, W) in pixels; the longer side has `PIXELS` times `SUPERSAMPLE` pixels."""
     width, height = bounds[1] - bounds[0], bounds[3] - bounds[2]
     scale = PIXELS / max(width, height)
     return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
@@ -109,7 +109,7 @@ def _measure_height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> flo
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """The position of the object in the picture."""
+    """The hits of a picture's rays, and the picture's bounds (left, right, bottom, top), mm."""
 
     seen: Buffers
     bounds: Bounds
@@ -124,7 +124,7 @@ class _Picture:
 
 
 def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
-    """Draw ticks along the near edges of the sensing rectangle (x, y) and up its left or right corner (z)."""
+    """Draw ticks for x and y along the nearest edges of the sensing rectangle, and ticks for z above a corner."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     z0 = 1e3 * geometry.surface_m
     away = RIM_MM + 0.6
@@ -159,7 +159,7 @@ def _draw_height(
 
 
 def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]:
-    """Return round values between two limits, mm, at most about `most` of them."""
+    """Return round numbers between two limits, in mm. There are at most about `most` numbers."""
     step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
     return [float(k * step) for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
 
@@ -167,7 +167,7 @@ def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]
 def _draw_scale(
     axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str, distance: float = 6.6
 ) -> None:
-    """Draw tick marks at points in mm of the sensor frame, with their values, and the axis's label in the middle."""
+    """Draw tick marks with their values at points (mm, sensor frame), and the axis's label next to the middle."""
     flat = view.project(np.array(points))
     direction = view.project(np.asarray(outwards, float))
     direction = direction / max(float(np.linalg.norm(direction)), 1e-9)

@@ -16,65 +16,73 @@ from tactile_loc.core.sensing.zbuffer import draw_nearest_faces
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 
-LIGHT = np.array([0.35, -0.45, 0.82])  # sensor frame, unitless: from the upper right in front
+LIGHT = np.array([0.35, -0.45, 0.82])  # direction towards the light in the sensor frame: up, right and in front
 CREASE_DEG = 28.0
-LIT_PX = 1500  # pixels along the longer side of the picture as seen from the light
+LIT_PX = 1500  # pixels along the longer side of the picture seen from the light
 
 
 @dataclass(frozen=True)
 class View:
-    """A viewing direction: `azimuth_deg` about the sensor's z, from -y to +x; `elevation_deg` above its xy plane."""
+    """A viewing direction.
+
+    `azimuth_deg` is the viewer's angle about the sensor's z, from -y towards +x. `elevation_deg` is the viewer's angle
+    above the sensor's xy plane.
+    """
 
     azimuth_deg: float = 30.0
     elevation_deg: float = 34.0
 
     @property
     def axes(self) -> Array:
-        """Rows (3, 3): right, up and towards the viewer, unit vectors of the sensor frame."""
+        """Unit vectors in the sensor frame, as rows (3, 3): right, up, and towards the viewer."""
         a, e = np.radians([self.azimuth_deg, self.elevation_deg])
         towards = np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), np.sin(e)])
         right = np.array([np.cos(a), np.sin(a), 0.0])
         return np.stack([right, np.cross(towards, right), towards])
 
     def project(self, points: Array) -> Array:
-        """Return picture coordinates (..., 2) of points (..., 3), right and up, in the same unit."""
+        """Return the picture coordinates (..., 2), right and up, of points (..., 3), in the points' unit."""
         return np.asarray(points, float) @ self.axes[:2].T
 
 
 @dataclass(frozen=True, eq=False)
 class Buffers:
-    """The hit of each pixel's ray, (H, W): index of the surface and of the face (-1: none), and depth.
+    """The first hit of each pixel's ray.
 
-    K rays hit a surface; `hit` marks them, and `normals` and `points` are in their order.
+    `surface` and `face` (H, W) are indices of the surface and face, or -1 without a hit. `depth` (H, W) is the length
+    of the ray. `normals` and `points` list the K hits row by row.
     """
 
     surface: NDArray[np.int64]
     face: NDArray[np.int64]
     depth: NDArray[np.float32]
     face_normals: Array
-    """Unit normals (F, 3), towards the viewer."""
+    """Unit normals (F, 3) of all faces, towards the viewer."""
     origins: tuple[Array, Array, Array]
-    """right (W, 3), up (H, 3), towards (3,): a ray starts at right + up of its pixel and goes along -towards."""
+    """The rays' starts and direction: right (W, 3), up (H, 3) and towards (3,).
+
+    A ray starts at the sum of its column's `right` and its row's `up`. Its direction is minus `towards`.
+    """
 
     @cached_property
     def hit(self) -> NDArray[np.bool_]:
-        """Whether a ray hits a surface (H, W)."""
+        """Mask (H, W) of the pixels whose ray hits a surface."""
         return self.surface >= 0
 
     @cached_property
     def normals(self) -> Array:
-        """Unit normals (K, 3)."""
+        """Unit normals (K, 3) of the faces at `points`, towards the viewer."""
         return self.face_normals[self.face[self.hit]]
 
     @cached_property
     def points(self) -> Array:
-        """Points where rays hit a surface (K, 3)."""
+        """Points (K, 3) where rays hit a surface."""
         rows, columns = np.nonzero(self.hit)
         right, up, towards = self.origins
         return right[columns] + up[rows] - self.depth[self.hit][:, None] * towards
 
     def find_edges(self, jump: float) -> NDArray[np.bool_]:
-        """Return a mask (H, W) of outlines, creases, and depth steps of more than `jump`, in the points' unit."""
+        """Return a mask (H, W) of outlines, creases, and depth steps larger than `jump` (in the points' unit)."""
         marked = np.zeros(self.surface.shape, bool)
         depth = np.where(self.hit, self.depth, np.float32(0))
         for axis in (0, 1):
@@ -90,7 +98,7 @@ class Buffers:
 
 
 class Tracer:
-    """Renders surfaces, each given as triangles (F, 3, 3) in a common unit, from a view."""
+    """Renders surfaces from a view. Each surface is an array of triangles (F, 3, 3), all in the same unit."""
 
     def __init__(self, surfaces: list[Array], view: View) -> None:
         self.view = view
@@ -101,17 +109,22 @@ class Tracer:
         self._distance = 4.0 * float(np.abs(corners).max()) + 1.0
 
     def look(self, bounds: Bounds, shape: tuple[int, int]) -> Buffers:
-        """Cast a ray through each of `shape` (H, W) pixels over bounds (left, right, bottom, top) of the picture."""
+        """Cast a ray through each pixel of a picture with `shape` (H, W).
+
+        `bounds` are the picture's borders (left, right, bottom, top), in the unit of the surfaces.
+        """
         axes = self.view.axes
         depth, face, u, v = self._render_along(axes, bounds, shape)
-        towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals  # for any winding
+        # triangles may have any winding
+        towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals
         origins = u[:, None] * axes[0] + self._distance * axes[2], v[:, None] * axes[1], axes[2]
         return Buffers(self._of_face[face], face, depth, towards, origins)
 
     def cast_shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
-        """Return a mask (H, W) of points that another surface hides from the light, from a picture as seen from there.
+        """Return a mask (H, W) of the pixels in shadow, found with a second picture that is seen from the light.
 
-        Points are lifted by `lift` and 1.5 pixels of that picture, so that they do not shade themselves.
+        Points are moved along their normals by `lift` plus 1.5 pixels of the picture seen from the light, so that they
+        do not shade themselves.
         """
         towards = LIGHT / np.linalg.norm(LIGHT)
         right = np.cross([0.0, 1.0, 0.0], towards)
@@ -134,7 +147,10 @@ class Tracer:
     def _render_along(
         self, axes: Array, bounds: Bounds, shape: tuple[int, int]
     ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, Array]:
-        """Return depths and faces (H, W) along -axes[2], and pixel positions u (W,) right and v (H,) up."""
+        """Return the depths and faces (H, W) that rays along -axes[2] hit, and the pixels' positions.
+
+        The positions are u (W,) along axes[0] and v (H,) along axes[1].
+        """
         left, right, bottom, top = bounds
         height, width = shape
         u = left + (np.arange(width) + 0.5) / width * (right - left)
@@ -145,7 +161,10 @@ class Tracer:
 
 
 def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
-    """Return RGBA (H, W, 4), 0 to 1, of surfaces in `colours` (S, 3), transparent where no surface is hit."""
+    """Return a picture as RGBA (H, W, 4), 0 to 1; pixels without a hit are transparent.
+
+    `colours` (S, 3) has a colour for each surface. `shadow` (H, W) marks the pixels in shadow.
+    """
     light = LIGHT / np.linalg.norm(LIGHT)
     lit = np.where(shadow[buffers.hit], 0.35, 1.0)
     diffuse = np.clip(buffers.normals @ light, 0.0, 1.0) * lit
@@ -158,7 +177,7 @@ def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
 
 
 def shrink(image: Array, factor: int) -> Array:
-    """Average blocks of `factor` x `factor` pixels of RGBA (H, W, 4), with colours weighted by opacity."""
+    """Average blocks of `factor` x `factor` pixels of a picture (H, W, 4), RGBA. Opacity weights the colours."""
     height, width = image.shape[0] // factor, image.shape[1] // factor
     blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 4)
     alpha = blocks[..., 3:].mean(axis=(1, 3))
@@ -167,7 +186,7 @@ def shrink(image: Array, factor: int) -> Array:
 
 
 def compute_normals(triangles: Array) -> Array:
-    """Return the unit normals (F, 3) of triangles (F, 3, 3); zero for degenerate ones."""
+    """Return the unit normals (F, 3) of triangles (F, 3, 3); zero for degenerate triangles."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normals = np.cross(b - a, c - a)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))

@@ -1,4 +1,4 @@
-"""Results, frames and replayed recordings as files (.rrd) for the Rerun viewer, which is not started."""
+"""Results, frames and replayed recordings as files (.rrd) for the Rerun viewer. Nothing here starts the viewer."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hy
 STEEL, GHOST, HIDDEN = (124, 159, 199, 255), (124, 159, 199, 50), (0, 0, 0, 0)
 GEL = (223, 225, 220)
 DEVIATIONS = 2.0  # standard deviations of an ellipsoid's half axes
-FLUSH_S = 30.0  # at most for writing a frame to the disk
+FLUSH_S = 30.0  # longest time for writing a frame to the disk
 MARK_M = 5e-4  # radius of the mark of the most probable pose
 
 
 def require_rerun(path: Path) -> None:
-    """Raise OutputError or MissingLibraryError when a Rerun file cannot be written to `path`."""
+    """Raise OutputError if `path` cannot be written as a Rerun file, and MissingLibraryError without rerun-sdk."""
     if path.suffix.lower() != ".rrd":
         raise OutputError(f"--rerun {path.name} must end in .rrd; choose another name")
     if path.is_dir():
@@ -58,9 +58,9 @@ def _import_rerun() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Logged:
-    """One frame, `time_s` seconds after the start of the file: image (H, W, 3), touch, pose, posterior and a text.
+    """One frame of a Rerun file. Missing parts are None.
 
-    Missing parts are None.
+    `time_s` is the time in seconds since the start of the file. `image` is (H, W, 3). `says` is a text to show.
     """
 
     number: int
@@ -73,10 +73,10 @@ class Logged:
 
 
 class RerunLog:
-    """A Rerun file that grows frame by frame; a context manager.
+    """Context manager that writes a Rerun file frame by frame.
 
-    Values are in metres in the sensor's frame, which is placed in the base's. `scene` has the object and the sensor.
-    Adding a frame and leaving the context raise OutputError when the file cannot be written.
+    Poses are in the sensor frame, in metres. A touch's T_base_sensor places the sensor in the base frame. `scene` has
+    the object and the sensor. `add` and the end of the context raise OutputError if the file cannot be written.
     """
 
     def __init__(self, path: Path, scene: Scene) -> None:
@@ -101,7 +101,7 @@ class RerunLog:
             self._stream.disconnect()
 
     def add(self, frame: Logged) -> None:
-        """Add a frame. Parts that it lacks are no longer shown."""
+        """Add a frame. If the frame lacks an image, touch or pose, the viewer hides that of the frame before."""
         self._stream.set_time("frame", sequence=frame.number)
         self._stream.set_time("time", duration=frame.time_s)
         self._add_touch(frame.image, frame.touch)
@@ -118,7 +118,7 @@ class RerunLog:
         self._flush()
 
     def _flush(self) -> None:
-        """Wait until everything is on the disk. After an error, Rerun's writer stops silently."""
+        """Wait until all data are on the disk. Raises OutputError if Rerun cannot write the data."""
         try:
             self._stream.flush(timeout_sec=FLUSH_S)
         except RuntimeError as error:
@@ -131,7 +131,7 @@ class RerunLog:
         self._stream.log(path, what, static=static)
 
     def _begin(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
-        """Write the object's surface, hidden at first, and the gel."""
+        """Write the gel, and the object's surface, which is hidden at first."""
         shape = {"vertex_positions": mesh.vertices_m, "triangle_indices": mesh.faces}
         self._stream.set_time("frame", sequence=0)
         self._stream.set_time("time", duration=0.0)
@@ -174,7 +174,7 @@ class RerunLog:
         self._log(SPREAD, rr.AnyValues(covariance=found.covariance.ravel()))
 
     def _make_ellipsoid(self, centre_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
-        """Return the position's uncertainty: half axes of DEVIATIONS standard deviations."""
+        """Return an ellipsoid of the position's uncertainty; its half axes are `DEVIATIONS` standard deviations."""
         variances, R = np.linalg.eigh(covariance)
         R[:, 0] *= np.sign(np.linalg.det(R))  # make the axes right-handed
         half = DEVIATIONS * np.sqrt(np.maximum(variances, 0))
@@ -182,7 +182,7 @@ class RerunLog:
         return self._rr.Ellipsoids3D(centers=[centre_m], half_sizes=[half], quaternions=[rotation])
 
     def _add_posterior(self, posterior: PosePosterior) -> None:
-        """Write the most probable poses of the posterior as marks at the object's origin, larger if more probable."""
+        """Write the posterior's most probable poses as marks at the object's origin. Larger marks are more probable."""
         kept = find_most_probable(posterior)
         poses, p = posterior.grid.T_sensor_object[kept], posterior.probabilities[kept]
         self._log(POSTERIOR, self._rr.Points3D(poses[:, :3, 3], radii=MARK_M * np.sqrt(p / p.max())))
@@ -190,7 +190,7 @@ class RerunLog:
 
 
 def describe_pose(frame: Logged) -> str:
-    """Return the pose of a frame in words: mm, degrees, per cent."""
+    """Describe a frame's pose in words, in mm, degrees and per cent."""
     found = frame.located
     if found is None:
         return frame.says
@@ -208,9 +208,9 @@ def describe_pose(frame: Logged) -> str:
 
 
 def write_localization(path: Path, localization: Localization, scene: Scene) -> Path:
-    """Write a result as a Rerun file with a frame for each touch, atomically, and return the path.
+    """Write a result atomically as a Rerun file with a frame for each touch, and return the path.
 
-    Raises OutputError and MissingLibraryError.
+    Raises OutputError if the file cannot be written, and MissingLibraryError if rerun-sdk is not installed.
     """
 
     def write(temporary: Path) -> None:
@@ -226,9 +226,10 @@ def write_localization(path: Path, localization: Localization, scene: Scene) -> 
 
 
 def write_replay(path: Path, replay: Replay, records: Sequence[FrameRecord]) -> Path:
-    """Write the results of a replay as a Rerun file, atomically, and return the path.
+    """Write the results of a replay atomically as a Rerun file, and return the path.
 
-    The images are read again from the recording. Raises OutputError and MissingLibraryError.
+    The images are read again from the recording. Raises OutputError if the file cannot be written, and
+    MissingLibraryError if rerun-sdk is not installed.
     """
 
     def write(temporary: Path) -> None:
@@ -241,7 +242,7 @@ def write_replay(path: Path, replay: Replay, records: Sequence[FrameRecord]) -> 
 
 def _read_frame(record: FrameRecord, view: FrameView, start_ns: int, replay: Replay) -> Logged:
     touch = None
-    with suppress(TactileLocError):  # the record has the reason
+    with suppress(TactileLocError):  # the record states the reason
         touch = replace(replay.touch(view.image), T_base_sensor=view.T_base_frame)
     time_s = 1e-9 * (record.stamp_ns - start_ns)
     return Logged(record.number, time_s, view.image, touch, _locate_in_sensor(record, view))

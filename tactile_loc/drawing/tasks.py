@@ -22,7 +22,7 @@ BEST, OTHERS = "#2b6cb0", "#a0aec0"
 
 
 def draw_next_touch(found: NextTouch, title: str) -> Figure:
-    """Draw the best approach's contact shapes for the most probable modes, and the entropy that each leaves."""
+    """Draw the best approach's contact shapes at the most probable modes, and the entropy expected per approach."""
     depths = found.contacts(found.best)
     count = min(SHOWN, len(depths))
     columns = min(COLUMNS, count)
@@ -51,7 +51,7 @@ def _draw_mode(axes: Any, found: NextTouch, depth_m: NDArray[np.float32], number
 
 
 def _draw_entropies(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> None:
-    """Draw the entropy expected after each approach, the best one first."""
+    """Draw the entropy expected after each approach; the best approach comes first."""
     left = [rated.entropy for rated in ranked]
     axes.bar(np.arange(1, len(left) + 1), left, width=1.0, color=[BEST, *[OTHERS] * (len(left) - 1)])
     axes.axhline(before, color="#37474f", lw=1.0, ls="--")
@@ -79,7 +79,7 @@ def draw_mount(found: FoundMount, title: str) -> Figure:
 
 
 def _draw_residuals(axes: Any, first: NDArray[np.float64], last: NDArray[np.float64], kept: NDArray[np.bool_]) -> None:
-    """Draw residuals (N,) of touches as points on a logarithmic axis."""
+    """Draw the first and last residuals (N,) of touches on a logarithmic axis; `kept` (N,) marks the used touches."""
     numbers = np.arange(len(kept))
     axes.vlines(numbers, np.minimum(first, last), np.maximum(first, last), color=FIRST, lw=0.8, zorder=1)
     axes.scatter(numbers, first, s=22, color=FIRST, label="first guess")

@@ -1,4 +1,4 @@
-"""Reports: one HTML file that shows a result; see docs/reports.md."""
+"""Reports: HTML files, each of which shows one result. See docs/reports.md."""
 
 from __future__ import annotations
 

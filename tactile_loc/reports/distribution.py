@@ -1,7 +1,7 @@
-"""A distribution over poses for pictures: over the object's surface, and over rotations.
+"""The distribution over poses, prepared for pictures: over the object's surface, and over rotations.
 
-On the surface: where the sensor's centre touches. Over rotations: the yaw about the sensor's axis, and the side of the
-object that faces the sensor.
+The surface shows where the sensor's centre probably touches. A rotation is described by the yaw about the sensor's
+axis, and by the side of the object that faces the sensor.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 Array = NDArray[np.float64]
 
-PATCHES = 1500  # squares of the longest edge's length that would cover the surface
+PATCHES = 1500  # area of the surface, divided by the square of the longest edge
 MOST_SPLITS = 40
-REACH = 3.0  # standard deviations to which a pose's probability is spread
+REACH = 3.0  # a pose's probability is spread over this distance, in standard deviations
 YAW_BINS, MOST_YAWS = 36, 120
 AZIMUTHS, HEIGHTS = 36, 18
 LEANS = 15
@@ -29,9 +29,10 @@ SAME_SIDE_DEG, CAP_DEG = 0.5, 60.0
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDistribution:
-    """Probability over a surface: `mass` (V,) of each vertex, with sum one, and the vertex's `area_m2` (V,).
+    """Probability over a surface.
 
-    `spread_m` is the standard deviation of the spread of each pose's probability along the surface, metres.
+    `mass` (V,) is the probability at each vertex, with sum one. `area_m2` (V,) is the area around each vertex.
+    `spread_m` is the standard deviation, in metres, with which each pose's probability is spread along the surface.
     """
 
     mesh: TriangleMesh
@@ -41,12 +42,12 @@ class SurfaceDistribution:
 
     @property
     def density(self) -> Array:
-        """Probability per area (V,), 1/m^2."""
+        """Probability per area at each vertex (V,), 1/m^2."""
         return self.mass / np.maximum(self.area_m2, 1e-15)
 
 
 def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.int64]:
-    """Return the vertex (N,) nearest to the sensor's centre at each pose (N, 4, 4), metres."""
+    """Return the index (N,) of the vertex nearest to the sensor's centre at each pose (N, 4, 4), metres."""
     from scipy.spatial import cKDTree
 
     centres_m = transform_points(invert(T_sensor_object), geometry.gel_middle_m[None])[:, 0]
@@ -56,10 +57,11 @@ def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: 
 def spread_over_surface(
     mesh: TriangleMesh, T_sensor_object: Poses, weights: Array, geometry: SensorGeometry, spread_m: float
 ) -> SurfaceDistribution:
-    """Return where the sensor's centre touches the surface, from poses (N, 4, 4) and their weights (N,) with sum one.
+    """Return the probability, over the surface, of where the sensor's centre touches.
 
-    Each pose counts at the vertex nearest to the sensor's centre. Its weight is spread over nearby vertices, by area
-    and by a Gaussian of `spread_m` metres, but not to the back of a wall.
+    `weights` (N,), with sum one, are the probabilities of the poses (N, 4, 4), metres. Each pose counts at the vertex
+    nearest to the sensor's centre. The weight is then spread over nearby vertices, in proportion to their areas and to
+    a Gaussian of `spread_m` metres. The back of a wall gets no weight from its front.
     """
     fine = split_long_edges(mesh, choose_edge_m(mesh))
     touched = find_touched_vertices(fine, T_sensor_object, geometry)
@@ -69,7 +71,7 @@ def spread_over_surface(
 
 
 def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) -> Array:
-    """Spread masses (V,) to nearby vertices; their sum stays the same."""
+    """Spread masses (V,) to nearby vertices; the sum of all masses stays the same."""
     from scipy.spatial import cKDTree
 
     tree, normals = cKDTree(mesh.vertices_m), compute_vertex_normals(mesh)
@@ -85,32 +87,32 @@ def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) ->
 
 
 def choose_edge_m(mesh: TriangleMesh) -> float:
-    """Return the longest edge, metres, for a smooth picture of this surface."""
+    """Return the longest edge, in metres, that gives a smooth picture of a mesh's surface."""
     return float(np.sqrt(mesh.face_areas.sum() / PATCHES))
 
 
 def split_long_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
-    """Return the same surface without edges longer than `longest_m` metres, by halving the longest edges."""
+    """Return the same surface, with edges halved until no edge is longer than `longest_m` metres."""
     vertices, faces = mesh.vertices_m, mesh.faces
     for _ in range(MOST_SPLITS):
         split = _split_longest(vertices, faces, longest_m)
         if split is None:
             break
         vertices, faces = split
-    places, same = np.unique(vertices, axis=0, return_inverse=True)  # neighbours may halve a common edge separately
+    places, same = np.unique(vertices, axis=0, return_inverse=True)  # two faces may halve a common edge separately
     return TriangleMesh(places, same.ravel()[faces])
 
 
 def _split_longest(
     vertices_m: Array, faces: NDArray[np.int64], longest_m: float
 ) -> tuple[Array, NDArray[np.int64]] | None:
-    """Halve the longest edge of every face that is too long; return None when there is none."""
+    """Halve the longest edge of every face if it exceeds `longest_m` metres. Return None if no edge does."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], -1)
     lengths = np.linalg.norm(vertices_m[ends[..., 0]] - vertices_m[ends[..., 1]], axis=-1)
     long = lengths.max(axis=1) > longest_m
     if not long.any():
         return None
-    # The longest edge leads from a to b. A neighbour halves it at the same middle, now or in a later round.
+    # The longest edge goes from a to b. The face on its other side halves it at the same point, now or later.
     first = lengths[long].argmax(axis=1)
     a, b, c = (faces[long][np.arange(len(first)), (first + k) % 3] for k in range(3))
     edges, where = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)
@@ -120,13 +122,13 @@ def _split_longest(
 
 
 def compute_vertex_areas(mesh: TriangleMesh) -> Array:
-    """Return a third of the area of the faces around each vertex (V,), square metres."""
+    """Return, for each vertex (V,), a third of the area of the faces around it, in square metres."""
     areas = np.repeat(mesh.face_areas / 3.0, 3)
     return np.bincount(mesh.faces.ravel(), areas, len(mesh.vertices_m)).astype(float)
 
 
 def compute_vertex_normals(mesh: TriangleMesh) -> Array:
-    """Return unit normals (V, 3), the area-weighted mean over the faces around each vertex; zero without faces."""
+    """Return the unit normal (V, 3) at each vertex: the area-weighted mean over its faces, or zero without faces."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     normals = np.zeros_like(mesh.vertices_m)
     for corner in range(3):
@@ -136,7 +138,11 @@ def compute_vertex_normals(mesh: TriangleMesh) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class YawHistogram:
-    """Probability by yaw about the sensor's +z: `yaw_deg` (B,) are the middles of bars, `mass` (B,) has the sum one."""
+    """Probability by yaw about the sensor's +z.
+
+    `yaw_deg` (B,) are the middles of the bars, which are `width_deg` wide. `mass` (B,) is the probability of each bar,
+    with sum one.
+    """
 
     yaw_deg: Array
     mass: Array
@@ -145,11 +151,13 @@ class YawHistogram:
 
 @dataclass(frozen=True, eq=False)
 class SideMap:
-    """Probability `mass` (Y, X), with sum one, by the side of the object that faces the sensor.
+    """Probability by the side of the object that faces the sensor: `mass` (Y, X), with sum one.
 
-    The kind "one" is a single side with `normal` (3,) in the object frame. The bins of "lean" are the lean of that side
-    towards the sensor's x and y, degrees. The bins of "globe" are the azimuth and elevation of the side in the object
-    frame, degrees, of equal area. `x` and `y` are the edges of the bins.
+    `normal` (3,) is a side's normal in the object frame. `x` and `y` are the edges of the bins, in degrees.
+    Kind "one": the side `normal` faces the sensor in all poses, and there are no bins.
+    Kind "lean": the bins are the angles by which the side `normal` leans towards the sensor's x and y.
+    Kind "globe": the bins are the azimuth and elevation of the facing side in the object frame, with equal areas;
+    `normal` is the side of the most probable rotation.
     """
 
     kind: Literal["one", "lean", "globe"]
@@ -162,16 +170,20 @@ class SideMap:
 def compute_yaw_rad(R: Array) -> Array:
     """Return the yaw (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
 
-    R = Rz(yaw) A. A is the smallest rotation that brings the facing side to the sensor (`align_to_z`). Its axis has
-    no z, so A[0, 1] = A[1, 0].
+    R = Rz(yaw) A. A is the smallest rotation that makes the facing side face the sensor (`align_to_z`). The rotation
+    axis of A has no z component, so A[0, 1] = A[1, 0].
     """
     yaw = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
-    flipped = R[:, 2, 2] <= -1 + 1e-9  # both arguments vanish; A is diag(1, -1, -1)
+    flipped = R[:, 2, 2] <= -1 + 1e-9  # both arguments of arctan2 are zero; A is diag(1, -1, -1)
     return np.where(flipped, np.arctan2(R[:, 1, 0], R[:, 0, 0]), yaw)
 
 
 def count_yaws(R: Array, weights: Array) -> YawHistogram:
-    """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw, with bars for each lattice yaw or 10 degrees."""
+    """Sum the weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw.
+
+    If there are at most `MOST_YAWS` yaws, at least 1 degree apart, each yaw has a bar. Otherwise, a bar is 10 degrees
+    wide.
+    """
     yaw_deg = np.degrees(compute_yaw_rad(R)) % 360.0
     values, which = np.unique(np.round(yaw_deg, 2) % 360.0, return_inverse=True)
     step_deg = float(np.diff(values).min()) if len(values) > 1 else 360.0 / YAW_BINS
@@ -184,7 +196,7 @@ def count_yaws(R: Array, weights: Array) -> YawHistogram:
 
 
 def map_sides(R: Array, weights: Array) -> SideMap:
-    """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by the side of the object that faces the sensor."""
+    """Sum the weights (N,) of rotations R_sensor_object (N, 3, 3) by the side of the object that faces the sensor."""
     facing = -R[:, 2, :]
     mean = facing.mean(axis=0)
     if np.linalg.norm(mean) < 1e-6:

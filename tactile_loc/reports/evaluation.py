@@ -1,4 +1,4 @@
-"""The reports of evaluations: from one touch, and by the number of contacts."""
+"""The reports of evaluations, from one touch and from several contacts."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import encode_gallery
 
 METRIC_NAMES = {"add": "ADD", "mssd": "MSSD", "add-s": "ADD-S"}
-FIRST_LINE = "chosen"  # of the curves, if the evaluation has it
-CONTACTS_LINE = "best-1"  # of the main numbers for several contacts
-UNITS = {"metres": 1e3, "normalised": 1.0}  # of statistics, with the factors to mm and shares
+FIRST_LINE = "chosen"  # error that the curves show first, if the evaluation has this error
+CONTACTS_LINE = "best-1"  # error in the main numbers for several contacts
+UNITS = {"metres": 1e3, "normalised": 1.0}  # names of statistics, and their factors to mm and shares
 DIGITS = 6
 
 Run = Mapping[str, Any]
 
 
 def make_evaluation_page(path: Path) -> Page:
-    """Return the page of an evaluation, given its results.json. Raises ResultError for another version."""
+    """Return the page of an evaluation from its results.json. Raises ResultError if the file's version differs."""
     document, runs = _read(path, tables.SCHEMA_VERSION)
     lines, metrics = list(runs[0]["errors_m"]), list(next(iter(runs[0]["errors_m"].values())))
     sections = [
@@ -49,9 +49,9 @@ def make_evaluation_page(path: Path) -> Page:
 
 
 def make_contacts_page(path: Path) -> Page:
-    """Return the page of an evaluation from several contacts, given its contacts.json.
+    """Return the page of an evaluation with several contacts from its contacts.json.
 
-    Raises ResultError for another version.
+    Raises ResultError if the file's version differs.
     """
     document, runs = _read(path, fusion_tables.SCHEMA_VERSION)
     sections = [
@@ -67,7 +67,7 @@ def make_contacts_page(path: Path) -> Page:
 
 
 def _read(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
-    """Return a document and its runs. A run's "name" is its object, and also its encoder if there are several."""
+    """Return a document and its runs. A run's "name" is its object, followed by its encoder if encoders differ."""
     document = read_document(path)
     found = document.get("schema_version")
     if found != version:
@@ -82,7 +82,7 @@ def _read(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
 
 
 def _describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Section:
-    """Return the section with the object and configuration of every run, and the versions."""
+    """Return the section with the object and configuration of every run, and with the software versions."""
     settings = [
         (
             run["name"],
@@ -147,7 +147,7 @@ def _tabulate_medians(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _list_choices(runs: Sequence[Run], lines: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
-    """Return the choices for the plots of errors."""
+    """Return the objects, metrics and lines that a reader can choose for the plots of errors."""
     objects = {"": "all, by line", **{str(i): run["name"] for i, run in enumerate(runs)}}
     return {
         "objects": objects if len(runs) > 1 else {"0": runs[0]["name"]},
@@ -178,7 +178,7 @@ def _tabulate_times(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
-    """Return the label and the data URI of each picture in the folder; a run's name cannot lead out of it."""
+    """Return the label and data URI of each run's picture. Pictures outside of the folder are ignored."""
     found = []
     for run in runs:
         path = folder / f"gallery-{run['object']}-{run['encoder']}.png"
@@ -189,7 +189,7 @@ def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]
 
 
 def _collect_errors(run: Run) -> dict[str, Any]:
-    """Return the values of a run for scripts, in mm, nats, ms."""
+    """Return the values of a run for the page's scripts, in mm, nats and ms."""
     errors = {
         line: {metric: [_round(1e3 * e) for e in values] for metric, values in by_metric.items()}
         for line, by_metric in run["errors_m"].items()
@@ -234,7 +234,7 @@ def _count_contacts(entry: Mapping[str, Any]) -> str:
 
 
 def _collect_quartiles(run: Run) -> dict[str, Any]:
-    """Return medians and quartiles of a run for scripts, in mm and as shares."""
+    """Return the medians and quartiles of a run for the page's scripts, in mm and as shares."""
     lines = {
         line: {
             "contacts": [entry["contacts"] for entry in entries],

@@ -1,6 +1,6 @@
-"""A small local web server: the page of a live run, and each new frame as an event.
+"""A small local web server for live runs: it serves the page, and sends each new frame as an event.
 
-It listens only on 127.0.0.1, and refuses requests for other host names.
+The server listens only on 127.0.0.1. It refuses requests for other host names than this address and localhost.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
-ALIVE_S = 10.0  # at most between two messages to a browser
-SHORTEST_S = 0.1  # at least between two frames
-LAST_S = 1.0  # for browsers to receive the end
+ALIVE_S = 10.0  # longest time between two messages to a browser
+SHORTEST_S = 0.1  # shortest time between two frames
+LAST_S = 1.0  # longest wait until all browsers have received the end
 HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 
 MakeState = Callable[[], dict[str, Any]]
 
 
 class Board:
-    """The newest state for all waiting browsers. Its JSON is made when the first of them asks."""
+    """The newest state of the page, for all browsers. Its JSON is made when the first browser asks for the state."""
 
     def __init__(self) -> None:
         self._changed, self._making = threading.Condition(), threading.Lock()
@@ -43,7 +43,7 @@ class Board:
         self.ended = False
 
     def show(self, make: MakeState) -> None:
-        """Replace the state by the result of `make`."""
+        """Replace the state with the result of `make`."""
         with self._changed:
             self._version, self._make = self._version + 1, make
             self._changed.notify_all()
@@ -57,7 +57,7 @@ class Board:
 
     @contextmanager
     def watch(self) -> Iterator[None]:
-        """Count a watching browser during the block."""
+        """Count one more watching browser until the block ends."""
         with self._changed:
             self._watchers += 1
         try:
@@ -68,7 +68,10 @@ class Board:
                 self._changed.notify_all()
 
     def wait_for_newer(self, version: int, timeout_s: float) -> tuple[int, str]:
-        """Wait for a state newer than `version`; return its version and JSON, or the same version if none came."""
+        """Wait up to `timeout_s` seconds for a state newer than `version`, and return its version and JSON.
+
+        If no newer state comes, return `version` and an empty text.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._version > version or self.ended, timeout_s)
             newest, make = self._version, self._make
@@ -81,9 +84,9 @@ class Board:
 
 
 class LiveServer:
-    """Context that serves a page (HTML) at `url`, and the states of its `board`.
+    """Context manager that serves an HTML page at `url`, and sends the states of its `board` to browsers.
 
-    `port` 0 takes a free port. Raises ConfigError if the port is taken or not allowed.
+    Port 0 selects a free port. Raises ConfigError if the port is in use or not allowed.
     """
 
     def __init__(self, page: str, port: int) -> None:
@@ -116,7 +119,7 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log errors other than closed connections."""
+        """Log an error, unless the browser closed the connection."""
         error = sys.exception()
         if not isinstance(error, ConnectionError):
             logger.error("the view cannot show a frame (%s: %s)", type(error).__name__, error)
@@ -127,7 +130,7 @@ class _Handler(BaseHTTPRequestHandler):
     board: Board
 
     def do_GET(self) -> None:
-        """Answer with the page, or with a stream of events."""
+        """Answer with the page or with a stream of events."""
         if self.headers.get("Host", "").rpartition(":")[0] not in NAMES:
             self.send_error(HTTPStatus.FORBIDDEN)
         elif self.path == "/":
@@ -142,7 +145,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Write no access log to the terminal."""
+        """Log nothing, so that requests do not appear in the terminal."""
 
     def _begin(self, kind: str, length: int | None = None) -> None:
         self.send_response(HTTPStatus.OK)
@@ -152,7 +155,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _generate_events(self) -> Iterator[str]:
-        """Yield each new state, a sign of life in between, and the end."""
+        """Yield an event for each new state and for the end. In a longer pause, yield a comment as a sign of life."""
         version, pause = 0, threading.Event()
         while True:
             ended = self.board.ended

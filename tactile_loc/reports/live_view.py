@@ -1,4 +1,4 @@
-"""The page of a live run, and its state for each frame: image, contact shape, pose and uncertainty."""
+"""The page of a live run, and the page's state for each frame: image, contact shape, pose and uncertainty."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NOTHING = "-"
 
 
 def make_live_page(localizer: Localizer, about: str) -> Page:
-    """Return the page that shows frames as they arrive; `about` names their source."""
+    """Return the page that shows frames as they arrive; `about` names the frames' source."""
     geometry, mesh = localizer.sensor.geometry, reduce_mesh(localizer.object.mesh)
     frame = pictures.Frame.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
@@ -49,7 +49,10 @@ def make_live_page(localizer: Localizer, about: str) -> Page:
 
 
 def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | None:
-    """Return the contact shape predicted by a frame's pose at the touch's press depth; None without pose or touch."""
+    """Return the contact shape that a frame's pose predicts at the touch's press depth.
+
+    Returns None if the frame has no pose or no touch.
+    """
     touch, T = result.touch, result.located.T_sensor_object
     if touch is None or T is None:
         return None
@@ -58,7 +61,7 @@ def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | Non
 
 
 def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
-    """Return the page's state for a frame, as JSON values; `made` (H, W) is the contact shape predicted by its pose."""
+    """Return the page's state for a frame, as JSON values. `made` is the contact shape predicted by its pose."""
     geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
     shape = None if touch is None else touch.contact_shape
     T = result.located.T_sensor_object
@@ -80,7 +83,7 @@ def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Loc
 
 
 def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
-    """Return the texts of the page's elements by their names."""
+    """Return the text of each element of the page, by the element's name."""
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
         "says": record.says or record.name, "verdict": record.word,
@@ -92,7 +95,7 @@ def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
 
 
 def _write_pose(record: LiveRecord) -> dict[str, str]:
-    """Return texts of the object's pose, mm and degrees, with standard deviations."""
+    """Return texts that describe the object's pose and its standard deviations, in mm and degrees."""
     if record.T_sensor_object is None:
         return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
     words = format_pose_words(np.array(record.T_sensor_object), record.std)
@@ -104,7 +107,7 @@ def _write_pose(record: LiveRecord) -> dict[str, str]:
 
 
 def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:
-    """Return the range along x, y, z, mm, that holds the sensor, and the object at any pose in contact."""
+    """Return the ranges along x, y and z, in mm, that contain the sensor, and the object at any pose in contact."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     diagonal_mm = 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
     reach_mm, z = diagonal_mm + scene.MARGIN_MM, 1e3 * geometry.surface_m
@@ -112,7 +115,7 @@ def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[f
 
 
 def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
-    """Return the unrotated object's pose on the gel (4, 4), for the view before the first result."""
+    """Return the pose (4, 4) of the unrotated object on the gel, for the view before the first result."""
     T = np.eye(4)
     T[:3, 3] = -mesh.vertices_m.mean(axis=0)
     T[2, 3] = geometry.surface_m - mesh.vertices_m[:, 2].min()
@@ -120,7 +123,7 @@ def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
 
 
 def _place_camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
-    """Return a camera that sees the sensor, and the object at T (4, 4)."""
+    """Return a camera that sees the sensor, and the object at T (4, 4), metres."""
     housing = scene.build_empty_pad(geometry, np.eye(4))["housing"]
     corners = np.stack([housing[k] for k in "xyz"], axis=1)
     seen_mm = np.concatenate([1e3 * transform_points(T, mesh.vertices_m), corners])

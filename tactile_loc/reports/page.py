@@ -1,6 +1,6 @@
-"""The page: one self-contained HTML file, including plotly. It works offline and contacts no server.
+"""The page of a report: one HTML file that includes plotly, works offline and contacts no server.
 
-Only the page of a live run contacts a server: the one that it came from.
+The page of a live run is the only exception: it contacts the server that sent it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ JSON_OPTIONS: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page. `name` is the name of its anchor, and of the template's macro that takes `values`."""
+    """A part of a page. Both its anchor and the template's macro that shows `values` are called `name`."""
 
     name: str
     heading: str
@@ -34,9 +34,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report. `title` and `about` are plain text; `data` are JSON values for `scripts`, names of assets.
+    """The content of a report.
 
-    `template`, templates/NAME.html.j2, has a macro for each section. A page that `connects` may contact its server.
+    `title` and `about` are plain text. `scripts` are names of assets; `data` are JSON values for these scripts.
+    The template in templates/`template`.html.j2 has a macro for each section. If `connects` is true, the page may
+    contact its server.
     """
 
     template: str
@@ -49,7 +51,7 @@ class Page:
 
 
 def render(page: Page) -> str:
-    """Return the page as HTML. Raises ValueError when a number of its data is not finite."""
+    """Return the page as HTML. Raises ValueError if a number in the page's data is not finite."""
     from plotly.offline import get_plotlyjs
 
     scripts = [get_plotlyjs(), *(read_asset(name) for name in ("page.js", *page.scripts))]
@@ -60,7 +62,7 @@ def render(page: Page) -> str:
 
 @cache
 def load_templates() -> Environment:
-    """Return the templates of the package. They escape all texts from files and users."""
+    """Return the templates of the package. The templates escape all texts from files and users."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("tactile_loc.reports")
@@ -76,7 +78,7 @@ def read_asset(name: str) -> str:
 
 @contextmanager
 def name_damage(path: Path) -> Iterator[None]:
-    """Turn errors from a damaged document into a ResultError."""
+    """Turn the errors that a damaged document causes into a ResultError."""
     try:
         yield
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, StopIteration) as error:

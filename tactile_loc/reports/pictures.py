@@ -1,4 +1,4 @@
-"""Pictures of a page as data URIs: contact shapes and their differences, photos, and files beside a result."""
+"""Pictures of a page as data URIs: contact shapes, their differences, photos, and the pictures of an evaluation."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ log = logging.getLogger(__name__)
 DEPTHS, DIFFERENCES = "viridis", "RdBu_r"
 EMPTY, UNSEEN, FIRST = 0, 1, 2  # indices in the palette: transparent, dim, and the first colour
 UNSEEN_RGBA = (128, 136, 148, 90)
-MOST_APART = 0.25  # of the press depth: the end of the colour scale for differences
-EQUAL = 0.04  # of MOST_APART: smaller differences are transparent
-WIDEST_PX, COLOURS = 1400, 255  # of a picture of the gallery
+MOST_APART = 0.25  # end of the colour scale for differences, as a share of the press depth
+EQUAL = 0.04  # smaller differences, as a share of MOST_APART, are transparent
+WIDEST_PX, COLOURS = 1400, 255  # largest width and number of colours of an evaluation's picture
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The borders of a sensor's image on the sensing surface, mm; y runs down."""
+    """The borders of a sensor's image on the sensing surface, in mm; y points down."""
 
     left: float
     right: float
@@ -46,48 +46,52 @@ class Frame:
 
     @property
     def width(self) -> float:
-        """From left to right, mm."""
+        """Distance from the left to the right border, mm."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """From top to bottom, mm."""
+        """Distance from the top to the bottom border, mm."""
         return self.bottom - self.top
 
     @property
     def ticks_x(self) -> list[tuple[float, str]]:
-        """Round numbers along the lower border, with their texts."""
+        """Positions, mm, and texts of the ticks along the lower border."""
         return [(x, write_number(x)) for x in list_round_values(self.left, self.right)]
 
     @property
     def ticks_y(self) -> list[tuple[float, str]]:
-        """Round numbers along the left border, with their texts."""
+        """Positions, mm, and texts of the ticks along the left border."""
         return [(y, write_number(y)) for y in list_round_values(self.top, self.bottom)]
 
     @property
     def bar_mm(self) -> float:
-        """The longest length of 1, 2 or 5 times a power of ten within a quarter of the width."""
+        """Length of the scale bar, mm: 1, 2 or 5 times a power of ten, and at most a quarter of the width."""
         power = 10.0 ** np.floor(np.log10(self.width / 4))
         return float(max(k * power for k in (1, 2, 5) if k * power <= self.width / 4 * 1.0001))
 
 
 def draw_shape(shape: ContactShape, geometry: SensorGeometry) -> str:
-    """Return a contact shape (H, W) as a data URI: depth from full penetration, transparent without contact."""
+    """Return a picture of a contact shape (H, W) as a data URI.
+
+    Colours show the depth from full penetration. Pixels without contact are transparent.
+    """
     share = shape.depth_m / np.float32(shape.press_depth_m)
     return _encode_shares(share, shape.contact, geometry.observed_mask, DEPTHS)
 
 
 def draw_difference(made: ContactShape, observed: ContactShape, geometry: SensorGeometry) -> str:
-    """Return the difference of two contact shapes (H, W) as a data URI: red where `made` is deeper than `observed`.
+    """Return a picture of the difference between two contact shapes (H, W) as a data URI.
 
-    The colours end at MOST_APART of the press depth. The picture is transparent where both agree.
+    Pixels are red where `made` is deeper than `observed`, and transparent where both agree. The colour scale ends at
+    `MOST_APART` of the press depth.
     """
     deeper = (observed.depth_m - made.depth_m) / np.float32(MOST_APART * observed.press_depth_m)
     return _encode_shares(0.5 + 0.5 * deeper, np.abs(deeper) > EQUAL, geometry.observed_mask, DIFFERENCES)
 
 
 def trace_outline(shape: ContactShape, geometry: SensorGeometry) -> str:
-    """Return the border of a contact (H, W) as an SVG path in mm on the sensing surface."""
+    """Return the outline of a contact (H, W) as an SVG path, in mm on the sensing surface."""
     lines = trace_outlines_mm(shape, geometry)
     return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y, _ in line) for line in lines)
 
@@ -100,9 +104,9 @@ def encode_photo(image: NDArray[np.uint8]) -> str:
 
 
 def encode_gallery(path: Path) -> str | None:
-    """Return a PNG as a data URI, at most WIDEST_PX wide and with at most COLOURS colours; None if there is none.
+    """Return a picture file as a data URI, at most `WIDEST_PX` pixels wide and with at most `COLOURS` colours.
 
-    An unreadable picture gives a warning and None.
+    Returns None if the file does not exist. Logs a warning and returns None if the file cannot be read.
     """
     if not path.is_file():
         return None
@@ -119,7 +123,7 @@ def encode_gallery(path: Path) -> str | None:
 
 
 def write_gradient(name: str, steps: int = 9) -> str:
-    """Return a colour scale as CSS, from low on the left to high on the right."""
+    """Return a colour scale as a CSS gradient, with low values on the left."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -129,7 +133,10 @@ def write_gradient(name: str, steps: int = 9) -> str:
 def _encode_shares(
     share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArray[np.bool_], colours: str
 ) -> str:
-    """Return shares (H, W), 0 to 1, as a data URI, with colours where they are `shown`."""
+    """Return a picture of shares (H, W), 0 to 1, as a data URI.
+
+    Pixels outside of `shown` (H, W) are transparent. Pixels outside of `observed` (H, W) are dim.
+    """
     from matplotlib import colormaps
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""The report of any result: find the result, make its page, and write it."""
+"""The report of any result: find the result, make its page, and write the page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEFAULT_NAME = "report.html"
 
 @dataclass(frozen=True)
 class Source:
-    """A result on disk: its kind, one of KINDS' values, and its JSON file."""
+    """A result on disk: its kind (a value of `KINDS`), and the path of its JSON file."""
 
     kind: str
     path: Path
@@ -30,7 +30,10 @@ class Source:
 
 
 def find_source(path: Path) -> Source:
-    """Return the result in a folder, or that a file belongs to. Raises ResultError if there is none."""
+    """Return the result in a folder, or the result that a file belongs to.
+
+    Raises ResultError if there is no result, or more than one.
+    """
     if os.path.isdir(path):
         return _find_in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
@@ -44,7 +47,7 @@ def find_source(path: Path) -> Source:
 
 
 def make_page(source: Source) -> Page:
-    """Return the page of a result. Raises ResultError when its files cannot be used."""
+    """Return the page of a result. Raises ResultError if the result's files cannot be used."""
     from tactile_loc.reports import evaluation, run, sweep
 
     makers = {
@@ -58,9 +61,9 @@ def make_page(source: Source) -> Page:
 
 
 def write_report(source: Source, out: Path | None = None) -> Path:
-    """Write the report of a result to `out`, by default beside the result, and return its path.
+    """Write the report of a result to `out`, by default beside the result, and return the report's path.
 
-    Raises ResultError when the result cannot be read, OutputError when the report cannot be written.
+    Raises ResultError if the result cannot be read, and OutputError if the report cannot be written.
     """
     path = source.folder / DEFAULT_NAME if out is None else out
     if path.suffix.lower() not in (".html", ".htm"):
@@ -70,7 +73,10 @@ def write_report(source: Source, out: Path | None = None) -> Path:
 
 
 def write_page(page: Page, path: Path) -> Path:
-    """Write a page as one HTML file, atomically, and return its path. Raises OutputError."""
+    """Write a page atomically as one HTML file, and return the path.
+
+    Raises OutputError if the file cannot be written.
+    """
     html = render(page).encode(errors="backslashreplace")
     return write_atomically(path, lambda temporary: temporary.write_bytes(html))
 

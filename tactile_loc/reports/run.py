@@ -20,16 +20,16 @@ from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
 
-ALL = 0.999999  # of the probability: the rest is rounding
+ALL = 0.999999  # a sum of probabilities above this value is one, except for rounding
 COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
-SPACING_MM = 4.0  # of a grid without this option
-SPREAD = 0.5  # of the grid's spacing, for the gaps between its poses
+SPACING_MM = 4.0  # spacing assumed for a grid without this option
+SPREAD = 0.5  # standard deviation that fills the gaps between grid poses, as a share of the spacing
 LEAST_SPREAD_MM = 0.5
 BEFORE = ("model",)  # stages before the localisation
 
 
 def make_run_page(path: Path) -> Page:
-    """Return the page of a result, given its result.json. Raises ResultError when its files cannot be used."""
+    """Return the page of a result from its result.json. Raises ResultError if the result's files cannot be used."""
     record = read_record(path)
     return make_result_page(record, read_arrays(path.with_name(NAME), record))
 
@@ -53,7 +53,7 @@ def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
 
 
 def collect_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
-    """Return the values for the scripts of a run's page; millimetres, degrees, per cent."""
+    """Return the values for the scripts of a run's page; lengths in mm, angles in degrees, times in ms."""
     poses = np.array([h.T_sensor_object for h in record.hypotheses], float)
     T_true = record.touch.T_sensor_object
     truth = None if T_true is None else np.array(T_true, float)
@@ -68,7 +68,7 @@ def collect_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
 
 
 def find_surface(record: ResultRecord, arrays: ResultArrays) -> SurfaceDistribution:
-    """Return where on the surface the sensor of the first touch may be."""
+    """Return the probability, over the surface, of where the sensor of the first touch is."""
     spacing_mm = record.configuration.get("grid", {}).get("options", {}).get("spacing_mm")
     spread_mm = max(SPREAD * float(spacing_mm if isinstance(spacing_mm, (int, float)) else SPACING_MM), LEAST_SPREAD_MM)
     geometry = arrays.touches[0].geometry
@@ -136,7 +136,7 @@ def _list_rows(record: ResultRecord) -> list[list[str]]:
 
 
 def _describe_contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
-    """Return the touches, the contact shape of each candidate, and the differences."""
+    """Return the touches, each candidate's contact shapes, and the differences between touches and candidates."""
     records = [record.touch, *record.other_touches]
     ious = record.hypotheses[0].imprint_ious or [record.hypotheses[0].imprint_iou]
     press_mm = 1e3 * max(touch.shape.press_depth_m for touch in arrays.touches)
@@ -172,7 +172,7 @@ def _write_card(h: HypothesisRecord) -> str:
 
 
 def _draw_made(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
-    """Draw the contact shape of candidate `number` for each touch, and its difference to the touch."""
+    """Draw, for each touch, the contact shape that candidate `number` predicts, and its difference from the touch."""
     made = [(touch.make_shape(number), touch) for touch in touches]
     return [
         (pictures.draw_shape(shape, t.geometry), pictures.draw_difference(shape, t.shape, t.geometry))

@@ -1,6 +1,7 @@
-"""The scenes in 3D that a browser draws: the object on the sensors' pads, and the distribution over its surface.
+"""The 3D scenes that a browser draws: the object on the sensors' pads, and the distribution over its surface.
 
-All values are for scripts, in mm: pads in the sensor frame of the first touch, the surface in the object frame.
+All values are for the page's scripts, in mm. Pads are in the sensor frame of the first touch. The surface is in the
+object frame.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex
 Array = NDArray[np.float64]
 
 ELEVATION_DEG = 28.0
-ASIDE_DEG = 25.0  # the view of a peak is from the side, so that it looks solid
+ASIDE_DEG = 25.0  # angle between the view and the peak's direction; seen from the side, the object looks solid
 FIELD_DEG = 45.0
 ROOM = 1.12  # factor on the camera's distance
 MOST_CREASES = 20_000
-MARGIN_MM = 16.0  # for numbers around the pads
+MARGIN_MM = 16.0  # space for numbers around the pads
 DECADES = 3  # range of the density's colour scale
 NAMED = 5  # candidates marked on the surface
-LIFT_MM, TOGETHER_MM = 1.5, 4.0  # height of marks above the surface, and distance below which they are merged
+LIFT_MM, TOGETHER_MM = 1.5, 4.0  # height of marks above the surface, and distance below which marks are merged
 AROUND_MM, AXES_MM = 14.0, 10.0
 
 
 def build_sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dict[str, Any]:
-    """Return the object, the sensors under it, and a camera, for the candidates' poses (K, 4, 4)."""
+    """Return the scene of the object on the sensors, for the candidates' poses (K, 4, 4), metres."""
     pads = [build_pad(touch) for touch in arrays.touches]
     bounds = compute_bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
     view = choose_view(arrays.mesh, poses[0], ELEVATION_DEG)
@@ -57,7 +58,10 @@ def build_sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) 
 def build_surface_scene(
     found: SurfaceDistribution, poses: Poses, truth: Array | None, geometry: SensorGeometry
 ) -> dict[str, Any]:
-    """Return the object coloured by the density, with marks where candidates (K, 4, 4) and the truth touch it."""
+    """Return the scene of the object's surface, coloured by the density.
+
+    Marks show where the sensor touches at the candidates' poses (K, 4, 4), metres, and at the true pose (4, 4).
+    """
     density = np.log10(np.maximum(100 * 1e-6 * found.density, 1e-30))  # per cent per square millimetre
     high = float(density.max())
     points_mm = 1e3 * found.mesh.vertices_m
@@ -78,7 +82,7 @@ def build_surface_scene(
 
 
 def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry: SensorGeometry) -> dict[str, Any]:
-    """Return marks of the first candidates and the truth, a little above the surface; near ones share a mark."""
+    """Return marks for the first candidates and the true pose, a little above the surface. Nearby marks are merged."""
     names = [*map(str, range(1, 1 + min(NAMED, len(poses)))), *([] if truth is None else ["true"])]
     named = np.stack([*poses[:NAMED], *([] if truth is None else [truth])])
     vertices = find_touched_vertices(mesh, named, geometry)
@@ -94,37 +98,37 @@ def pack_array(values: NDArray[Any], kind: str) -> str:
 
 
 def pack_mesh(mesh: TriangleMesh) -> dict[str, str]:
-    """Return a surface with vertices in mm."""
+    """Return a mesh as packed arrays, with vertices in mm."""
     return {"vertices_mm": pack_array(1e3 * mesh.vertices_m, "<f4"), "faces": pack_array(mesh.faces, "<i4")}
 
 
 def list_rows_mm(T: Array) -> list[float]:
-    """Return the rows of [R t] of a transform (4, 4) in metres as twelve numbers, the translation in mm."""
+    """Return the first three rows of a transform (4, 4) in metres as twelve numbers, with the translation in mm."""
     rows = np.array(T[:3], float)
     rows[:, 3] *= 1e3
     return [round(float(v), 7) for v in rows.ravel()]
 
 
 def build_pad(touch: TouchArrays) -> dict[str, Any]:
-    """Return a touch's sensor: its gel, the housing around it, and the outline of its contact; mm, first frame."""
+    """Return a touch's gel, housing and contact outline, in mm, in the sensor frame of the first touch."""
     T = invert(touch.T_sensor_first)
     lines = [transform_points(T, 1e-3 * line) * 1e3 for line in trace_outlines_mm(touch.shape, touch.geometry)]
     return {**build_empty_pad(touch.geometry, T), "contact": join_lines(lines)}
 
 
 def build_empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
-    """Return a sensor's gel and the housing around it, mm, moved by a transform (4, 4) in metres; no contact."""
+    """Return a sensor's gel and housing without a contact, in mm, moved by a transform (4, 4) in metres."""
     gel, housing = (_move_triangles(part, T) for part in build_sensor_mm(geometry))
     return {"gel": gel, "housing": housing, "contact": join_lines([])}
 
 
 def trace_outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
-    """Return the closed borders (P, 3) of a contact (H, W) on the undeformed gel, mm of the sensor frame."""
+    """Return the closed outlines (P, 3) of a contact (H, W) on the undeformed gel, in mm, in the sensor frame."""
     from contourpy import contour_generator
 
     left, right, bottom, top = compute_extent_mm(geometry)
     height, width = geometry.shape
-    framed = np.pad((shape.contact & geometry.observed_mask).astype(float), 1)  # closed at the image's border
+    framed = np.pad((shape.contact & geometry.observed_mask).astype(float), 1)  # outlines close at the image's border
     borders: Any = contour_generator(z=framed).lines(0.5)
     found = []
     for line in borders:
@@ -135,7 +139,7 @@ def trace_outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Arr
 
 
 def find_creases(mesh: TriangleMesh) -> list[list[int]]:
-    """Return pairs of vertices between which the surface bends sharply or ends, at most MOST_CREASES."""
+    """Return at most `MOST_CREASES` edges, as pairs of vertices, where the surface bends sharply or ends."""
     normals = compute_normals(mesh.triangles_m)
     edges = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], -1).reshape(-1, 2), axis=1)
     faces = np.repeat(np.arange(len(mesh.faces)), 3)
@@ -149,7 +153,7 @@ def find_creases(mesh: TriangleMesh) -> list[list[int]]:
 
 
 def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
-    """Return the range (low, high) along x, y, z, mm, that holds the object at all poses (4, 4) and the pads."""
+    """Return the ranges (low, high) along x, y and z, in mm, that contain the pads and the object at all poses."""
     clouds = [1e3 * transform_points(T, mesh.vertices_m) for T in poses]
     clouds += [_stack_points(one["housing"]) for one in pads]
     low = np.min([cloud.min(axis=0) for cloud in clouds], axis=0)
@@ -160,7 +164,8 @@ def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable
 def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -> dict[str, dict[str, float]]:
     """Return a camera for plotly that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
 
-    Plotly's unit is the geometric mean of the ranges, its origin is their middle, and its field of view is FIELD_DEG.
+    Plotly's unit of length is the geometric mean of the ranges. Plotly's origin is the middle of the ranges, and its
+    field of view is `FIELD_DEG`.
     """
     low, high = np.array(bounds, float).T
     unit, middle = float(np.prod(high - low) ** (1 / 3)), 0.5 * (low + high)
@@ -181,7 +186,7 @@ def choose_view_on(point: Array, centre: Array) -> View:
 
 
 def build_triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
-    """Return lines and names of the frame's axes, `length_mm` long, at the lower left corner of a box (3, 2), mm."""
+    """Return lines and names of the frame's axes at the corner of a box (3, 2), mm, that is lower left in the view."""
     corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
     origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
     lines = join_lines([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
@@ -190,7 +195,7 @@ def build_triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
 
 
 def list_pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
-    """Return numbers along the two edges of the first sensor's pad that are nearest to the viewer, mm."""
+    """Return the numbers, in mm, along the two edges of the first sensor's pad that are nearest to the viewer."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     away, z = RIM_MM + 5.5, 1e3 * geometry.surface_m - GEL_MM
     x = x1 + away if view.axes[2, 0] > 0 else x0 - away
@@ -203,22 +208,22 @@ def list_pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]
 
 
 def write_number(value: float) -> str:
-    """Write a number with a typographic minus."""
+    """Return a number as text with a typographic minus sign."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _stack_points(columns: Mapping[str, Any]) -> Array:
-    """Return points (P, 3) from their coordinates."""
+    """Return points (P, 3) from their separate coordinates x, y and z."""
     return np.stack([columns[k] for k in "xyz"], axis=1)
 
 
 def _split_columns(points: Array) -> dict[str, list[float]]:
-    """Return the coordinates of points (P, 3)."""
+    """Return the separate coordinates x, y and z of points (P, 3)."""
     return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
 
 
 def _move_triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
-    """Move triangles (F, 3, 3), mm, by a transform in metres; return them as plotly's mesh."""
+    """Move triangles (F, 3, 3), mm, by a transform (4, 4) in metres, and return them as a plotly mesh."""
     corners = transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)) * 1e3
     numbers = np.arange(len(corners)).reshape(-1, 3)
     return _split_columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}

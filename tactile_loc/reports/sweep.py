@@ -13,7 +13,7 @@ from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 
-FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option"
+FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # every column "slot.option" is a factor, too
 NOT_COMPONENTS = ("object", "noise", "seed", "count")
 SHOWN_FACTORS = ("object", "encoder", "refiner")  # if no factor varies
 MEDIAN = "_median_mm"
@@ -23,15 +23,15 @@ OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")
 TIMES = {"total_ms": "time per touch, one pose refined (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
          "refine_ms": "refine (ms)", "model_s": "building the model (s)"}  # fmt: skip
 UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
-MOST_BEST = 4  # objects whose best combination is named
+MOST_BEST = 4  # number of objects whose best combination is named
 
 Row = dict[str, Any]
 
 
 def make_sweep_page(path: Path) -> Page:
-    """Return the page of a sweep, given its sweep.json.
+    """Return the page of a sweep from its sweep.json.
 
-    Raises ResultError, or ValueError when it holds no combination.
+    Raises ResultError if the file cannot be read, and ValueError if it has no combination.
     """
     document = read_document(path)
     rows = read_rows(document)
@@ -59,9 +59,9 @@ def make_sweep_page(path: Path) -> Page:
 
 
 def read_rows(document: Mapping[str, Any]) -> list[Row]:
-    """Return a sweep's rows: factors as texts, results as numbers, and None for missing values.
+    """Return a sweep's rows, with factors as texts, results as numbers, and None for missing values.
 
-    Raises ValueError when there is no row.
+    Raises ValueError if there is no row.
     """
     rows = [{column: _read_value(column, value) for column, value in row.items()} for row in document["rows"]]
     if not rows:
@@ -70,7 +70,7 @@ def read_rows(document: Mapping[str, Any]) -> list[Row]:
 
 
 def is_factor(column: str) -> bool:
-    """Return whether a column is a factor, part of a combination, and not a result."""
+    """Return whether a column is a factor. Factors define a combination; all other columns are results."""
     return column in FACTORS or (column.partition(".")[0] in SLOTS and "." in column)
 
 
@@ -85,7 +85,7 @@ def find_components(rows: Sequence[Row]) -> list[str]:
 
 
 def find_measured_lines(rows: Sequence[Row]) -> list[str]:
-    """Return the lines whose median error is known for any row."""
+    """Return the lines (kinds of error) whose median is known in at least one row, in the order of `LINES`."""
     columns = [c.removesuffix(MEDIAN) for c in rows[0] if c.endswith(MEDIAN)]
     known = [line for line in columns if any(isinstance(row[line + MEDIAN], float) for row in rows)]
     return sorted(known, key=lambda line: LINES.index(line) if line in LINES else len(LINES))
@@ -131,7 +131,10 @@ def _describe_times(rows: Sequence[Row], times: Mapping[str, str]) -> dict[str, 
 
 
 def _tabulate_rows(rows: Sequence[Row], factors: Sequence[str], lines: Sequence[str]) -> dict[str, Any]:
-    """Return headings, (text, is a factor), and rows of cells, (text, number for sorting or None, is a factor)."""
+    """Return the headings and rows of a table.
+
+    A heading is (text, whether it is a factor). A cell is (text, number for sorting or None, whether it is a factor).
+    """
     measures = [line + MEDIAN for line in TABLE_LINES if line in lines]
     columns = [*factors, *measures, *(column for column in OTHERS if rows and column in rows[0])]
     return {
@@ -147,7 +150,7 @@ def _format_cell(column: str, value: Any) -> tuple[str, str | None, bool]:
 
 
 def _write_heading(column: str) -> str:
-    """Return a column's name, for a measure with its unit in brackets."""
+    """Return a column's heading. The heading of a measure has the unit in brackets."""
     if is_factor(column):
         return column
     name = column.replace("_median", "")

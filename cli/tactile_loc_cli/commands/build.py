@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.metric import PoseGrid
     from tactile_loc.locate.localizer import Localizer
 
-MOST_MEASURED = 2000  # poses for the mean spacing of a grid
+MOST_MEASURED = 2000  # approximate number of poses that give the mean spacing of a grid
 
 Given = Annotated[
     RunOptions,
@@ -28,7 +28,7 @@ Given = Annotated[
 def build(given: Given, store: options.Store = None) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
-    Without it, the first `run` builds the model. Stages in the store are reused.
+    Without this command, the first `run` builds the model. Stages in the store are reused.
     """
     settings = options.make_config(given)
     localizer = options.open_localizer(settings, store)
@@ -38,15 +38,15 @@ def build(given: Given, store: options.Store = None) -> dict[str, Any]:
 
 
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
-    """Build the stages for a touch of this press depth, metres, or load them from the store."""
+    """Build the stages for a touch of this press depth, in metres, or load the stages from the store."""
     if localizer.search is None:
         localizer.listed.matcher(press_depth_m)
     _ = localizer.source.trained  # trains the encoder
-    _ = localizer.probabilities.temperature_scaling  # fits it
+    _ = localizer.probabilities.temperature_scaling  # fits the temperature
 
 
 def _require_press_depth_m(localizer: Localizer) -> float:
-    """Return the press depth to build for, metres. Raises TouchError when the sensor cannot resolve it."""
+    """Return the press depth, in metres, of the model to build. Raises TouchError if the sensor cannot resolve it."""
     deepest_m = localizer.scene.geometry.max_depth_m
     asked_m = localizer.config.touch.press_depth_m
     if asked_m is not None and not 0 < asked_m <= deepest_m:
@@ -74,7 +74,7 @@ def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
 
 
 def _describe_grid(localizer: Localizer) -> dict[str, Any]:
-    """Print and return the size of the search."""
+    """Print and return the number of poses to search."""
     if localizer.search is not None:
         places, turns = len(localizer.search.places), len(localizer.search.yaws_rad)
         say(f"grid: {places} places of the whole object, each in {turns} rotations")
@@ -96,7 +96,7 @@ def _list_stages(localizer: Localizer) -> dict[str, str]:
 
 
 def _measure_spacing_m(grid: PoseGrid) -> float | None:
-    """Return the mean distance between neighbouring poses, metres, from a sample; None for a single pose."""
+    """Return the mean distance between neighbouring poses of a sample, in metres; None for a single pose."""
     import numpy as np
 
     if len(grid) < 2:

@@ -107,9 +107,9 @@ def calibrate(
 ) -> dict[str, Any]:
     """Calibrate a sensor to read its images.
 
-    The sensor learns from presses of a ball, or of any mesh at a known pose; for simulated images, from simulated
-    presses. Without a table, the ball is detected in the images: check labels.png. A fifth of the presses is held out
-    to measure the errors. Use the result with: run --sensor FOLDER --touch photo.png
+    The calibration uses presses of a ball, or of any mesh at a known pose. For simulated images, it uses simulated
+    presses. Without a table, the ball is detected in the images; check the circles in labels.png. A fifth of the
+    presses is held out to measure the errors. Use the result with: run --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
 

@@ -140,14 +140,14 @@ class _Plan:
         return Run(obj.name, str(obj.symmetry), encoder, poses, evaluation, settings.resolve())
 
     def describe(self, noun: str) -> str:
-        """Return number and kind of the touches or examples in words."""
+        """Return the number and kind of the touches or examples, in words."""
         return f"{format_count(self.count, f'simulated {noun}')} ({self.touches.describe_kind()})"
 
 
 def _list_jobs(
     given: RunOptions, objects: Objects, encoders: Encoders, touches: SimulatedTouches
 ) -> list[tuple[RunConfig, ObjectModel]]:
-    """Return every object with every encoder. Errors in any of them are raised now, before the first evaluation."""
+    """Return every object with every encoder. Bad input raises its error here, before the first evaluation."""
     from tactile_loc.io.config import parse_overrides, parse_settings
     from tactile_loc.io.meshes import load_object
 
@@ -187,7 +187,7 @@ def _choose_touches(given: RunOptions, kind: TouchKind, seed: int) -> SimulatedT
 def _choose_options(
     encoder: str | None, encoders: Sequence[str | None], words: list[str], overrides: dict[str, Any]
 ) -> list[str]:
-    """Return the options for one of several encoders, without those that only others have."""
+    """Return the options for one of several encoders, without the options that only other encoders have."""
     if encoder is None or len(set(encoders)) == 1 or not overrides:
         return words
     known = {name: set(registry().load("encoder", str(name)).Options.model_fields) for name in encoders}
@@ -198,7 +198,10 @@ def _choose_options(
 
 
 def _read_setting(path: Path | None, table: str, key: str) -> str | None:
-    """Return a text from a table of the configuration file, if it is there. A slot may be just a component's name."""
+    """Return a text from a table of the configuration file, or None if it is missing.
+
+    If a slot is only a component's name instead of a table, return this name.
+    """
     from tactile_loc.io.toml import read_toml
 
     found = {} if path is None else read_toml(path).get(table, {})
@@ -207,7 +210,7 @@ def _read_setting(path: Path | None, table: str, key: str) -> str | None:
 
 
 def _require_names(jobs: Sequence[tuple[RunConfig, ObjectModel]]) -> None:
-    """Raise ConfigError when two objects have the same name."""
+    """Raise ConfigError if two objects have the same name."""
     found: dict[str, str] = {}
     for settings, obj in jobs:
         other = found.setdefault(obj.name, settings.object.path)
@@ -256,7 +259,7 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _summarise(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
-    """Return an evaluation's document without the numbers of each touch, and with the paths of the files."""
+    """Print the paths of the files. Return an evaluation's document with these paths, without each touch's numbers."""
     return {**_drop_touches(document), "written": say_written(written)}
 
 
@@ -267,7 +270,10 @@ def _drop_touches(value: Any) -> Any:
 
 
 def parse_contacts(text: str) -> tuple[int, ...]:
-    """Return the ascending numbers of contacts in a text such as "1..7" or "1,2,5..7". Raises ConfigError."""
+    """Return the numbers of contacts in a text such as "1..7" or "1,2,5..7", in ascending order.
+
+    Raises ConfigError if the text cannot be read.
+    """
     from tactile_loc.evaluation.fusion import MOST_FUSED
 
     numbers: set[int] = set()
@@ -323,7 +329,7 @@ def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
 
 
 def _say_left_out(run: FusionRun) -> None:
-    """Report how often no pose touched all sensors, and how many presses showed no touch."""
+    """Report how many examples have no pose that touches all sensors, and how many presses showed no touch."""
     found = run.evaluation
     counts = {n: found.count_without_common("best-1", n) for n in found.contacts}
     if any(counts.values()):

@@ -38,8 +38,8 @@ def identify(
 ) -> dict[str, Any]:
     """Find which of several objects was touched.
 
-    It also locates the object. Each object's model is built once and stored. The exit code is 1 if "none of these" is
-    most probable.
+    The command also locates this object. Each object's model is built once and stored. The exit code is 1 if "none of
+    these" is most probable.
     """
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.store.store import StageStore

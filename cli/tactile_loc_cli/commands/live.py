@@ -115,7 +115,7 @@ def live(
 
 
 def _require_outputs(out: Path | None, rerun: Path | None) -> None:
-    """Raise OutputError for a file of another kind, before anything is built."""
+    """Raise an error for an output that cannot be written, before anything is built."""
     options.require_rerun(rerun)
     if out is not None and out.suffix.lower() != ".jsonl":
         raise OutputError(f"--out {out.name} must end in .jsonl; choose another name")
@@ -124,7 +124,7 @@ def _require_outputs(out: Path | None, rerun: Path | None) -> None:
 def _open_outputs(
     localizer: Localizer, source: FrameSource, out: Path | None, port: int | None, rerun: Path | None
 ) -> Iterator[Output]:
-    """Yield the outputs; each is a context whose value is called with each result."""
+    """Yield the outputs. Each output is a context manager that returns a function; the function takes each result."""
     if out is not None:
         yield _write_results(out)
     if rerun is not None:
@@ -135,7 +135,7 @@ def _open_outputs(
 
 @contextmanager
 def _write_results(out: Path) -> Iterator[Show]:
-    """Write results as lines of a file."""
+    """Write each result as a line of a JSON Lines file."""
     from tactile_loc.store.line_files import open_json_lines
 
     with open_json_lines(out) as add_line:
@@ -177,7 +177,7 @@ def _show_results(localizer: Localizer, about: str, port: int) -> Iterator[Show]
 
 
 def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> None:
-    """Locate frames until there are no more, or Ctrl-C is pressed."""
+    """Locate frames until the source ends or Ctrl-C is pressed."""
     frames = source.read_frames()
     locator.prepare()
     with suppress(KeyboardInterrupt), closing(frames):

@@ -98,9 +98,9 @@ def _describe_component(registered: Registered) -> dict[str, Any]:
 
 
 def _say_interface(component: dict[str, Any], outdated: str = "") -> None:
-    """Report a component that was written for another plugin interface.
+    """Report a component that was written for another version of the plugin interface.
 
-    `outdated` is the change that it needs; it is known once the class is imported.
+    `outdated` describes the change that the component needs. It is known only after the class is imported.
     """
     from tactile_loc.core.slots.interface import INTERFACE_VERSION
 
@@ -167,7 +167,7 @@ def _say_columns(names: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _check(found: Registry, slot: str, name: str, words: list[str], properties: bool) -> dict[str, Any]:
-    """Run the contract checks of a component. Raises Finding when it breaks any."""
+    """Run the contract checks of a component. Raises Finding if a check fails."""
     from tactile_loc.testing.running import iter_checks
 
     about = _describe_component(found.find(slot, name))
@@ -190,7 +190,10 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
 
 
 def _make(found: Registry, slot: str, name: str, words: list[str]) -> Component:
-    """Make the component with these options. Raises ConfigError for another slot's, PluginLoadError where it fails."""
+    """Make the component with these options.
+
+    Raises ConfigError for options of another slot, and PluginLoadError if the component's class raises an error.
+    """
     from tactile_loc.core.errors import ConfigError, PluginLoadError, TactileLocError
     from tactile_loc.io.config import parse_overrides
 

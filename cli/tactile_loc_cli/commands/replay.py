@@ -103,7 +103,7 @@ def replay(
 
 
 def _choose_out(recording: Path, out: Path | None) -> Path:
-    """Return the path of the new recording. Raises OutputError when it cannot be written there."""
+    """Return the path of the new recording. Raises OutputError if the recording cannot be written there."""
     chosen = Path(f"{recording.stem}-poses.mcap") if out is None else out
     options.require_mcap("--out", chosen)
     if chosen.resolve() == recording.resolve():
@@ -115,7 +115,7 @@ def _choose_out(recording: Path, out: Path | None) -> Path:
 
 
 def _require_free(contents: Contents, recording: Path, pose_topic: str, poses_only: bool) -> None:
-    """Raise RecordingError when recorded messages would mix with the poses."""
+    """Raise RecordingError if recorded messages would mix with the poses."""
     if not poses_only and pose_topic in {topic.name for topic in contents.counts}:
         raise RecordingError(
             f"{recording} already has messages on {pose_topic}; choose another --pose-topic, or --poses-only"

@@ -21,7 +21,8 @@ Out = Annotated[
 def report(result: Result, out: Out = None) -> dict[str, Any]:
     """Show a result as one HTML file.
 
-    It shows a run, an evaluation (also with --contacts), or a sweep. The file is self-contained and works offline.
+    The result may be a run, an evaluation (also with --contacts), or a sweep. The file is self-contained and works
+    offline.
     """
     from tactile_loc.reports import find_source, write_report
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-result")
-DRAWN = 8  # touches to simulate; the one with the most contact is used
+DRAWN = 8  # number of simulated touches; the touch with the most contact is used
 
 Given = Annotated[RunOptions, options.Takes()]
 PriorFile = Annotated[Path | None, options.declare("--prior", "FILE", "Prior knowledge of the pose: a TOML file.")]
@@ -50,8 +50,9 @@ def run(
 ) -> dict[str, Any]:
     """Locate an object from one touch or several.
 
-    The touches of a list are used together, those of a folder one by one. Without options, a demo object is located
-    from a simulated touch (of eight, the one with the most contact). The object's model is built once and stored.
+    The touches of a list are used together. The touches of a folder are located one by one. Without options, a demo
+    object is located from a simulated touch: the touch with the most contact among eight. The object's model is built
+    once and stored.
     """
     from tactile_loc.locate.touch_files import is_folder
 
@@ -86,13 +87,13 @@ def _locate_together(
 
 
 def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:
-    """Raise ConfigError for noise together with a touch that is read from a file."""
+    """Raise ConfigError if noise is given together with a touch from a file."""
     if settings.touch.path is not None and (noise is not None or settings.touch.noise != "none"):
         raise ConfigError(f"--noise needs a simulated touch; leave it out, or leave out --touch {settings.touch.path}")
 
 
 def _require_several(settings: RunConfig) -> None:
-    """Raise ConfigError for --drop-outliers without a list of touches."""
+    """Raise ConfigError if --drop-outliers is given without a list of touches."""
     from tactile_loc.locate.touch_files import is_list
 
     path = settings.touch.path
@@ -104,14 +105,14 @@ def _require_several(settings: RunConfig) -> None:
 
 
 def _require_none(prior: Path | None, report: bool, rerun: Path | None) -> None:
-    """Raise ConfigError for options of a single result, which a folder of touches excludes."""
+    """Raise ConfigError if an option that needs a single result is given with a folder of touches."""
     for given, flag in ((prior, "--prior"), (rerun, "--rerun"), (report, "--report")):
         if given:
             raise ConfigError(f"{flag} needs a single result; leave it out with a folder of touches, or give one touch")
 
 
 def _read_observations(localizer: Localizer) -> list[Observation]:
-    """Return the given touches, or a simulated one, each with its localizer."""
+    """Return the given touches, or a simulated touch, each with its localizer."""
     asked = localizer.config.touch
     if asked.path is not None:
         return options.read_touches(localizer, Path(asked.path))
@@ -127,7 +128,7 @@ def _report(
     page: bool,
     rerun: Path | None,
 ) -> dict[str, Any]:
-    """Show the result, write its files, and return both."""
+    """Show the result and write its files. Return the result with the paths of the files."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.doubts import list_doubts
@@ -163,10 +164,10 @@ def _report(
 
 
 def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) -> dict[str, Any]:
-    """Locate each touch of a folder or pattern; a touch that cannot be located is a line with its reason.
+    """Locate each touch of a folder or pattern. The table states the reason for a touch that cannot be located.
 
-    Writes results.csv and, for each touch, a folder with result.json and, with `pictures`, result.png. Returns the
-    result of each touch, and the paths. Raises TouchError when the folder holds no touch or none can be located.
+    Writes results.csv. Also writes a folder for each touch, with result.json and, with `pictures`, result.png. Returns
+    the result of each touch, and the paths. Raises TouchError if the folder has no touch, or no touch can be located.
     """
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
@@ -208,7 +209,7 @@ def _warn_of_doubtful(names: list[str]) -> None:
 
 
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
-    """Write one touch's result, and return it."""
+    """Write one touch's result, and return the result."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.results.result_json import make_record

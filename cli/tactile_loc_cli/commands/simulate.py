@@ -118,7 +118,7 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
         raise OutputError(f"{out} cannot be made ({error.strerror}); choose another --out") from error
     for touch in touches:
         write_touch(out / f"{touch.name}.npz", touch)
-    press_m = {touch.press_depth_m for touch in touches}  # each file has its own
+    press_m = {touch.press_depth_m for touch in touches}  # each touch file has its own press depth
     record = {
         "object": localizer.object.name,
         "press_depth_m": press_m.pop() if len(press_m) == 1 else None,
@@ -143,7 +143,7 @@ def _warn_of_others(out: Path, names: list[str]) -> None:
 
 
 def _find_optics(asked: str | None, sensor: str) -> Optics:
-    """Return the optics of this name, or those that suit the sensor."""
+    """Return the optics of this name, or without a name the optics that suit the sensor."""
     from tactile_loc.imaging.optics import choose_optics, find_optics
 
     return choose_optics(sensor) if asked is None else find_optics(asked)

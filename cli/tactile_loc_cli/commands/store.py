@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhdw])")
-LABEL = "label"  # key of a stage's label beside its inputs
+LABEL = "label"  # key under which a stage's label is added to its inputs
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -86,8 +86,8 @@ def prune(
 ) -> dict[str, Any]:
     """Remove entries from the store.
 
-    With several conditions, entries that meet all of them are removed. Entries being built are kept. If a removed
-    entry is needed later, it is built again.
+    With several conditions, only entries that meet all conditions are removed. Entries being built are kept. If a
+    removed entry is needed later, it is built again.
     """
     age = None if older_than is None else parse_age(older_than)
     criteria = Criteria(everything, tuple(stage or ()), age, incomplete, keep_newest or 0)
@@ -126,7 +126,7 @@ def _describe(place: StageStore, entry: Entry, origins: Origins) -> dict[str, An
 
 
 def _is_being_built(place: StageStore, entry: Entry) -> bool:
-    """Return whether the entry is being built; False where the store cannot tell, as in a read-only store."""
+    """Return whether the entry is being built; False if this cannot be found out, as in a read-only store."""
     try:
         return place.is_being_built(entry)
     except StoreError:
@@ -134,19 +134,19 @@ def _is_being_built(place: StageStore, entry: Entry) -> bool:
 
 
 def _is_confirmed(entries: Sequence[Entry]) -> bool:
-    """Ask for confirmation. Raises ConfigError where stdin is not a terminal."""
+    """Ask for confirmation. Raises ConfigError if stdin is not a terminal."""
     if not _is_terminal():
         raise ConfigError("removing needs a confirmation; give --yes, or --dry-run to list what would be removed")
     return typer.confirm(f"Remove {_summarise(entries)}?", err=True)
 
 
 def _is_terminal() -> bool:
-    """Return whether somebody can answer a question."""
+    """Return whether stdin is a terminal, on which a user can answer."""
     return sys.stdin.isatty()
 
 
 def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], list[Entry]]:
-    """Remove the entries; return the removed ones, and those that another process has begun to build."""
+    """Remove entries. Return the removed entries, and the entries that another process has begun to build."""
     gone, kept = [], []
     for entry in entries:
         try:
@@ -185,7 +185,7 @@ def _summarise(entries: Sequence[Entry]) -> str:
 
 
 def parse_age(text: str) -> timedelta:
-    """Return the duration in a text such as "30d" or "1.5h". Raises ConfigError."""
+    """Return the duration in a text such as "30d" or "1.5h". Raises ConfigError if the text cannot be read."""
     match = _DURATION.fullmatch(text.strip().lower())
     try:
         if match:
@@ -196,7 +196,7 @@ def parse_age(text: str) -> timedelta:
 
 
 def write_age(seconds: float) -> str:
-    """Return an age in the largest unit that fits at least twice, such as 45 min, 3 h, 12 d."""
+    """Return an age as text, such as 45 min, 3 h or 12 d, in the largest unit that gives at least 2."""
     for unit, name in (("d", "d"), ("h", "h"), ("m", "min")):
         if seconds >= 2 * UNITS_S[unit]:
             return f"{seconds / UNITS_S[unit]:.0f} {name}"
@@ -210,7 +210,7 @@ def measure_age_s(entry: Entry, now: datetime | None = None) -> float:
 
 @dataclass(frozen=True)
 class Criteria:
-    """The conditions for removing an entry, which must meet all of them."""
+    """The conditions for removing an entry. An entry is removed if it meets all conditions."""
 
     everything: bool = False
     stages: tuple[str, ...] = ()
@@ -231,7 +231,7 @@ class Criteria:
         return bool(self.stages or self.older_than is not None or self.incomplete or self.keep_newest)
 
     def choose(self, entries: Sequence[Entry]) -> list[Entry]:
-        """Return the entries to remove, in their order. Raises ConfigError for a stage that the store does not hold."""
+        """Return the entries to remove, in the given order. Raises ConfigError if a stage is not in the store."""
         known = {entry.stage for entry in entries}
         if unknown := [stage for stage in self.stages if stage not in known]:
             raise ConfigError(f"the store has no stage {unknown[0]!r}; it has {', '.join(sorted(known)) or 'none'}")
@@ -253,7 +253,7 @@ class Criteria:
 
 
 def group_by_stage(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    """Return the entries of each stage."""
+    """Return the entries grouped by stage."""
     groups: defaultdict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
         groups[entry.stage].append(entry)
@@ -261,25 +261,25 @@ def group_by_stage(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
 
 
 class Origins:
-    """The objects and components that entries were made from, by their manifests and those of their inputs."""
+    """The objects and components from which entries were made, according to the manifests of entries and inputs."""
 
     def __init__(self, entries: Sequence[Entry]) -> None:
         found = {entry.digest: _read_inputs(entry) for entry in entries if entry.complete}
         self._inputs = {digest: inputs for digest, inputs in found.items() if inputs is not None}
-        # slot and name of each component, by the class in its description
+        # slot and name of each component; the key is the component's class
         self._names = {c.spec.target: (c.spec.slot, c.spec.name) for c in registry().components}
 
     def is_readable(self, entry: Entry) -> bool:
-        """Return whether the entry is finished and its manifest readable; checksums of files are not verified."""
+        """Return whether the entry is finished and has a readable manifest. Checksums of files are not verified."""
         return entry.digest in self._inputs
 
     def find(self, entry: Entry) -> dict[str, str]:
-        """Return the origins of an entry: "object" (its name, or its mesh's digest), and components by slot."""
+        """Return the origins of an entry: "object" (the object's name or mesh digest), and components by slot."""
         parts = dict(self._list_parts(self._inputs.get(entry.digest, {}), frozenset({entry.digest})))
         return {key: parts[key] for key in ("object", *SLOTS) if key in parts}
 
     def _list_parts(self, value: Any, seen: frozenset[str]) -> Iterator[tuple[str, str]]:
-        """Yield the parts that inputs name; those of the stages that they refer to come first."""
+        """Yield the parts that inputs name. If inputs refer to other stages, the parts of these stages come first."""
         if isinstance(value, str) and _DIGEST.fullmatch(value):
             if (digest := value[:16]) in self._inputs and digest not in seen:
                 yield from self._list_parts(self._inputs[digest], seen | {digest})

@@ -121,7 +121,7 @@ def sweep(
     if dry_run:
         return _list_combinations(wanted, out, place)
     if compare is not None:
-        read_sweep(compare)  # raises before the sweep, not after it
+        read_sweep(compare)  # raises an error now, not after the sweep
     found = run_sweep(wanted, out, place, _choose_workers(workers, threads, scheduler, out), make_progress())
     report = _report(found, out, line)
     if compare is not None:
@@ -135,7 +135,7 @@ def sweep(
 
 
 def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
-    """Return the file's plan, overridden by the command line."""
+    """Return the plan in the file, with the settings from the command line."""
     from tactile_loc.io.config import COMMAND_LINE
     from tactile_loc.io.toml import read_toml
     from tactile_loc.sweeps.plan import Plan, merge_options, read_options, split_all
@@ -225,7 +225,7 @@ def _say_medians(found: Sweep, line: str) -> None:
 
 
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
-    """Compare two finished sweeps; show and return the changes. Raises ConfigError."""
+    """Compare two finished sweeps, and show and return the changes. Raises ConfigError if `old` is None."""
     from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
     from tactile_loc.sweeps.results import read_sweep
 

@@ -24,7 +24,7 @@ from tactile_loc_cli.console import format_count
 
 
 class State(StrEnum):
-    """The state of a checked thing."""
+    """The state that a check found."""
 
     OK = "ok"
     MISSING = "missing"
@@ -33,7 +33,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One finding: `says` describes it, `remedy` says what to do, and `facts` are JSON values in SI units."""
+    """A finding. `says` describes it, `remedy` advises what to do, and `facts` are JSON values in SI units."""
 
     name: str
     state: State
@@ -44,7 +44,7 @@ class Check:
 
     @property
     def is_fatal(self) -> bool:
-        """Whether tactile-loc cannot work because of it."""
+        """Whether tactile-loc cannot work because of this finding."""
         return self.required and self.state is not State.OK
 
     def record(self) -> dict[str, Any]:
@@ -55,14 +55,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Probe:
-    """A function `look` that returns findings, and may raise anything."""
+    """A function `look` that returns findings. It may raise any exception."""
 
     name: str
     look: Callable[[], Iterable[Check]]
     required: bool = False
 
     def run(self) -> list[Check]:
-        """Return the findings; a failure to look is also one."""
+        """Return the findings. If `look` fails, return its failure as the finding."""
         try:
             return list(self.look())
         except TactileLocError as error:
@@ -79,7 +79,7 @@ LONGEST = 240  # shown characters of a reason
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a trial: its facts, or the reason of its failure."""
+    """The outcome of a trial: the facts that it found, or the reason why it failed."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     failure: str = ""
@@ -136,7 +136,7 @@ DRIVER_PATTERNS = ("lib/dri/*_dri.so", "lib64/dri/*_dri.so", "lib/*/dri/*_dri.so
 
 
 def check_shared_libraries() -> Iterator[Check]:
-    """Find missing shared libraries; on Linux only."""
+    """Find missing shared libraries. Nothing is checked on other systems than Linux."""
     if sys.platform != "linux":
         return
     outcome = attempt("shared-libraries", *PACKAGES)
@@ -154,7 +154,7 @@ def check_shared_libraries() -> Iterator[Check]:
 
 
 def has_egl_driver() -> bool:
-    """Whether there is a driver behind libEGL, which only dispatches."""
+    """Return whether an EGL driver is installed, because libEGL alone cannot render."""
     if not attempt("shared-libraries", "libEGL_nvidia.so.0").facts.get("missing", True):
         return True
     return any(found for pattern in DRIVER_PATTERNS for found in Path("/usr").glob(pattern))
@@ -168,7 +168,7 @@ def advise_install(package: str) -> str:
 
 
 def find_remedy(failure: str, otherwise: str) -> str:
-    """Return how to install the shared library that a failure names, or `otherwise` when it names none."""
+    """Return how to install the shared library that a failure names, or `otherwise` if it names no library."""
     return next((advise_install(package) for library, package in PACKAGES.items() if library in failure), otherwise)
 
 
@@ -179,7 +179,10 @@ LOW_DISK = "little: models of large grids take gigabytes"
 
 @dataclass(frozen=True)
 class Library:
-    """A library by its module, with its possible names for pip in `distributions`; `serves` names its users."""
+    """A library. `module` is imported, `distributions` are its possible names for pip, and `serves` says what needs it.
+
+    `install` is the advice for a missing library.
+    """
 
     module: str
     distributions: tuple[str, ...]
@@ -187,7 +190,7 @@ class Library:
     install: str
     required: bool = False
     trial: str = "import"
-    repair: str = ""  # if it is installed but does not work; by default, reinstall it
+    repair: str = ""  # advice for a library that is installed but does not work; default: reinstall it
 
 
 def _require(module: str, *distributions: str, trial: str = "import", serves: str = "") -> Library:
@@ -226,7 +229,7 @@ LIBRARIES = (
 def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> list[Check]:
     """Run all checks, `workers` at a time, and return their findings. Never raises.
 
-    `compiling` also compiles the code for locating.
+    With `compiling`, the code that locates objects is also compiled.
     """
     probes = [
         Probe("versions", _check_versions, required=True),
@@ -286,7 +289,7 @@ def _check_library(library: Library) -> list[Check]:
 
 
 def _compile_kernels() -> Check:
-    """Compile the code for locating."""
+    """Compile and try the code that locates objects."""
     outcome = attempt("kernels", timeout_s=COMPILE_S)
     if outcome.failure:
         remedy = find_remedy(outcome.failure, "run `tactile-loc -vv run` for details")

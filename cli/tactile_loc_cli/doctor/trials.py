@@ -1,7 +1,7 @@
 """Trials of libraries that may crash or hang, each in its own process: `python -m tactile_loc_cli.doctor.trials NAME`.
 
-A trial prints its facts as one line of JSON, with a text for people under "says". If it fails, the last line of its
-stderr says why.
+A trial prints its facts as one line of JSON, with a text for users under "says". A trial that fails writes the reason
+as the last line of stderr.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def try_torch() -> Facts:
 
 
 def load_shared_libraries(*names: str) -> Facts:
-    """Load shared libraries by name, and return those that cannot be loaded."""
+    """Load shared libraries by name, and return the names that cannot be loaded."""
     import ctypes
 
     missing = []
@@ -135,7 +135,7 @@ TRIALS: Mapping[str, Callable[..., Facts]] = {
 
 
 def main() -> None:
-    """Run the trial named on the command line. Prints of libraries go to stderr."""
+    """Run the trial named on the command line. The output of libraries goes to stderr."""
     stdout, sys.stdout = sys.stdout, sys.stderr
     try:
         facts = TRIALS[sys.argv[1]](*sys.argv[2:])

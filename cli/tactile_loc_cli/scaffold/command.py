@@ -29,8 +29,8 @@ Out = Annotated[
 def new_plugin(slot: Slot, name: Name, out: Out = None) -> dict[str, Any]:
     """Write a package for a new component.
 
-    The package can be installed at once: a small working component, its registration as a plugin, and tests. Replace
-    the component's code with yours; docs/tutorial-plugin.md shows how.
+    The package has a small working component, its registration as a plugin, and tests. It can be installed at once.
+    Replace the component's code with yours; docs/tutorial-plugin.md shows how.
     """
     from tactile_loc_cli.scaffold.naming import Naming
     from tactile_loc_cli.scaffold.package import write

@@ -14,8 +14,8 @@ INTRODUCTION = """\
 This page is generated: `python -m tactile_loc_cli.scaffold.examples` writes it, and a test compares it with the
 program.
 
-`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot. Below is the module of each. All of
-them pass the [contract checks](plugin-checks.md). Replace the computation, and keep the structure.
+`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot. This page shows the example module of
+each slot. All examples pass the [contract checks](plugin-checks.md). Replace the computation, and keep the structure.
 [Plugins](plugins.md) explains the hook and the packaging, which are the same for every slot.
 
 | slot | what the example does |
@@ -30,7 +30,7 @@ def make_examples() -> str:
 
 
 def _show(slot: str) -> str:
-    """The section of a slot: the command, and the module that it writes."""
+    """Return the section of a slot: the command, and the module that the command writes."""
     naming = Naming(slot, f"my-{slot}")
     path = f"{naming.package}/{slot}.py"
     command = f"    tactile-loc new-plugin {slot} {naming.name}"
@@ -38,7 +38,7 @@ def _show(slot: str) -> str:
 
 
 def main() -> None:
-    """Write docs/plugin-examples.md of the source tree that this module lies in."""
+    """Write docs/plugin-examples.md of this module's source tree."""
     page = Path(__file__).parents[3] / "docs" / "plugin-examples.md"
     page.write_text(make_examples(), encoding="utf-8")
 

@@ -10,12 +10,15 @@ from tactile_loc.core.errors import ConfigError, PluginConflictError
 from tactile_loc_cli.options import require_slot
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-LONGEST = 30  # characters: lines of the templates that hold the name stay short
+LONGEST = 30  # characters; lines of the templates stay short with such a name
 
 
 @dataclass(frozen=True)
 class Naming:
-    """A new component's slot, and its name in kebab case. Raises UnknownPluginError or ConfigError for others."""
+    """A new component's slot, and its name in kebab case.
+
+    Raises UnknownPluginError for an unknown slot, and ConfigError if the name is too long or not in kebab case.
+    """
 
     slot: str
     name: str
@@ -30,12 +33,12 @@ class Naming:
 
     @property
     def distribution(self) -> str:
-        """The name for pip, also of the folder: tactile-loc-my-refiner."""
+        """The package's name for pip and the default folder, such as tactile-loc-my-refiner."""
         return f"tactile-loc-{self.name}"
 
     @property
     def package(self) -> str:
-        """The name for imports: tactile_loc_my_refiner."""
+        """The package's name for imports, such as tactile_loc_my_refiner."""
         return self.distribution.replace("-", "_")
 
     @property
@@ -47,7 +50,7 @@ class Naming:
         return "".join(word.capitalize() for word in [*words, self.slot])
 
     def require_free(self) -> None:
-        """Raise PluginConflictError when the slot has a component of this name, or the package name is taken."""
+        """Raise PluginConflictError if a component of the slot or an installed package already has this name."""
         from tactile_loc.core.slots.registry import registry
 
         for found in registry().components:

@@ -11,7 +11,7 @@ from tactile_loc.core.errors import OutputError
 from tactile_loc.store.files import replace_folder
 from tactile_loc_cli.scaffold.naming import Naming
 
-# One line on the component in the template of each slot.
+# Summary of the component in each slot's template.
 SUMMARIES = {
     "sensor": "a rectangular gel, seen from behind, given as depths",
     "renderer": "exact, triangle by triangle",
@@ -24,7 +24,7 @@ SUMMARIES = {
 
 
 def render(naming: Naming) -> dict[str, str]:
-    """Return the text of each file of the package by its path in the folder."""
+    """Return the text of each file of the package. The keys are the files' paths in the package's folder."""
     named = ("slot", "name", "distribution", "package", "class_name")
     values = {**{name: getattr(naming, name) for name in named}, "summary": SUMMARIES[naming.slot]}
     templates = {
@@ -38,9 +38,9 @@ def render(naming: Naming) -> dict[str, str]:
 
 
 def write(naming: Naming, folder: Path) -> list[str]:
-    """Write the package to the new `folder`, completely or not at all, and return the paths of its files there.
+    """Write the package to the new `folder`, completely or not at all, and return its files' paths in the folder.
 
-    Raises OutputError when the folder exists or cannot be written.
+    Raises OutputError if the folder exists or cannot be written.
     """
     if os.path.lexists(folder):
         raise OutputError(f"{folder} already exists; choose another folder with --out")

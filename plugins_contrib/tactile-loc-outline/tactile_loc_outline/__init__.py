@@ -1,4 +1,4 @@
-"""An encoder for tactile-loc: describes the distances to the contact's outline by a few dozen numbers."""
+"""An encoder for tactile-loc that describes the distances to the contact's outline with a few dozen numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tactile_loc.plugin import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components() -> list[ComponentSpec]:
-    """Return the components that this package offers; a class is imported when it is used."""
+    """Return the components that this package offers. A component's class is imported on first use."""
     return [
         ComponentSpec(
             slot="encoder",

@@ -9,14 +9,14 @@ from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32,
 
 from tactile_loc_outline.distances import signed_distances
 
-IMAGE_PX = 100  # approximate longer image side after downsampling, pixels: distances are smooth
+IMAGE_PX = 100  # approximate longer image side after downsampling; distances are smooth, so few pixels suffice
 
 
 class OutlineEncoder(Encoder):
-    """Embeds a contact as the low frequencies of a map of signed distances to its outline.
+    """Embeds a contact as the low frequencies of a map of signed distances to the contact's outline.
 
-    The embeddings of two contacts differ more when the contacts are farther apart. In contrast, the masks of two thin
-    contacts differ by the same amount at any distance.
+    The embeddings of two contacts differ more if the contacts are farther apart. In contrast, the masks of two thin
+    contacts that do not overlap differ by the same amount at any distance.
     """
 
     capabilities = Capabilities(follows_press_depth=True)
@@ -30,10 +30,11 @@ class OutlineEncoder(Encoder):
         )
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
-        """Return embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`.
+        """Return embeddings (N, D), unitless, of contact depths (N, H, W) in metres.
 
-        Apart from the omitted high frequencies, the squared distance between two embeddings is the mean squared
-        difference of their maps, in units of the reach. Unobserved pixels count as no contact.
+        Pixels at `press_depth_m` or deeper, and unobserved pixels, are not in contact. Without the omitted high
+        frequencies, the squared distance between two embeddings is the mean squared difference of their maps, in units
+        of the squared reach.
         """
         step = max(1, round(max(geometry.shape) / IMAGE_PX))
         thinned = geometry.subsample(step)
@@ -48,10 +49,10 @@ class OutlineEncoder(Encoder):
 
 
 def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
-    """Mark the pairs (V, U) of half waves down and across the field of view that are kept.
+    """Return a mask (V, U) of the kept frequencies: numbers of half waves down and across the field of view.
 
-    Their wave vectors are shorter than `below` half waves along the longer side. So the resolution is the same in all
-    directions, and does not depend on the number of pixels.
+    A kept wave vector is shorter than `below` half waves along the longer side. Therefore the resolution is the same in
+    all directions, and does not depend on the number of pixels.
     """
     across_scale, down_scale = geometry.scale_at_surface
     sides_m = np.array([geometry.height_px / down_scale, geometry.width_px / across_scale])
@@ -61,9 +62,10 @@ def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
 
 
 def cosines(places: NDArray[np.float64], count: int) -> NDArray[np.float32]:
-    """Return a matrix (count, P) from P samples to their first `count` cosine coefficients.
+    """Return the matrix (count, P) that computes the first `count` cosine coefficients of P samples.
 
-    `places` (P,) lie evenly between 0 and 1. The waves are orthonormal with sample weights 1 / P.
+    The samples are at `places` (P,), which lie evenly between 0 and 1. The waves are orthonormal if each sample has the
+    weight 1 / P.
     """
     waves = np.cos(np.pi * np.arange(count)[:, None] * places) * np.sqrt(2.0)
     waves[0] = 1.0

@@ -1,4 +1,4 @@
-"""The encoder keeps every contract of its slot, and the distances of embeddings are those of the maps."""
+"""The encoder keeps every contract of its slot, and embeddings have the same distances as their maps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def with_options(**options) -> OutlineEncoder:
 
 
 def pressed(x_mm: float, y_mm: float, wide_mm: float, high_mm: float, geometry: SensorGeometry = SENSOR) -> np.ndarray:
-    """A flat rectangle's contact depths (1, H, W), metres: its lower corner and its sides, in mm of the field."""
+    """Return contact depths (1, H, W), metres, of a flat rectangle, from its lowest x and y and its sides, in mm."""
     columns, rows = ((np.arange(n) + 0.5) / n * 20 for n in (geometry.width_px, geometry.height_px))
     inside = [(a >= start) & (a < start + side) for a, start, side in ((rows, y_mm, high_mm), (columns, x_mm, wide_mm))]
     return np.where(inside[0][:, None] & inside[1], 0.0, PRESS_M).astype(np.float32)[None]
@@ -75,7 +75,7 @@ def test_waves_are_orthonormal():
 
 
 def test_all_frequencies_keep_all_of_the_distance():
-    """Parseval: with every wave of a small image, the embeddings' distance is that of the maps."""
+    """With every wave of a small image, embeddings have the same distance as their maps (Parseval's theorem)."""
     small = SENSOR.resize(16, 16)
     a, b = (pressed(*sides, small) for sides in ((3, 4, 8, 6), (5, 9, 10, 5)))
     encoder = with_options(frequencies=23, reach_mm=6.0)
@@ -106,7 +106,7 @@ def test_a_narrow_field_has_fewer_waves_across():
 
 
 def test_distance_grows_with_displacement_where_masks_have_nothing_in_common():
-    """A bar 1 mm wide is moved by 1 to 5 mm: its mask's difference saturates at 2 mm, its outline's does not."""
+    """If a bar 1 mm wide moves by 1 to 5 mm, only the distance of its outline embeddings grows with every step."""
     bars = np.concatenate([pressed(7 + moved, 2, 1, 15) for moved in (0, 1, 2, 3, 5)])
     ours, pixel = (e.encode(bars, PRESS_M, SENSOR) for e in (OutlineEncoder(), registry().create("encoder", "pixel")))
     apart = [np.linalg.norm(vectors[1:] - vectors[0], axis=1) for vectors in (ours, pixel)]
@@ -115,7 +115,7 @@ def test_distance_grows_with_displacement_where_masks_have_nothing_in_common():
 
 
 def test_image_size_hardly_matters():
-    """400 pixels a side are thinned to 100, which blurs an outline by less than a third of a millimetre."""
+    """Downsampling 400 pixels a side to 100 changes an embedding less than a shift of a third of a millimetre."""
     coarse, fine = (OutlineEncoder().encode(pressed(4, 5, 9, 7, g), PRESS_M, g) for g in (SENSOR, FINE))
     moved = OutlineEncoder().encode(pressed(5, 5, 9, 7), PRESS_M, SENSOR)
     assert np.linalg.norm(coarse - fine) < np.linalg.norm(coarse - moved) / 3

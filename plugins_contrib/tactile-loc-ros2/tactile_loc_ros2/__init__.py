@@ -1,1 +1,1 @@
-"""A ROS 2 node for tactile-loc: images of the gel in, poses with covariance out."""
+"""A ROS 2 node for tactile-loc: it receives images of the gel, and publishes poses with covariances."""

@@ -1,4 +1,4 @@
-"""Locates the object in image messages, and fills pose messages. This module does not import ROS."""
+"""Locating the object in image messages, and filling pose messages. This module does not import ROS."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ Estimator = Callable[[Touch], LocatedFrame]
 class ImageLocator:
     """Locates an object in image messages of one sensor, each image separately.
 
-    `frame` is the sensor's frame, by default the image's. `press_depth_m`, metres, is the same as in
-    `tactile_loc.read_touch`. `estimator` locates a touch, by default with the localizer.
+    `frame` is the sensor's frame, by default the frame in the image's header. `press_depth_m`, in metres, has the same
+    meaning as in `tactile_loc.read_touch`. `estimator` locates a touch; the default estimator uses the localizer.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class ImageLocator:
         self._estimator = estimator or (lambda touch: LocatedFrame.of(localizer.localize(touch)))
 
     def locate(self, image: Any) -> LocatedFrame:
-        """Locate a sensor_msgs Image or CompressedImage. A faulty image gives a frame with the error."""
+        """Locate the object in a sensor_msgs Image or CompressedImage. A faulty image gives a result with the error."""
         try:
             return self._estimator(touch_from_image(decode_image(image), self._sensor, self._press_depth_m))
         except TactileLocError as error:

@@ -21,7 +21,7 @@ NO_ROS = (
 
 
 def ros(module: str) -> Any:
-    """Return a module of ROS 2. Raises MissingLibraryError when it is not installed."""
+    """Return a module of ROS 2. Raises MissingLibraryError if the module is not installed."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -34,7 +34,7 @@ def run(
 ) -> None:  # fmt: skip
     """Publish a pose and a verdict for each image until ROS shuts down.
 
-    While it locates one image, it keeps only the newest of the following images.
+    While the node locates one image, it keeps only the newest of the following images.
     """
     rclpy, qos = ros("rclpy"), ros("rclpy.qos")
     kind = ros("sensor_msgs.msg").CompressedImage if compressed else ros("sensor_msgs.msg").Image
@@ -65,10 +65,10 @@ def run(
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the node with the arguments of the command line, and return the exit code. Unknown arguments go to ROS."""
+    """Run the node with the arguments of the command line, and return the exit code. ROS gets unknown arguments."""
     given, rest = _parser().parse_known_args(words)
     try:
-        ros("rclpy")  # fails early: building the model takes minutes
+        ros("rclpy")  # raises an error before the model is built, which takes minutes
         localizer = Localizer.create(given.object, units=given.units, sensor=_sensor(given.sensor))
         localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles
         press_m = None if given.press_depth is None else 1e-3 * given.press_depth
@@ -81,7 +81,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _sensor(given: str) -> str | dict[str, str]:
-    """Return a sensor's name, or the component for a sensor file or a calibration folder."""
+    """Return the sensor as given, or as a component if a sensor file or a calibration folder is given."""
     if given.endswith(".toml"):
         return {"name": "file", "path": given}
     return {"name": "calibrated", "path": given} if Path(given).is_dir() else given

@@ -30,7 +30,7 @@ def depth_image(depth: np.ndarray = DEPTH, **fields) -> Fields:
 
 
 def pose_message() -> Fields:
-    """An empty message, as rclpy makes it."""
+    """Return an empty message with the fields of rclpy's message."""
     at = Fields(position=Fields(x=0.0, y=0.0, z=0.0), orientation=Fields(x=0.0, y=0.0, z=0.0, w=1.0))
     return Fields(header=Fields(stamp=None, frame_id=""), pose=Fields(pose=at, covariance=[0.0] * 36))
 
@@ -124,7 +124,7 @@ def test_without_ros_one_sentence_says_what_to_do(monkeypatch, capsys):
 
 
 class StandIn:
-    """The parts of rclpy and its messages that the node uses; spinning passes the images, then interrupts the node."""
+    """The parts of rclpy and its messages that the node uses. Spinning passes the images and interrupts the node."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, images: list[Fields]) -> None:
         self.images, self.published, self.warned, self.began, self.ended = images, {}, [], [], 0

@@ -1,4 +1,4 @@
-"""A refiner for tactile-loc: generalised ICP by the small_gicp library."""
+"""A refiner for tactile-loc: generalised ICP from the small_gicp library."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tactile_loc.plugin import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components() -> list[ComponentSpec]:
-    """Return the components that this package offers; a class is imported when it is used."""
+    """Return the components that this package offers. A component's class is imported on first use."""
     return [
         ComponentSpec(
             slot="refiner",

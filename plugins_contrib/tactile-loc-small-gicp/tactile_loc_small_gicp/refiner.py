@@ -1,4 +1,4 @@
-"""Generalised ICP of a candidate's contact cloud to the touch's cloud, by small_gicp (Koide, JOSS 2024)."""
+"""Generalised ICP of a candidate's contact cloud to the touch's cloud, with small_gicp (Koide, JOSS 2024)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import small_gicp
 from pydantic import Field
 from tactile_loc.plugin import Cloud, CloudRefiner, Registration, is_rigid
 
-FEWEST_POINTS = 10  # after downsampling: fewer points have no reliable covariances
+FEWEST_POINTS = 10  # after downsampling; covariances of fewer points are not reliable
 LEAST_REACH = 4.0  # least correspondence distance, in spacings of neighbouring points
 RIGID = 1e-3  # tolerance of the test that a result is a rotation
-ALL = 100_000  # points: only the voxels downsample the clouds
+ALL = 100_000  # points; a limit above the size of clouds, so that only voxels downsample them
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A cloud in the library's form, in mm with covariances, and the tree of its points."""
+    """A cloud in the library's form, in mm and with covariances, and the search tree of its points."""
 
     points: small_gicp.PointCloud
     tree: small_gicp.KdTree
@@ -40,23 +40,23 @@ class SmallGicpRefiner(CloudRefiner):
         iterations: int = Field(default=40, ge=1, description="most iterations")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
-        """Return the library's registration (mm), or an empty one when no points are within reach."""
+        """Return the library's registration, in mm, or one without a motion if no points are within reach."""
         return self.register_many([source], target)[0]
 
     def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
-        """Register several candidates; the touch's cloud is prepared once."""
+        """Register the clouds of several candidates. The touch's cloud is prepared only once."""
         fixed, reach_mm = self.prepared(target), max(self.options.reach_mm, LEAST_REACH * target.spacing_mm)
         return [self._register(self.prepared(source), fixed, reach_mm) for source in sources]
 
     def prepared(self, cloud: Cloud) -> Prepared | None:
-        """Downsample a cloud to its voxels. Return None if fewer than FEWEST_POINTS points are left."""
+        """Downsample a cloud with voxels. Return None if fewer than `FEWEST_POINTS` points are left."""
         if len(cloud) < FEWEST_POINTS:
             return None
         points, tree = small_gicp.preprocess_points(cloud.points_mm, self.options.voxel_mm)
         return None if points.size() < FEWEST_POINTS else Prepared(points, tree)
 
     def _register(self, moving: Prepared | None, fixed: Prepared | None, reach_mm: float) -> Registration:
-        """Register two clouds; if either is None, return no motion."""
+        """Register two clouds. If either is None, return a registration without a motion."""
         if moving is None or fixed is None:
             return Registration()
         result = small_gicp.align(

@@ -38,7 +38,7 @@ def test_property(component, check):
 @pytest.mark.parametrize("camera", CAMERAS)
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_a_small_displacement_is_undone(camera, offset):
-    """A candidate with an error of 0.7 to 1 mm or 5 degrees ends within a third of a pixel of 0.4 mm."""
+    """The error of a candidate, 0.7 to 1 mm or 5 degrees, falls below a third of a pixel (0.4 mm)."""
     problem = press_block(camera)
     before = problem.measure_error_m(problem.make_candidate(offset))
     refined = SmallGicpRefiner().refine(problem.touch, problem.make_candidate(offset), problem.scene)
@@ -65,7 +65,7 @@ def test_too_few_iterations_have_not_converged():
 
 
 def test_what_lies_beyond_reach_is_not_registered():
-    """4 pixels of 0.4 mm are the least reach: a contact three times as far away has no pair."""
+    """The least reach is 4 pixels of 0.4 mm, so a contact three times as far away has no corresponding points."""
     problem = press_block()
     depth = np.full_like(problem.touch.contact_shape.depth_m, problem.touch.press_depth_m)
     depth[2:8, 2:8] = 0
@@ -108,7 +108,7 @@ def test_voxels_thin_the_clouds():
 
 
 def test_walls_hold_a_flat_face_sideways():
-    """Without walls, the block's surface alone leaves more of a slide."""
+    """With walls, less of a sideways displacement is left than with the block's surface alone."""
     problem = press_block()
     flat = replace_depth(problem.touch, np.where(problem.touch.contact_shape.contact, 0.0, problem.touch.press_depth_m)
                       .astype(np.float32))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Compares the spread of rotations with the Hopf grid of tactile-loc. Run it as a module to print the table.
+"""Comparison of super-Fibonacci rotations with those of tactile-loc's Hopf grid. This command prints the table:
 
 python -m tactile_loc_super_fibonacci.coverage
 """
@@ -18,14 +18,17 @@ from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations
 
 Float = NDArray[np.float64]
 
-LEVELS = (0, 1, 2, 3)  # of the Hopf grid: 72 * 8^level rotations
-ASKED = 1_000_000  # random rotations
+LEVELS = (0, 1, 2, 3)  # levels of the Hopf grid, which has 72 * 8^level rotations
+ASKED = 1_000_000  # number of random rotations
 
 
 @dataclass(frozen=True)
 class Spread:
-    """The largest and mean angle from random rotations to the nearest sample, and the least and mean angle from the
-    samples to their nearest neighbour; all in radians."""
+    """How evenly samples cover all rotations; angles in radians.
+
+    `covering_rad` and `mean_rad` are the largest and mean angle from a random rotation to the nearest sample.
+    `closest_rad` and `neighbour_rad` are the smallest and mean angle from a sample to the nearest other sample.
+    """
 
     covering_rad: float
     mean_rad: float
@@ -46,14 +49,15 @@ def spread_of(R: Float, asked: int = ASKED) -> Spread:
 
 
 def angle_of_chord(chord: Float) -> Float:
-    """Return the angle, radians, between rotations whose unit quaternions are a straight `chord` apart (unitless)."""
+    """Return the angle, radians, between two rotations. `chord` is the distance between their unit quaternions."""
     return 4 * np.arcsin(np.clip(chord / 2, 0, 1))
 
 
 def least_covering(count: int) -> float:
-    """Return the least covering radius, radians, of `count` rotations: smaller balls have too little volume.
+    """Return a lower bound of the covering radius, radians, of `count` rotations.
 
-    A ball of angle r holds (r - sin r) / pi of all rotations.
+    A ball of angle r has the share (r - sin r) / pi of all rotations. At the bound, the shares of `count` balls sum up
+    to one.
     """
     from scipy.optimize import brentq
 
@@ -61,7 +65,7 @@ def least_covering(count: int) -> float:
 
 
 def hopf_rotations(level: int) -> Float:
-    """Return tactile-loc's Hopf grid of rotations (72 * 8^level, 3, 3), unitless, as its plugin computes it."""
+    """Return the rotations (72 * 8^level, 3, 3) of tactile-loc's Hopf grid at a level."""
     hopf = registry().create("grid", "hopf", {"level": level})
     poses = hopf.sample(make_block(), CAMERAS["orthographic"], spacing_m=1.0)  # one place for each rotation
     rotations: Float = poses[:, :3, :3]
@@ -69,7 +73,7 @@ def hopf_rotations(level: int) -> Float:
 
 
 def table(levels: tuple[int, ...], asked: int) -> str:
-    """Return the comparison as a Markdown table, angles in degrees."""
+    """Return the comparison as a Markdown table, with angles in degrees."""
     lines = [
         "| rotations | grid | covering radius | over the bound | mean to nearest | closest pair | mean neighbour |",
         "|---|---|---|---|---|---|---|",

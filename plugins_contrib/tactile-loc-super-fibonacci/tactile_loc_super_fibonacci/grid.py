@@ -1,4 +1,4 @@
-"""The pose grid for a touch anywhere on the object: super-Fibonacci rotations times a lattice of the plane."""
+"""The pose grid for a touch anywhere on the object: each super-Fibonacci rotation at each point of a planar lattice."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from tactile_loc_super_fibonacci.spirals import fibonacci_directions, rotations_
 
 Float = NDArray[np.float64]
 
-SO3_VOLUME, SPHERE_AREA = 8 * np.pi**2, 4 * np.pi  # of all rotations, rad^3; of all directions, rad^2
+SO3_VOLUME, SPHERE_AREA = 8 * np.pi**2, 4 * np.pi  # volume of all rotations, rad^3; area of all directions, rad^2
 
 
 class SuperFibonacciGrid(AllRotationsGrid):
-    """All of SO(3) times the plane, with a number of rotations that is given or follows from the spacing."""
+    """All of SO(3) times the plane. The number of rotations is given, or follows from the spacing."""
 
     name = "super-fibonacci"
 
     class Options(AllRotationsGrid.Options):
-        """With `rotations`, `spacing_mm` applies to the plane only."""
+        """If `rotations` is given, `spacing_mm` applies only to the plane."""
 
         rotations: int | None = Field(
             default=None, ge=1, le=10_000_000, description="number of rotations before removing equivalent ones"
@@ -30,15 +30,15 @@ class SuperFibonacciGrid(AllRotationsGrid):
 
     @property
     def spacing_is_mean(self) -> bool:
-        """False if `rotations` is given: the spacing then applies to the plane only."""
+        """Whether `spacing_mm` is a mean over all poses. If `rotations` is given, it applies only to the plane."""
         return self.options.rotations is None
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
-        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart unless their number is given."""
+        """Return rotations R_sensor_object (K, 3, 3). Unless `rotations` is given, the spacing is about `spacing_m`."""
         return spread_rotations(obj, self._count(obj, spacing_m))
 
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Return the number of poses at a spacing in metres if each rotation has one place."""
+        """Return the number of poses at a spacing in metres if each rotation has only one place."""
         return math.ceil(self._count(obj, spacing_m) / obj.symmetry.order)
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
@@ -50,11 +50,11 @@ class SuperFibonacciGrid(AllRotationsGrid):
 
 
 def rotations_for(obj: ObjectModel, spacing_m: float) -> int:
-    """Return the number of rotations with a distance of about `spacing_m` metres of surface, before symmetry.
+    """Return the number of rotations for a spacing of about `spacing_m` metres on the surface, before symmetry.
 
-    A small rotation about a principal axis moves the surface by the angle times the axis's lever. So each rotation
-    covers a volume of spacing^3 / (the levers' product) of SO(3). With a continuous symmetry, the same holds for
-    directions of the axis.
+    A small rotation about a principal axis moves the surface by the angle times the axis's lever. Therefore each
+    rotation covers a volume spacing^3 / (product of the levers) of SO(3). With a continuous symmetry, directions of the
+    symmetry axis are counted in the same way.
     """
     moments = np.linalg.eigvalsh(obj.mesh.covariance_m2)
     levers_m = np.sqrt(np.clip(moments.sum() - moments, 1e-18, None))
@@ -66,9 +66,9 @@ def rotations_for(obj: ObjectModel, spacing_m: float) -> int:
 
 
 def spread_rotations(obj: ObjectModel, count: int) -> Float:
-    """Return R_sensor_object (K, 3, 3): `count` rotations, reduced to one for each symmetry class, but at least one.
+    """Return rotations R_sensor_object (K, 3, 3): `count` rotations without symmetric duplicates, but at least one.
 
-    With a continuous symmetry, the rotations are `count` directions of its axis.
+    With a continuous symmetry, the rotations bring the symmetry axis to `count` directions.
     """
     axis = obj.symmetry.continuous_axis
     if axis is None:

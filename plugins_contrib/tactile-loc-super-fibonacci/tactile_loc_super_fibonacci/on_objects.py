@@ -1,4 +1,4 @@
-"""Compares contact grids of equal spacing with tactile-loc's Hopf grid, by their coverage of an object's poses.
+"""Comparison of super-Fibonacci and Hopf contact grids of equal spacing, by their coverage of an object's poses.
 
 python -m tactile_loc_super_fibonacci.on_objects pin cotter hook
 """
@@ -17,9 +17,10 @@ GRIDS = ("hopf", "super-fibonacci")
 
 
 def row(name: str, grid: str, spacing_mm: float, asked: int) -> str:
-    """Return the table's row of an object and a grid; surface distances (root mean square) in mm.
+    """Return the table's row for an object and a grid, with RMS surface distances in mm.
 
-    "To nearest" is the distance from random contact poses, the same for both grids, to the nearest pose of the grid.
+    "To nearest" is the distance from a random contact pose to the nearest pose of the grid. Both grids get the same
+    random poses.
     """
     locate, drawer = (Localizer.create(name, grid={"name": g, "spacing_mm": spacing_mm}) for g in (grid, GRIDS[0]))
     poses = make_contact_grid(locate.sampler, locate.coarse_scene)

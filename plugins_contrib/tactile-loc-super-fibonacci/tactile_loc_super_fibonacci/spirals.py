@@ -1,7 +1,7 @@
 """Any number of evenly spread rotations and directions, along spirals.
 
 Rotations follow M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022. Directions are
-the Fibonacci lattice of the sphere, which is the same idea with one dimension less.
+the Fibonacci lattice of the sphere, which uses the same idea in one dimension less.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ Float = NDArray[np.float64]
 
 PHI = float(np.sqrt(2.0))
 PSI = 1.533751168755204288118041
-"""The positive root of x^4 = x + 4: with `PHI`, the paper's choice."""
+"""The positive root of x^4 = x + 4. The paper chooses this value and `PHI`."""
 GOLDEN = float((1 + np.sqrt(5.0)) / 2)
 
 
 def super_fibonacci_quaternions(count: int) -> Float:
-    """Return unit quaternions (count, 4), scalar last as in the paper, unitless: algorithm 1 of the paper.
+    """Return unit quaternions (count, 4), scalar last, with algorithm 1 of the paper.
 
-    They cover the sphere S^3, and no two are the same rotation. Raises ValueError unless count is positive.
+    The quaternions cover the sphere S^3, and all are different rotations. Raises ValueError if count is below 1.
     """
     s, share = _steps(count)
     inner, outer = np.sqrt(share), np.sqrt(1 - share)
@@ -30,12 +30,12 @@ def super_fibonacci_quaternions(count: int) -> Float:
 
 
 def super_fibonacci_rotations(count: int) -> Float:
-    """Return rotations (count, 3, 3), unitless. Raises ValueError unless count is positive."""
+    """Return evenly spread rotations (count, 3, 3). Raises ValueError if count is below 1."""
     return quaternion_to_rotation(np.roll(super_fibonacci_quaternions(count), 1, axis=-1))
 
 
 def fibonacci_directions(count: int) -> Float:
-    """Return unit vectors (count, 3), unitless, evenly over the sphere. Raises ValueError unless count is positive."""
+    """Return unit vectors (count, 3), spread evenly over the sphere. Raises ValueError if count is below 1."""
     s, share = _steps(count)
     z = 1 - 2 * share
     radius, azimuth = np.sqrt(1 - z**2), 2 * np.pi * (s / GOLDEN % 1.0)
@@ -52,7 +52,7 @@ def rotations_of_axis(axis: Float, directions: Float) -> Float:
 
 
 def _steps(count: int) -> tuple[Float, Float]:
-    """Return the steps s (count,) along a spiral, and their share of its length, strictly between 0 and 1."""
+    """Return the steps s (count,) along a spiral, and each step's share of the spiral's length, between 0 and 1."""
     if count < 1:
         raise ValueError(f"there must be at least one point on a spiral, not {count}")
     s = np.arange(count, dtype=np.float64) + 0.5

@@ -1,4 +1,4 @@
-"""The grid keeps every contract of its slot, covers what hopf covers, and takes any number of rotations."""
+"""The grid keeps every contract of its slot, covers the same poses as hopf, and takes any number of rotations."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FACES = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 
 
 
 def brick(symmetry: str = "none", shift_m: tuple[float, float, float] = (0, 0, 0), size_m=(0.06, 0.04, 0.03)):
-    """A box as an object: whatever its sides, `z4` and `zinf` are taken at their word."""
+    """Return a box as an object. The symmetry is not checked against the box's sides."""
     mesh = TriangleMesh(CORNERS * size_m + shift_m, FACES)
     return ObjectModel("brick", mesh, SymmetryGroup.parse(symmetry, shift_m))
 
@@ -79,7 +79,7 @@ def test_symmetry_leaves_its_share_of_the_rotations_and_covers_the_rest(symmetry
 
 @pytest.mark.parametrize(("symmetry", "share", "most"), [("zinf", 1.0, 1.3), ("zinf*x2", 0.5, 1.8)])
 def test_a_turned_part_has_one_rotation_for_each_direction_of_its_axis(symmetry, share, most):
-    """`most` is in radii of a cap of one direction's share; where half a sphere meets its other half, spirals clash."""
+    """The largest gap between directions is below `most` radii of a cap with one direction's share of the sphere."""
     R = spread_rotations(brick(symmetry), 400)
     assert len(R) == pytest.approx(400 * share, rel=0.05)
     axes = R[:, :, 2] if share == 1 else np.concatenate([R[:, :, 2], -R[:, :, 2]])
@@ -114,7 +114,7 @@ def test_grid_does_not_depend_on_where_the_origin_is():
 
 
 def test_random_draws_what_hopf_draws():
-    """Ten numbers of a pose are distributed as hopf's: no quantile is off by more than chance."""
+    """The numbers of a pose have the same distributions as those of hopf's poses, up to chance."""
     from scipy.stats import ks_2samp
 
     hopf = registry().create("grid", "hopf")

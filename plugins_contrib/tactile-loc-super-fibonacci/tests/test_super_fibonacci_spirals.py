@@ -1,4 +1,4 @@
-"""Rotations and directions follow the formulas, are proper and distinct, and cover everything evenly."""
+"""Rotations and directions follow the formulas, are valid and distinct, and are evenly spread."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_first_point_is_that_of_the_formula():
 
 @pytest.mark.parametrize("count", [10, 100, 1000, 10_000])
 def test_no_quaternion_is_near_another_or_its_antipode(count):
-    """A rotation is q and -q: the closest two are as far apart as half the side of a cube of their share of SO(3)."""
+    """The closest rotations are at least half as far apart as the side of a cube with one rotation's share of SO(3)."""
     q = super_fibonacci_quaternions(count)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1)
     R = super_fibonacci_rotations(count)
@@ -50,7 +50,7 @@ def test_covering_radius_is_near_the_least_possible(count):
 
 
 def test_covering_radius_of_known_sets():
-    """The identity has a covering radius of 180 degrees, a cube's 24 rotations one of 62.8 degrees (Karney 2007)."""
+    """The covering radius is 180 degrees for the identity, and 62.8 degrees for a cube's 24 rotations (Karney 2007)."""
     assert spread_of(np.stack([np.eye(3), np.eye(3)]), asked=100_000).covering_rad == pytest.approx(np.pi, abs=0.05)
     cube = SymmetryGroup.parse("z4*x4", np.zeros(3)).rotations
     assert len(cube) == 24

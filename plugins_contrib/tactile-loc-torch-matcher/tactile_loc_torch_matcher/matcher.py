@@ -9,17 +9,17 @@ import torch
 from pydantic import Field
 from tactile_loc.plugin import ComponentOptions, ConfigError, Float32, Matcher
 
-NEUTRAL = {"neutral": True}  # scores are the same, to rounding
+NEUTRAL = {"neutral": True}  # marks options that change scores only by rounding
 
 
 class TorchMatcher(Matcher):
     """Scores all rows exactly, with or without weights.
 
-    Rows and queries are taken relative to the bank's mean, which keeps sums small and changes no distance.
+    The bank's mean is subtracted from rows and queries. This keeps sums small, and does not change distances.
     """
 
     class Options(ComponentOptions):
-        """The device, and the size of a chunk."""
+        """The device, and the number of rows in a chunk."""
 
         device: Literal["auto", "cpu", "cuda"] = Field(
             default="auto", description="device; auto: CUDA if there is any", json_schema_extra=NEUTRAL
@@ -29,7 +29,7 @@ class TorchMatcher(Matcher):
         )
 
     def __init__(self, options: Any = None) -> None:
-        """Choose the device. Raises ConfigError when CUDA is requested but absent."""
+        """Choose the device. Raises ConfigError if CUDA is requested but not available."""
         super().__init__(options)
         wanted, there = self.options.device, torch.cuda.is_available()
         if wanted == "cuda" and not there:
@@ -40,7 +40,7 @@ class TorchMatcher(Matcher):
         self.device = torch.device("cuda" if there and wanted != "cpu" else "cpu")
 
     def index(self, bank: Float32) -> None:
-        """Copy the bank (N, D), unitless, to the device. It replaces an earlier one."""
+        """Copy the bank (N, D), unitless, to the device. It replaces an earlier bank."""
         rows = self._on_device(bank)
         self._mean = rows.mean(dim=0)
         self._chunks = (rows - self._mean).split(self.options.rows)
@@ -49,7 +49,7 @@ class TorchMatcher(Matcher):
 
     @torch.inference_mode()
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None means ones."""
+        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries q and weights w, both (M, D). None means ones."""
         q = self._on_device(queries) - self._mean
         if weights is None:
             of_queries = 0.5 * q.square().sum(dim=1, keepdim=True)

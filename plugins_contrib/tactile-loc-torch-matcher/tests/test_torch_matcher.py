@@ -1,4 +1,4 @@
-"""The matcher keeps every contract of its slot, in chunks of any size, and locates as dense does."""
+"""The matcher keeps every contract of its slot with chunks of any size, and finds the same poses as dense."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VARIANTS = [TorchMatcher(), with_options(rows=7), with_options(device="cpu", row
 
 @pytest.fixture(scope="module")
 def problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Queries, their weights, and a bank."""
+    """Return queries, their weights, and a bank."""
     rng = np.random.default_rng(0)
     return tuple(rng.uniform(size=(rows, 32)).astype(np.float32) for rows in (5, 5, 300))
 

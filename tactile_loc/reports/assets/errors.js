@@ -11,7 +11,7 @@ const errors = (() => {
     return page.axis(c, { type: "log", title: { text: title }, tickvals, ticktext: tickvals.map(String), ...more });
   }
 
-  // The same for values that are decimal logarithms, as a violin needs for its density.
+  // The same axis for decimal logarithms of errors. A violin needs them, because it computes a density.
   function decadeAxis(c, title, range) {
     const marks = { tickvals: TICKS.map(Math.log10), ticktext: TICKS.map(String), zeroline: false };
     return page.axis(c, { title: { text: title }, range, ...marks });

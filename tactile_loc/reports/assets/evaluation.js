@@ -13,7 +13,7 @@
     return run.errors_mm[line][metric].map((e) => Math.max(e, least) / by);
   }
 
-  // A trace for each line, over all objects or for one.
+  // Return a trace for each line, over all objects or for one object.
   function groups(metric) {
     const one = value("object"), runs = one === "" ? data.runs : [data.runs[Number(one)]];
     return data.lines.map((line, k) => ({

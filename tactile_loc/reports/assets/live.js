@@ -14,7 +14,7 @@
     return { data: traces, layout: space("scene", data.bounds, now.camera) };
   });
 
-  // The outline predicted by the pose is drawn beside the observed one.
+  // Two outlines are drawn: the observed outline, and the outline that the pose predicts.
   function madeIn(figure) {
     const seen = figure.querySelector(".outline"), made = seen.cloneNode();
     made.classList.add("made");

@@ -8,7 +8,7 @@ const page = (() => {
   ];
   const SERIES = ["#2b6cb0", "#dd6b20", "#2f9e62", "#8a63d2", "#c2417e", "#64748b", "#0f9aa8", "#a97d13"];
 
-  // Escape text for plotly, which reads some HTML in it; names come from users.
+  // Escape text for plotly, because plotly interprets some HTML, and users choose the names.
   const plain = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
   function numbers(base64, Type) {
@@ -47,7 +47,7 @@ const page = (() => {
     return merged(base, more);
   }
 
-  // The buttons are listed, so that none is shown that would send the data anywhere.
+  // Only these buttons are shown. No button may send the data anywhere.
   const BUTTONS = {
     flat: [["toImage"], ["zoom2d", "pan2d", "resetScale2d"]],
     space: [["toImage"], ["zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]],

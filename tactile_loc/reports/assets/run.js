@@ -107,7 +107,7 @@
     return { data: [bars], layout: { margin: { r: 70 }, xaxis, yaxis: axis(c, { autorange: "reversed" }) } };
   });
 
-  // ---- choosing one
+  // ---- choosing a candidate
   const picks = [...document.querySelectorAll("tr.pick, .card")];
 
   function mark() {

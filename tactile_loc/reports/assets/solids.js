@@ -6,7 +6,7 @@ const solids = (() => {
   const FINE = { facenormalsepsilon: 0, vertexnormalsepsilon: 0 }; // so that small faces have normals
   const SOLID = { ...FINE, ambient: 0.5, diffuse: 0.65, specular: 0.08, roughness: 0.7 };
   const PAINTED = { ...FINE, ambient: 0.7, diffuse: 0.4, specular: 0.02, roughness: 0.9 };
-  // Plotly places lamps in clip space. This one is behind the viewer, to the right and above.
+  // Plotly places lamps in clip space. This lamp is behind the viewer, to the right and above.
   const LAMP = { x: -0.8, y: -1.5, z: 1.001 };
 
   function surface(mesh) {
@@ -27,7 +27,7 @@ const solids = (() => {
   const lines = (at, color, width) => ({ ...UNSEEN, mode: "lines", ...at, line: { color, width } });
   const words = (at, color, size) => ({ ...UNSEEN, mode: "text", ...at, textfont: { color, size } });
 
-  // A scene without plotly's box of axes, since the sensor has its own scale. All axes have equal scales.
+  // A scene without plotly's box of axes, because the sensor has its own scale. All axes have equal scales.
   function space(name, bounds, camera) {
     const [x, y, z] = bounds.map((range) => ({ range, visible: false, autorange: false }));
     const lengths = bounds.map(([low, high]) => high - low), unit = Math.cbrt(lengths[0] * lengths[1] * lengths[2]);
@@ -36,7 +36,7 @@ const solids = (() => {
     return { showlegend: false, margin: { l: 0, r: 0, t: 0, b: 0 }, scene };
   }
 
-  // The camera is made for a square; in a narrower element it moves further away.
+  // The camera is computed for a square. In a narrower element, the camera moves further away.
   function fitted(name, { eye, center, up }) {
     const place = document.getElementById(name), away = Math.max(1, place.clientHeight / place.clientWidth);
     const further = (k) => center[k] + away * (eye[k] - center[k]);

@@ -31,8 +31,8 @@
   });
 
   // ---- the effect of each component
-  // Groups of rows that are equal in all other factors: logarithms of errors by the values of this factor. Options of
-  // the factor's component count as part of it.
+  // Rows that are equal in all other factors form a group. A group has logarithms of errors, by this factor's values.
+  // Options of the factor's component count as part of the factor.
   function alike(factor) {
     const others = data.factors.filter((f) => f !== factor && !f.startsWith(`${factor}.`)), groups = new Map();
     for (const row of shown) {
