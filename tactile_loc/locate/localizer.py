@@ -288,7 +288,7 @@ def localize_together(
                 raise
             if not query.first.config.drop_outliers:
                 name = query.touches[outliers[0]].name
-                raise GridError(f"{error}; without {name} the others agree: pass --drop-outliers") from error
+                raise GridError(f"{error}. Without {name}, the other touches agree: give --drop-outliers") from error
         if not outliers or not query.first.config.drop_outliers:
             left_out = tuple(touch for _, touch in observations if all(touch is not one for one in query.touches))
             return replace(found, left_out=left_out)
