@@ -39,7 +39,8 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror or error}); check its permissions") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path} is not a text file; give a TOML file") from error
+        byte = error.object[error.start]
+        raise ConfigError(f"{path} is not text in UTF-8 (byte 0x{byte:02x}); give a TOML file") from error
     except NOT_TOML as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 

@@ -49,7 +49,7 @@ Geometry = Annotated[
 EstimatorName = Annotated[
     Estimator,
     typer.Option(
-        "--estimator", help="What is learnt: the slope from the colour of a pixel, or a network for whole images."
+        "--estimator", help="photometric: slope from the colour of each pixel. cnn: a network for the whole image."
     ),
 ]
 Untouched = Annotated[

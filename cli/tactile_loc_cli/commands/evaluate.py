@@ -241,7 +241,7 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     written += [plan.out / _name_gallery(run.object, run.encoder) for run in runs]
     for title, table in (
         ("median ADD, mm", tabulate_medians(runs)),
-        ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
+        ("median ADD divided by the mean ADD of random poses", tabulate_medians(runs, normalised=True)),
         (
             "share of ambiguous touches; median ADD of all touches and of the unambiguous ones, mm",
             tabulate_ambiguity(runs),
@@ -318,7 +318,7 @@ def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
     written.append(save_figure(plan.out / "contacts.png", draw_fusion(runs, heading)))
     for title, (header, *rows) in (
         ("median ADD by number of contacts, mm", tabulate_medians(runs)),
-        ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
+        ("median ADD divided by the mean ADD of random poses", tabulate_medians(runs, normalised=True)),
     ):
         say(title)
         say_table([[head.split()[0] for head in header], *rows], left=3)

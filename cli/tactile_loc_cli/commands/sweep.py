@@ -165,10 +165,10 @@ def _check_given(given: dict[str, Any], values: dict[str, Any]) -> None:
     from tactile_loc.io.config import COMMAND_LINE
     from tactile_loc.sweeps.plan import Plan, read_options
 
-    options_ = read_options(values.get("option", []), COMMAND_LINE)
-    slots = [slot for slot in SLOTS if slot in given]
-    own = {key: values[key] for key in given if key != "option"}
-    Plan.from_values({**own, "option": {slot: options_[slot] for slot in slots if slot in options_}}, COMMAND_LINE)
+    written, merged = (read_options(one.get("option", []), COMMAND_LINE) for one in (given, values))
+    slots = [slot for slot in SLOTS if slot in given or slot in written]
+    own = {key: values[key] for key in (*given, *slots) if key != "option" and key in values}
+    Plan.from_values({**own, "option": {slot: merged[slot] for slot in slots if slot in merged}}, COMMAND_LINE)
 
 
 def _choose_workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
@@ -199,8 +199,8 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     ]  # fmt: skip
     header = ["object", *SLOTS, "noise", "seed", "state"]
     say_table([header, *rows], left=len(header))
-    say(f"\n{format_count(len(combinations), 'combination')}, {len(missing)} to do, of {plan.count} touches each")
-    say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items()) or 'none'}")
+    say(f"\n{format_count(len(combinations), 'combination')} with {plan.count} touches each, {len(missing)} to do")
+    say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items() if count) or 'none'}")
     say("an encoder that depends on the press depth needs a bank for each depth; one bank is counted")
     keys = [dict(zip(header, row, strict=True)) for row in rows]
     return {"combinations": keys, "count": plan.count, "missing": len(missing), "stages_to_build": stages}
@@ -232,7 +232,7 @@ def _say_medians(found: Sweep, line: str) -> None:
             [str(label), *(FAILED if value != value else f"{value:.3g}" for value in row)]
             for label, row in zip(errors_mm.index, errors_mm.to_numpy(), strict=True)
         ]
-        say(f"median error {line} in mm, noise {noise}")
+        say(f"median error in mm (line {line}, noise {noise})")
         say_table([["components", *errors_mm.columns], *rows[:MOST_SHOWN]], left=1)
         if len(rows) > MOST_SHOWN:
             say(f"{len(rows) - MOST_SHOWN} more rows are in sweep.md")

@@ -68,7 +68,7 @@ def require_symmetry(
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
         raise SymmetryError(
             f"the object does not have the symmetry '{group}': {_name_rotation(R)} changes its surface by "
-            f"{1e3 * deviation_m:.2g} mm at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm. Correct the "
+            f"{1e3 * deviation_m:.2g} mm at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the "
             "symmetry, or give none"
         )
 

@@ -211,7 +211,7 @@ def validate_options(
             near = did_you_mean(str(problem["loc"][-1]), fields)
             raise ConfigError(f"{owner} has no option {key!r}.{near} Known: {allowed}") from error
         if problem["type"] == "missing":
-            raise ConfigError(f"{owner} needs a value of {key!r}; give one") from error
+            raise ConfigError(f"{owner} needs the option {key!r}; set it") from error
         subject = f"{key} of {owner}" if name_option is None else name_option(key)
         raise ConfigError(f"{subject} cannot be {quote(problem['input'])}; {explain_allowed(problem)}") from error
 
