@@ -108,7 +108,7 @@ class Localizer:
         `noise` is none, mild or strong. Raises ConfigError for another noise, or for a count or seed below 0.
         """
         if min(count, seed) < 0:
-            raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers from 0 on")
+            raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers, 0 or more")
         rng = np.random.default_rng(seed)
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise))
 

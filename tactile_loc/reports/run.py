@@ -114,7 +114,9 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     if (found := record.pose_set) is not None:
         size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
         size += ", or a pose that was not found" if found.elsewhere else ""
-        holds = f"it holds the grid pose nearest to the truth with this probability, measured on {found.examples} examples"
+        holds = (
+            f"it holds the grid pose nearest to the truth with this probability, measured on {found.examples} examples"
+        )
         yield f"{100 * found.coverage:.1f} % set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains

@@ -282,7 +282,7 @@ def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> l
     """Return why each approach (A,) cannot be made; "" if it can."""
     inside = seen.blocked @ modes.probabilities
     return [
-        "is out of reach: its cost is infinite" if np.isinf(price)
+        "has an infinite cost" if np.isinf(price)
         else f"would start inside or behind the object, with {100 * share:.0f} % probability" if share > IN_THE_WAY
         else ""
         for price, share in zip(costs, inside, strict=True)

@@ -75,7 +75,10 @@ def prune(
         list[str] | None, typer.Option("--stage", metavar="NAME", help="Remove entries of this stage; may be repeated.")
     ] = None,
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="Remove the remains of interrupted builds; these builds then start from the beginning.")
+        bool,
+        typer.Option(
+            "--incomplete", help="Remove the remains of interrupted builds; these builds then start from the beginning."
+        ),
     ] = False,
     keep_newest: Annotated[
         int | None, typer.Option("--keep-newest", min=1, metavar="N", help="Keep the newest N entries of each stage.")

@@ -40,7 +40,7 @@ def read_document(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ResultError(f"{path} is damaged: it is not JSON ({error}); make the result again") from error
     if not isinstance(found, dict):
-        raise ResultError(f"{path} is not a result: its JSON is not an object; give the .json file of a result")
+        raise ResultError(f"{path} is not a result, but a {type(found).__name__}; give the .json file of a result")
     return found
 
 
