@@ -106,7 +106,7 @@ def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
     """Write the best approaches, those out of reach, and the poses that no approach distinguishes."""
     say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
-    header = ["rank", "approach", "information nats", "entropy left nats", "meets %", "travel mm", "cost"]
+    header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
     for one in record.out_of_reach:
         say(f"out of reach: {one.name} {one.reason}")
