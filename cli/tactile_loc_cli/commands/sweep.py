@@ -200,7 +200,7 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     header = ["object", *SLOTS, "noise", "seed", "state"]
     say_table([header, *rows], left=len(header))
     say(f"\n{format_count(len(combinations), 'combination')} with {plan.count} touches each, {len(missing)} to do")
-    say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items() if count) or 'none'}")
+    say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
     say("an encoder that depends on the press depth needs a bank for each depth; one bank is counted")
     keys = [dict(zip(header, row, strict=True)) for row in rows]
     return {"combinations": keys, "count": plan.count, "missing": len(missing), "stages_to_build": stages}
