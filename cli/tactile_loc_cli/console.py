@@ -39,8 +39,10 @@ def say_written(paths: Iterable[Path]) -> list[str]:
 
 
 def format_count(number: int, noun: str) -> str:
-    """Return a number with its noun: 1 touch, 2 touches, 3 entries."""
-    plural = f"{noun}es" if noun.endswith("ch") else f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    """Write a number with its noun: 1 touch, 2 touches, 3 entries."""
+    endings = {"ch": "ches", "y": "ies", "sis": "ses"}
+    short = next((end for end in endings if noun.endswith(end)), "")
+    plural = noun.removesuffix(short) + endings.get(short, "s")
     return f"{number} {noun if number == 1 else plural}"
 
 

@@ -58,11 +58,11 @@ def _use_table(folder: Path, ball_radius_mm: float) -> None:
     other = next((mm for mm in radii_mm if not math.isclose(mm, ball_radius_mm, rel_tol=SAME_SCALE)), None)
     if other is not None:
         raise ConfigError(
-            f"--ball-radius is {ball_radius_mm:g}, but {folder / TABLE} has a ball of {other:g} mm; correct one, or "
+            f"--ball-radius is {ball_radius_mm:g} mm, but {folder / TABLE} has a ball of {other:g} mm; correct one, or "
             "remove the table to detect the balls again"
         )
     new = len(list_pictures(folder) - names)
-    more = f"; {new} images are not in it: remove the table to detect the balls again" if new else ""
+    more = f"; {new} images are not in this table: remove it to detect the balls again" if new else ""
     say(f"using the labels in {folder / TABLE}{more}")
 
 
@@ -79,11 +79,11 @@ def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> fl
         if mm_per_px is not None:
             return mm_per_px
         raise CalibrationError(
-            "the pixel size is not known; press something of known length flat on the gel and give its mm divided by "
-            f"its pixels as --mm-per-px, or describe the sensor in {file}"
+            f"the size of a pixel is unknown; give --mm-per-px or the sensor file {file}. To measure it, divide the "
+            "length of an object on the gel in mm by its length in the image in pixels"
         )
     if not file.is_file():
-        raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
+        raise SensorError(f"there is no sensor file {file}; write it (docs/files.md), or give --mm-per-px")
     return _read_scale(file, mm_per_px)
 
 
@@ -94,8 +94,8 @@ def _read_scale(file: Path, mm_per_px: float | None) -> float:
     scale = 1e3 * read_sensor_file(file).pixel_pitch_m
     if mm_per_px is not None and not math.isclose(scale, mm_per_px, rel_tol=SAME_SCALE):
         raise ConfigError(
-            f"--mm-per-px is {mm_per_px:g}, but {file} says {scale:.6g}; correct one, or remove the file to have it "
-            "written again"
+            f"--mm-per-px is {mm_per_px:g}, but {file} has {scale:.6g}; correct one, or remove the file to write it "
+            "again"
         )
     return scale
 
@@ -123,7 +123,7 @@ def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, 
 def _require_lengths(ball_radius_mm: float | None, mm_per_px: float | None) -> None:
     for flag, value in (("--ball-radius", ball_radius_mm), ("--mm-per-px", mm_per_px)):
         if value is not None and not (math.isfinite(value) and value > 0):
-            raise ConfigError(f"{flag} is {value:g}; it must be a positive number of mm")
+            raise ConfigError(f"{flag} cannot be {value:g}; give a positive number (mm)")
 
 
 def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_
     title = f"{len(found.used)} of {len(found.presses)} presses are used"
     sheet = save_figure(folder / SHEET, draw_labels(found, title))
     _report(found)
-    say(f"press depths by the circles: {least_mm:.2f} to {most_mm:.2f} mm; check that this is plausible")
+    say(f"press depths, estimated from the circles: {least_mm:.2f} to {most_mm:.2f} mm; check that they are plausible")
     say(f"written: {table} (look at {sheet}; if a circle is wrong, edit its row and run the command again)")
     dropped = {press.name: press.dropped for press in found.presses if press.dropped}
     return {"labels": {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}}
@@ -146,7 +146,11 @@ def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_
 
 def _report(found: FoundPresses) -> None:
     untouched = len(found.untouched_names)
-    gel = f"{untouched} of the untouched gel" if untouched else "none of the untouched gel; it was composed from others"
+    gel = (
+        f"{untouched} of the untouched gel"
+        if untouched
+        else "none of the untouched gel, so its image was composed from others"
+    )
     say(f"images: {len(found.used)} with a ball, {gel}")
     for press in found.presses:
         if press.dropped:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, did_you_mean
+from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, advise_choice, quote
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
@@ -71,7 +71,8 @@ class RunOptions:
         float | None,
         declare(
             "--press-depth", "MM",
-            "Press depth in mm. Default: from the touch file, or estimated; for simulated touches the maximal depth.",
+            "Press depth in mm. Default: that in the touch file, or an estimate; simulated touches have the maximal "
+            "depth.",
         ),
     ] = None  # fmt: skip
     noise: Annotated[Noise | None, declare("--noise", None, "Noise of simulated touches. Default: none.")] = None
@@ -79,7 +80,7 @@ class RunOptions:
         str | None,
         declare(
             "--sensor", "NAME|FILE.toml|FOLDER",
-            "Sensor, its description file, or its calibration folder (write ./NAME if a sensor has the same name). "
+            "Sensor, its description file, or its calibration folder (write ./FOLDER if a sensor has the same name). "
             "Default: gelslim.",
         ),
     ] = None  # fmt: skip
@@ -88,14 +89,20 @@ class RunOptions:
     ] = None
     grid: Annotated[str | None, declare("--grid", "NAME", "Poses to search. Default: whole.")] = None
     renderer: Annotated[
-        str | None, declare("--renderer", "NAME", "Renderer of contact shapes. Default: heightmap.")
+        str | None, declare("--renderer", "NAME", "Renderer, which computes contact shapes. Default: heightmap.")
     ] = None
     encoder: Annotated[
-        str | None, declare("--encoder", "NAME", "Encoder of contact shapes as vectors. Default: pixel.")
+        str | None, declare("--encoder", "NAME", "Encoder, which converts contact shapes to vectors. Default: pixel.")
     ] = None
-    matcher: Annotated[str | None, declare("--matcher", "NAME", "Comparison of vectors. Default: dense.")] = None
-    refiner: Annotated[str | None, declare("--refiner", "NAME", "Refiner of the best poses. Default: joint.")] = None
-    fuser: Annotated[str | None, declare("--fuser", "NAME", "Fuser of touches and prior. Default: product.")] = None
+    matcher: Annotated[
+        str | None, declare("--matcher", "NAME", "Matcher, which compares the vectors. Default: dense.")
+    ] = None
+    refiner: Annotated[
+        str | None, declare("--refiner", "NAME", "Refiner, which improves the best poses. Default: joint.")
+    ] = None
+    fuser: Annotated[
+        str | None, declare("--fuser", "NAME", "Fuser, which combines touches and prior. Default: product.")
+    ] = None
     option: Annotated[
         list[str] | None,
         set_option(
@@ -109,13 +116,15 @@ class RunOptions:
         declare("--config", "FILE.toml", "Read settings from a TOML file. Options on the command line override it."),
     ] = None
     drop_outliers: Annotated[
-        bool, declare("--drop-outliers", None, "With a list of touches: leave out those that contradict all others.")
+        bool, declare("--drop-outliers", None, "With a list of touches: leave out a touch that contradicts all others.")
     ] = False
     top: Annotated[int | None, declare("--top", "N", "Number of poses to list. Default: 10.")] = None
     coverage: Annotated[
         float | None,
         declare(
-            "--coverage", "P", "List all modes of a set that holds the true pose with probability P, such as 0.95."
+            "--coverage",
+            "P",
+            "List the poses of a set that holds the true pose with probability P, such as 0.95; replaces --top.",
         ),
     ] = None
     seed: Annotated[int | None, declare("--seed", "N", "Seed of everything random. Default: 0.")] = None
@@ -159,20 +168,25 @@ def make_config(given: RunOptions) -> RunConfig:
                   "noise": given.noise},
     }  # fmt: skip
     for name, table in tables.items():
-        settings[name] = {**_require_table(settings.get(name, {}), name), **_drop_none(table)}
+        settings[name] = {**_require_table(settings.get(name, {}), name, given.config), **_drop_none(table)}
     zero = [] if given.zero is None else [f"sensor.zero={json.dumps(str(given.zero))}"]
     plain, words = parse_settings([*(given.option or []), *zero])
     overrides = parse_overrides(words, (*SLOTS, *TUNABLE))
     for name in TUNABLE:
-        settings[name] = {**_require_table(settings.get(name, {}), name), **overrides.get(name, {})}
+        settings[name] = {**_require_table(settings.get(name, {}), name, given.config), **overrides.get(name, {})}
     grid = WHOLE.name
     for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # the other defaults depend on the grid
-        settings[slot] = _merge_component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}), grid)
+        in_file = settings.get(slot)
+        if not isinstance(in_file, str):
+            in_file = _require_table(in_file or {}, slot, given.config)
+        settings[slot] = _merge_component(slot, in_file, getattr(given, slot), overrides.get(slot, {}), grid)
         grid = settings["grid"]["name"]
     if given.zero is not None:
         _require_zero(settings["sensor"]["name"])
     chosen = _drop_none({"top": given.top, "coverage": given.coverage, "seed": given.seed})
-    RunConfig.from_dict(chosen, COMMAND_LINE)  # raises errors that name the flag, not the file
+    own = {**{name: _drop_none(table) for name, table in tables.items()}, **plain, **chosen}
+    own |= {name: overrides[name] for name in TUNABLE if name in overrides}
+    RunConfig.from_dict(own, COMMAND_LINE)  # raises errors that name the flag, not the file
     settings |= plain | chosen | _drop_none({"drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, COMMAND_LINE if given.config is None else str(given.config))
 
@@ -189,21 +203,23 @@ def _drop_none(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _require_table(value: Any, section: str) -> dict[str, Any]:
+def _require_table(value: Any, section: str, source: Path | None) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigError(f"{section} of the configuration is {value!r}; write a table [{section}]")
+        raise ConfigError(f"{source}: {section} cannot be {quote(value)}; give a table [{section}]")
     return value
 
 
-def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any], grid: str) -> Any:
-    """Return the name and options of a slot's component.
+def _merge_component(
+    slot: str, in_file: str | dict[str, Any], flag: str | None, overrides: dict[str, Any], grid: str
+) -> dict[str, Any]:
+    """Return the name and options of one slot.
 
     They come from the file, unless the flag names another component. `overrides` replaces single options. If neither
     the file nor the flag names a component, the default component for this `grid` is used.
     """
     from tactile_loc.io.config import choose_component, find_sensor_kind
 
-    given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else {**_require_table(in_file or {}, slot)}
+    given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else {**in_file}
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
     if "name" not in given and flag is None:
         default = choose_component(slot, grid)
@@ -254,9 +270,7 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
 def require_slot(slot: str) -> None:
     """Raise UnknownPluginError if there is no slot of this name."""
     if slot not in SLOTS:
-        raise UnknownPluginError(
-            f"there is no slot {slot!r}.{did_you_mean(slot, SLOTS)} The slots are {', '.join(SLOTS)}"
-        )
+        raise UnknownPluginError(f"there is no slot {slot!r}; {advise_choice(slot, SLOTS)}")
 
 
 def require_mcap(flag: str, path: Path) -> None:

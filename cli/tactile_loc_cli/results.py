@@ -48,9 +48,9 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     )
     if (found := record.pose_set) is not None:
         yield (
-            f"{100 * found.coverage:.1f} % set: {found.grid_poses} of these poses, {len(record.hypotheses)} "
-            f"hypotheses. In {found.examples} simulated examples, such a set holds the pose nearest to "
-            "the truth this often"
+            f"{100 * found.coverage:.1f} % set: {found.grid_poses} of these poses, listed as "
+            f"{format_count(len(record.hypotheses), 'hypothesis')}. It holds the grid pose nearest to the truth with "
+            f"this probability, measured on {found.examples} simulated examples"
         )
     grid = record.configuration["grid"]
     if grid["name"] == "whole":
@@ -60,8 +60,8 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
         )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
-            f"searched: {_describe_side(record)}, on which it rests lowest. For another side, add -o grid.face=+z; "
-            "for the whole object, --grid whole"
+            f"searched: {_describe_side(record)}, on which its centroid lies lowest. For another side, add "
+            "-o grid.face=+z; for the whole object, add --grid whole"
         )
     if (errors := record.errors) is not None:
         yield (
@@ -92,7 +92,7 @@ def say_mount(record: MountRecord) -> None:
     say_table([list(POSE), format_pose(T)], left=0, gap=2)
     along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
     say(f"standard deviation: {along} mm along, {about} degrees about the flange's x, y, z")
-    say_table([["touch", "residual mm", "deg", IMPRINT], *map(_list_mount_cells, record.touch)], left=1, gap=2)
+    say_table([["touch", "residual mm", "residual deg", IMPRINT], *map(_list_mount_cells, record.touch)], left=1, gap=2)
     for one in record.touch:
         if one.left_out:
             say(f"{one.name} was left out: {one.left_out}")
@@ -106,14 +106,14 @@ def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
     """Write the best approaches, the approaches out of reach, and the poses that no approach distinguishes."""
     say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
-    header = ["rank", "approach", "information nats", "entropy left nats", "meets %", "travel mm", "cost"]
+    header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
     for one in record.out_of_reach:
         say(f"out of reach: {one.name} {one.reason}")
     if record.unlisted > 0.01:
         say(
             f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
-            "run --top lists more"
+            "run --top N lists more"
         )
     if record.symmetry != "none":
         say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
@@ -139,7 +139,7 @@ def say_identification(record: IdentificationRecord) -> None:
     located = [one for one in record.objects if one.poses]
     say_table([header, *map(_list_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
     if others := len(record.objects) - len(located):
-        say(f"not located, because others explain the touches better or no pose does: {others} more")
+        say(f"not located, because others explain the touches better or no pose explains them: {others} more")
     say(f"identified: {record.identified or 'none of these objects'} ({format_count(len(record.touches), 'touch')})")
 
 

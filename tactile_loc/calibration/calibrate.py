@@ -91,7 +91,7 @@ def calibrate(
     Raises CalibrationError when there are fewer than FEWEST presses.
     """
     if len(presses) < FEWEST:
-        raise CalibrationError(f"there are {len(presses)} presses; a calibration needs at least {FEWEST}, better 30")
+        raise CalibrationError(f"there are only {len(presses)} presses; give at least {FEWEST}, better 30")
     kind = load_estimator(estimator)
     made = kind(geometry, background, validate_estimator_options(kind, options or {}))
     learned, held_out = split(len(presses), seed)

@@ -105,7 +105,7 @@ class Samples:
                 images[number], shares[number] = image, label.indentation_m / np.float32(deepest_m)
                 advance(1)
         if not shares[:, geometry.observed_mask].any():
-            raise CalibrationError("no press shows contact; a calibration needs presses of known shape")
+            raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
         return cls(images, shares, problem.background, fixed, geometry.observed_mask, deepest_m)
 
     def draw_crops(

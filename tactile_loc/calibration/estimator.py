@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from tactile_loc.calibration.labels import Float32, Image, LabelledPresses
-from tactile_loc.core.errors import CalibrationError, MissingLibraryError, WeightsError, did_you_mean
+from tactile_loc.core.errors import CalibrationError, MissingLibraryError, WeightsError, advise_choice
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.component import ComponentOptions
@@ -102,7 +102,8 @@ class GelEstimator(ABC):
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise WeightsError(
-                f"cannot read {path} as the weights of a {self.name} estimator ({reason}); calibrate the sensor again"
+                f"{path} cannot be read as the weights of a {self.name} estimator ({reason}); calibrate the sensor "
+                "again"
             ) from error
 
 
@@ -112,22 +113,20 @@ def load_estimator(name: str) -> type[GelEstimator]:
     Raises CalibrationError when the name is unknown, and MissingLibraryError when torch is not installed.
     """
     if name not in ESTIMATORS:
-        raise CalibrationError(
-            f"there is no estimator {name!r}; choose one of {', '.join(ESTIMATORS)}.{did_you_mean(name, ESTIMATORS)}"
-        )
+        raise CalibrationError(f"there is no estimator {name!r}; {advise_choice(name, ESTIMATORS)}")
     module, _, attribute = ESTIMATORS[name].partition(":")
     try:
         found: type[GelEstimator] = getattr(importlib.import_module(module), attribute)
     except ImportError as error:
         raise MissingLibraryError(
-            f"a calibrated sensor needs {error.name}; install it with pip install 'tactile-loc[learned]'"
+            f"a calibrated sensor needs {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
         ) from error
     return found
 
 
 def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> ComponentOptions:
-    """Return the validated options of an estimator. Raises ConfigError for unknown or ill-typed options."""
-    chosen: ComponentOptions = validate_options(kind.Options, options, f"estimator {kind.name!r}")
+    """Return an estimator's options. Raises ConfigError for unknown or ill-typed options."""
+    chosen: ComponentOptions = validate_options(kind.Options, options, f"the estimator {kind.name!r}")
     return chosen
 
 

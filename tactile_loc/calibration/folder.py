@@ -123,7 +123,7 @@ class Calibration:
             return Optics.parse(self.record["simulated"]["optics"])
         except (KeyError, TypeError) as error:
             raise CalibrationError(
-                f"{self.folder} was not calibrated on simulated images, so no images can be simulated for it; use a "
+                f"{self.folder} was not calibrated on simulated images, so no images can be simulated for it; give a "
                 "folder of tactile-loc calibrate --simulated"
             ) from error
 
@@ -155,7 +155,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         background = read_colour_image(folder / BACKGROUND)
     except (OSError, ValueError, SensorError, TouchError) as error:
         raise CalibrationError(
-            f"cannot read {folder} as a calibrated sensor ({error}); calibrate the sensor again"
+            f"{folder} cannot be read as a calibrated sensor ({error}); calibrate the sensor again"
         ) from error
     if not isinstance(record, dict) or record.get("schema_version") != SCHEMA_VERSION:
         raise CalibrationError(
@@ -167,7 +167,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     except ValidationError as error:
         wrong = error.errors()[0]["loc"][0]
         raise CalibrationError(
-            f"{folder / CALIBRATION} is damaged: {wrong} is missing or ill-typed; calibrate the sensor again"
+            f"{folder / CALIBRATION} is damaged: {wrong} is missing or has a wrong type; calibrate the sensor again"
         ) from error
     if background is None or background.shape[:2] != geometry.shape:
         raise CalibrationError(
@@ -182,7 +182,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
 def require_replaceable(folder: Path) -> None:
     """Check that a calibrated sensor may be written to `folder`. Raises OutputError if the folder holds other files."""
     if folder.exists() and not (folder.is_dir() and all(p.name in OURS or is_unfinished(p) for p in folder.iterdir())):
-        raise OutputError(f"{folder} holds files other than a calibrated sensor's; choose another --out")
+        raise OutputError(f"{folder} contains files that do not belong to a calibration; choose another --out")
 
 
 def write_calibration(

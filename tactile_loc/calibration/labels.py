@@ -59,7 +59,8 @@ def label_ball(
     height, width = geometry.shape
     if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
         raise CalibrationError(
-            f"the circle's centre ({centre_px[0]:g}, {centre_px[1]:g}) px is outside the image of {width} x {height} px"
+            f"the circle's centre ({centre_px[0]:g}, {centre_px[1]:g}) px is outside the image of {width} x {height} "
+            "px; correct the centre"
         )
     r, R = radius_px * geometry.pixel_pitch_m, ball_radius_m
     if not (r > 0 and 0 < R <= LARGEST_BALL_M):
@@ -69,8 +70,8 @@ def label_ball(
         )
     if not r <= STEEPEST * R:
         raise CalibrationError(
-            f"the circle's radius is {radius_px:g} px or {1e3 * r:.3g} mm, more than {STEEPEST:g} of the ball's "
-            f"{1e3 * R:.3g} mm; check the radius, the ball, and the sensor's scale"
+            f"the circle's radius is {radius_px:g} px or {1e3 * r:.3g} mm, more than {100 * STEEPEST:g} % of the "
+            f"ball's {1e3 * R:.3g} mm; check both radii and the pixel size"
         )
     sx, sy = geometry.scale_at_surface
     x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]

@@ -137,5 +137,5 @@ class PhotometricEstimator(GelEstimator):
             features.append(self._stack_features(image).reshape(-1, FEATURES)[chosen])
             slopes.append(label.slope.reshape(-1, 2)[chosen])
         if not touched:
-            raise CalibrationError("no press shows contact; a calibration needs presses of known shape")
+            raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
         return torch.from_numpy(np.concatenate(features)), torch.from_numpy(np.concatenate(slopes))

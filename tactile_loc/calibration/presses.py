@@ -214,10 +214,10 @@ def _read_table(table: Path) -> list[Row]:
             lines = [(reader.line_num, line) for line in reader]
     except FileNotFoundError as error:
         raise CalibrationError(
-            f"there is no {table}; a calibration needs a folder with images and this table"
+            f"there is no table {table}; give a folder with images of presses and this table"
         ) from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CalibrationError(f"cannot read {table} as a table ({error})") from error
+        raise CalibrationError(f"{table} cannot be read as a table ({error}); write it anew") from error
     if missing:
         raise CalibrationError(
             f"{table} has no column {' and no column '.join(sorted(missing))}; name the columns in its first line"
@@ -277,9 +277,12 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
         found = FORMATS[format](source, out)
         rows = [(image, None if c is None else (c[0] + HALF, c[1] + HALF, c[2])) for image, c in found]
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
-        raise CalibrationError(f"cannot read {source} as a set in the format {format} ({error})") from error
+        reason = getattr(error, "strerror", None) or error
+        raise CalibrationError(
+            f"{source} cannot be read as a set in the format {format} ({reason}); check FOLDER and --format"
+        ) from error
     if all(circle is None for _, circle in rows):
-        raise CalibrationError(f"{source} holds no press in the format {format}")
+        raise CalibrationError(f"{source} holds no press in the format {format}; check --format")
     return write_table(out / TABLE, rows, ball_radius_mm, mm_per_px)
 
 

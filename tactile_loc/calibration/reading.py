@@ -76,7 +76,7 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
     some = np.s_[::2, ::2]  # a quarter of the pixels has nearly the same median
     if np.median(np.abs(image[some].astype(np.int16) - background[some])) > STRANGE:
         raise TouchError(
-            "the image differs from the sensor's untouched gel everywhere: another sensor, or changed light; "
+            "the image differs from the untouched gel everywhere, so it shows another sensor or another light; "
             "calibrate this sensor"
         )
     return image

@@ -58,8 +58,8 @@ def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None 
     balls = [number for number, row in enumerate(presses.rows) if row.kind == "ball"]
     if len(balls) < FEWEST:
         raise CalibrationError(
-            f"there are {len(balls)} presses of a ball; the surface of a curved gel needs at least {FEWEST}, all over "
-            "the gel"
+            f"there are {len(balls)} presses of a ball; give at least {FEWEST}, all over the gel, to learn a curved "
+            "surface"
         )
     terms, slopes = _evaluate_terms(presses.geometry)
     pixels = _collect_pixels(presses, balls, slopes, np.random.default_rng(seed))

@@ -125,7 +125,7 @@ def find_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, 
         return read_sensor_file(Path(sensor)), chosen
     if sensor not in OPTICS:
         raise CalibrationError(
-            f"there are no simulated images of a sensor {sensor!r}; choose one of {', '.join(OPTICS)}, or give a "
+            f"no images can be simulated for the sensor {sensor!r}; choose {', '.join(OPTICS)}, or give a "
             "sensor file (.toml)"
         )
     geometry: SensorGeometry = registry().create("sensor", sensor, {}).geometry

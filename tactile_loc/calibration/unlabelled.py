@@ -96,8 +96,7 @@ def find_presses(
     """
     if len(frames) < 3:
         raise CalibrationError(
-            f"there are too few images: {len(frames)}; a calibration needs one of the untouched gel and five presses, "
-            "better 30"
+            f"there are only {len(frames)} images; give one of the untouched gel and at least five presses, better 30"
         )
     watcher = progress or Progress()
     images = [frame.image for frame in frames]
@@ -350,7 +349,7 @@ def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_pe
     """
     table = folder / TABLE
     if table.exists():
-        raise CalibrationError(f"{table} exists and is not overwritten; move it away to find the presses again")
+        raise CalibrationError(f"{table} already exists; remove it to detect the balls again")
     names = list(found.untouched_names)
     if not names:
         write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))

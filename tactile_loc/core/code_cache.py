@@ -72,7 +72,7 @@ def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Fol
             else:
                 _delete_older(root, path.stem, folder)
             return folder
-    logger.warning("cannot keep code compiled from %s; set NUMBA_CACHE_DIR to a folder that can be written to", path)
+    logger.warning("code compiled from %s cannot be saved; set NUMBA_CACHE_DIR to a folder that can be written", path)
     return None
 
 

@@ -148,4 +148,15 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
 
 
+def advise_choice(name: str, known: Iterable[str]) -> str:
+    """Return "choose a, b or c" for the known names, and "Did you mean 'b'?" if `name` is near some of them."""
+    names = list(known)
+    if not names:
+        return "there are none"
+    *others, last = names
+    listed = f"{', '.join(others)} or {last}" if others else last
+    near = did_you_mean(name, names)
+    return f"choose {listed}" + (f".{near}" if near else "")
+
+
 __getattr__ = make_getattr(__name__)

@@ -75,7 +75,7 @@ def evaluate_fusion(
     """
     numbers = tuple(sorted(set(contacts)))
     if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
-        raise ConfigError(f"contacts {list(contacts)} cannot be evaluated; give numbers from 1 to {MOST_FUSED}")
+        raise ConfigError(f"the numbers of contacts cannot be {list(contacts)}; give numbers from 1 to {MOST_FUSED}")
 
     def run(work: Workspace) -> None:
         examples = _Examples(localizer, numbers, touches)

@@ -62,7 +62,7 @@ class RobotTouches:
                 touches.append(drawn)
             elif drawn is not None:
                 refused += 1
-        raise TouchError(f"hardly any press of {self.object.name} shows a touch; press deeper")
+        raise TouchError(f"hardly any press of {self.object.name} makes contact; press deeper")
 
     def approach(
         self, T_base_sensor: Poses, press_m: float, name: str, rng: np.random.Generator, travel_m: float = np.inf
@@ -101,7 +101,7 @@ class RobotTouches:
             touches = [touch for touch in found if isinstance(touch, Touch)]
             if len(touches) == len(poses):
                 return touches
-        raise TouchError(f"hardly any grip of {self.object.name} shows a touch at both fingers; press deeper")
+        raise TouchError(f"hardly any grip of {self.object.name} makes contact at both fingers; press deeper")
 
     def draw_pose(self, rng: np.random.Generator) -> Poses | None:
         """Draw a pose (4, 4), metres, in which the object just touches the sensor; None if it misses the sensor.

@@ -120,7 +120,7 @@ class SlidingTouches:
             touch = None if T is None else self._draw_touch(T, press_m, gel)
             if T is not None and isinstance(touch, Touch):
                 return T, touch
-        raise TouchError(f"hardly any press of {self.source.object.name} shows a touch; press deeper")
+        raise TouchError(f"hardly any press of {self.source.object.name} makes contact; press deeper")
 
     def _slip(self, T: Poses, slip: Slip, rng: np.random.Generator) -> Poses | None:
         """Return the pose (4, 4) after a slip from T (4, 4) in a random direction; None without contact."""

@@ -58,7 +58,9 @@ class SimulatedTouches:
                 return _read_image(localizer, drawn, np.random.default_rng(self.seed_touch(number, 2))), refused
             except TouchError as error:
                 refused += 1
-                log.warning("%s of %s is drawn again: %s", drawn.name, localizer.object.name, error)
+                log.warning(
+                    "%s of %s is replaced by another simulated touch: %s", drawn.name, localizer.object.name, error
+                )
         raise TouchError(f"hardly any image of {localizer.object.name} shows contact; calibrate the sensor better")
 
     def require_readable(self, localizer: Localizer) -> None:

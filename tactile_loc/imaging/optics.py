@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.errors import ConfigError, advise_choice
 
 Vector = tuple[float, float, float]
 
@@ -205,8 +205,7 @@ OPTICS = {  # matched to photos of balls pressed into one sensor of each make; o
 def find_optics(name: str) -> Optics:
     """Return the optics named gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
     if name not in OPTICS:
-        hint = did_you_mean(name, OPTICS)
-        raise ConfigError(f"there are no optics {name!r}; choose one of {', '.join(OPTICS)}.{hint}")
+        raise ConfigError(f"there are no optics {name!r}; {advise_choice(name, OPTICS)}")
     return OPTICS[name]
 
 

@@ -89,7 +89,7 @@ def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
             raise ValueError("the start pose is given twice; leave out T_sensor_next, or T_base_sensor and xyz_mm")
         return motion if T_base_first is None else T_base_first @ motion
     if T is None:
-        raise ValueError(f"the start pose is missing; give T_sensor_next, or {name_pose_keys('T_base_sensor')}")
+        raise ValueError(f"the start pose is missing; {name_pose_keys('T_sensor_next, T_base_sensor')}")
     if T_base_first is None:
         raise ValueError("T_base_sensor needs the sensor's pose in the previous touch; give that, or T_sensor_next")
     return T

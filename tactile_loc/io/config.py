@@ -142,7 +142,9 @@ class RunConfig(_Strict):
         def name_option(key: str) -> str:
             return FLAGS.get(key, key) if source == COMMAND_LINE else f"{source}: {key}"
 
-        result: RunConfig = validate_options(cls, values, f"configuration {source!r}", name_option)
+        result: RunConfig = validate_options(
+            cls, values, "the configuration" if source == COMMAND_LINE else source, name_option
+        )
         return result
 
     def resolve(self) -> dict[str, Any]:
@@ -154,7 +156,7 @@ class RunConfig(_Strict):
         for slot in SLOTS:
             chosen = getattr(self, slot)
             options = registry().load(slot, chosen.name).Options
-            complete = validate_options(options, chosen.options, f"{slot} {chosen.name!r}")
+            complete = validate_options(options, chosen.options, f"the {slot} {chosen.name!r}")
             settings[slot] = {"name": chosen.name, "options": complete.model_dump(mode="json")}
         return settings
 
@@ -196,7 +198,7 @@ def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -
         target, equals, text = word.partition("=")
         slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
-            raise ConfigError(f"the option {word!r} cannot be read; write slot.option=value, as in grid.spacing_mm=3")
+            raise ConfigError(f"the option {word!r} cannot be read; write SLOT.OPTION=VALUE, such as grid.spacing_mm=3")
         if slot not in tables:
             near = did_you_mean(slot, tables)
             raise ConfigError(f"the option {word!r} names an unknown slot {slot!r}.{near} Known: {', '.join(tables)}")

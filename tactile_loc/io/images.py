@@ -97,7 +97,7 @@ def explain_unreadable(path: Path, error: BaseException) -> str:
     if "allow_pickle" in str(error):
         return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
     kind = path.suffix.lower()[1:]
-    return f"{path} cannot be read as {kind} ({summarize(error)}); it is damaged or another kind of file"
+    return f"{path} cannot be read as {kind} ({summarize(error)}); it is damaged or of another kind, so save it again"
 
 
 def summarize(error: BaseException) -> str:

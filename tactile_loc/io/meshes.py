@@ -124,7 +124,9 @@ def load_object(
         notes.append(f"{path.name} is not watertight; touches are drawn from its existing faces")
     group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
-        notes.append(f"detected the symmetry {group}; pass --symmetry '{group}' to confirm it, or --symmetry none")
+        notes.append(
+            f"detected the symmetry {group} of {path.name}; give --symmetry '{group}' to confirm it, or --symmetry none"
+        )
     for note in notes:
         log.warning(note)
     return ObjectModel(name, mesh, group, tuple(notes), str(path))
@@ -142,8 +144,8 @@ def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[st
     size = float(np.ptp(surface.vertices, axis=0).max())
     guess = "m" if size < 1.0 else "mm"
     scale = METRES_PER_UNIT[guess]
-    length = f"{name} is {size:.4g} units long"
-    return scale, [f"{length}; guessed {guess}, so {size * scale * 1e3:.4g} mm; give --units to be sure"]
+    lengths = f"{name} is {size:.4g} units long, which is read as {size * scale * 1e3:.4g} mm"
+    return scale, [f"{lengths}; give --units {guess} to confirm the unit, or another --units"]
 
 
 def simplify_mesh(mesh: TriangleMesh, faces: int) -> TriangleMesh:

@@ -36,8 +36,11 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         if not os.path.isfile(path):  # reading a device or a pipe may never end
             raise ConfigError(f"{path} is not a file; give a TOML file")
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} cannot be read ({error}); give a TOML file") from error
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror or error}); check its permissions") from error
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        raise ConfigError(f"{path} is not text in UTF-8 (byte 0x{byte:02x}); give a TOML file") from error
     except NOT_TOML as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 

@@ -228,8 +228,8 @@ def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> Contact
         return shape
     if not 0 < press_depth_m <= shape.press_depth_m * (1 + 1e-6):
         raise TouchError(
-            f"{name} has a press depth of {shape.press_depth_m * 1e3:.3g} mm and cannot be read with "
-            f"{press_depth_m * 1e3:.3g} mm; give a positive, smaller press depth"
+            f"{name} has a press depth of {shape.press_depth_m * 1e3:.3g} mm and the given press depth "
+            f"is {press_depth_m * 1e3:.3g} mm; give less than in the file, and more than 0"
         )
     return shape.press_to(press_depth_m)
 
@@ -240,7 +240,7 @@ def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
         if name is not None and name not in UNITS:
             raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS)}")
     if unit is not None and contents.unit is not None and unit != contents.unit:
-        raise TouchError(f"the unit in {path} is {contents.unit}, not {unit}; leave out --touch-unit")
+        raise TouchError(f"the unit in {path} is {contents.unit}, but --touch-unit is {unit}; leave it out")
     known = contents.unit or unit
     if known is None:
         raise TouchError(f"{path} has no unit; give the unit of its depths by --touch-unit: {', '.join(UNITS)}")

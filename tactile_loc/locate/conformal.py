@@ -62,7 +62,7 @@ class ConformalSets:
         rank = math.ceil((count + 1) * coverage - 1e-9) if 0 < coverage < 1 else math.inf
         if rank > count:
             raise ConfigError(
-                f"{count} simulated examples cannot promise a coverage of {coverage:g}; ask for one above 0 and at "
+                f"{count} simulated examples are too few for a coverage of {coverage:g}; give more than 0 and at "
                 f"most {math.floor(1000 * count / (count + 1)) / 1000:g}"
             )
         return float(scores[int(rank) - 1])

@@ -17,9 +17,8 @@ def _list_unexplained(record: ResultRecord) -> list[str]:
     if record.other_touches or not refined or best.imprint_iou >= LEAST_IOU:
         return []
     return [
-        f"the best pose explains only {100 * best.imprint_iou:.0f} % of {record.touch.name} (imprint IoU), and below "
-        f"{100 * LEAST_IOU:.0f} % hardly any pose is right; check the object, the sensor, the unit and the prior, if "
-        "any"
+        f"the best pose of {record.touch.name} has an imprint IoU of {100 * best.imprint_iou:.0f} %, which is below "
+        f"{100 * LEAST_IOU:.0f} %, and is probably wrong; check the object, the sensor, the unit and the prior"
     ]
 
 
@@ -30,11 +29,12 @@ def _list_contradictions(record: ResultRecord) -> list[str]:
         for touch, iou in zip(touches, record.hypotheses[0].imprint_ious, strict=False)
     ]
     outliers = [fit for touch, fit in zip(touches, fits, strict=False) if touch.outlier]
-    said = [f"{touch.name} contradicted the other touches and was left out" for touch in record.left_out]
+    said = [f"{touch.name} contradicts the other touches and was left out" for touch in record.left_out]
     if outliers:
         said.append(
-            f"{len(touches) - len(outliers)} of {len(touches)} touches agree on a pose; its imprint IoU (and that of "
-            f"another pose): {', '.join(outliers)}. Check that sensor's T_base_sensor, and that it touched this object"
+            f"{len(touches) - len(outliers)} of {len(touches)} touches agree on a pose; imprint IoU of this pose (and "
+            f"of another pose) for the others: {', '.join(outliers)}. Check T_base_sensor and the object of these "
+            "touches"
         )
     elif record.contradictory:
         said.append(

@@ -108,7 +108,7 @@ class Localizer:
         `noise` is none, mild or strong. Raises ConfigError for another noise, or for a count or seed below 0.
         """
         if min(count, seed) < 0:
-            raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers from 0 on")
+            raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers, 0 or more")
         rng = np.random.default_rng(seed)
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise))
 
@@ -290,7 +290,7 @@ def localize_together(
                 raise
             if not query.first.config.drop_outliers:
                 name = query.touches[outliers[0]].name
-                raise GridError(f"{error}; without {name} the others agree: pass --drop-outliers") from error
+                raise GridError(f"{error}. Without {name}, the other touches agree: give --drop-outliers") from error
         if not outliers or not query.first.config.drop_outliers:
             left_out = tuple(touch for _, touch in observations if all(touch is not one for one in query.touches))
             return replace(found, left_out=left_out)

@@ -47,15 +47,15 @@ class Refinement:
             return ""
         parts = [
             "the rough search" if searched else "",
-            "touches together" if self.is_joint else "",
+            "several touches" if self.is_joint else "",
             "covariances" if self.refiner.capabilities.refines else "",
         ]
         named = ", ".join(part for part in parts if part)
         if not named:
             return ""
         return (
-            f"the joint registration does {named}; the refiner {name} refines one touch's hypotheses, because it gives "
-            "no covariance and is too slow for hundreds of poses"
+            f"the refiner {name} only refines the hypotheses of one touch, because it gives no covariance and is slow; "
+            f"the joint registration does the rest: {named}"
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -92,7 +92,9 @@ def find_touches(folder: Path) -> list[Path]:
         simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
         candidates = simulated or folder.iterdir()
         if any(path.with_suffix(".png").is_file() for path in simulated):
-            log.warning("contact shapes were located; to locate the photos, give --touch '%s'", folder / "touch-*.png")
+            log.warning(
+                "only the contact shapes are located; to locate the photos, give --touch '%s'", folder / "touch-*.png"
+            )
     else:
         candidates = folder.parent.glob(folder.name)
     files = sorted(path for path in candidates if path.suffix.lower() in SUFFIXES and path.is_file())

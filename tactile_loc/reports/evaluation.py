@@ -122,7 +122,7 @@ def _list_numbers(runs: Sequence[Run], line: str) -> list[tuple[str, str, str]]:
     ]
     return [
         (f"median ADD, {line}", f"{middle_mm} mm", of_all),
-        ("normalised", f"{share:.3f}", "the same, divided by the mean of random poses"),
+        ("normalised", f"{share:.3f}", "the same, divided by the mean error of random poses"),
         ("ambiguous touches", f"{100 * ambiguous:.0f} %", "a distant pose makes the same contact, within noise"),
         *sets,
     ]

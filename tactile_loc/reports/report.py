@@ -38,11 +38,11 @@ def find_source(path: Path) -> Source:
         return _find_in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
     if kind is None:
-        what = "is not a result" if os.path.exists(path) else "does not exist"
-        raise ResultError(f"{path} {what}; give the folder that run, evaluate or sweep wrote, or its {_list_names()}")
+        fault = f"{path} is not a result" if os.path.exists(path) else f"there is no file or folder {path}"
+        raise ResultError(f"{fault}; give the folder that run, evaluate or sweep wrote, or its {_list_names()}")
     document = path.with_suffix(".json")
     if not os.path.isfile(document):
-        raise ResultError(f"there is no {document}; give the folder that run, evaluate or sweep wrote")
+        raise ResultError(f"there is no file {document}; give the folder that run, evaluate or sweep wrote")
     return Source(kind, document)
 
 
@@ -86,13 +86,14 @@ def _find_in_folder(folder: Path) -> Source:
     found = [source for source in found if source.path.is_file()]
     if not found:
         of_touches = (folder / "results.csv").is_file()
-        advice = "give the folder of one of its touches" if of_touches else "give a folder that has one"
-        raise ResultError(f"{folder} has none of {_list_names()}; {advice}")
+        advice = "the folder of one of its touches" if of_touches else "the folder that run, evaluate or sweep wrote"
+        raise ResultError(f"{folder} contains no result ({_list_names()}); give {advice}")
     if len(found) > 1:
         names = " and ".join(source.path.name for source in found)
-        raise ResultError(f"{folder} has several results, {names}; give one of these files")
+        raise ResultError(f"{folder} contains several results, {names}; give one of these files")
     return found[0]
 
 
 def _list_names() -> str:
-    return ", ".join(f"{name}.json" for name in KINDS)
+    *others, last = (f"{name}.json" for name in KINDS)
+    return f"{', '.join(others)} or {last}"

@@ -114,7 +114,9 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     if (found := record.pose_set) is not None:
         size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
         size += ", or a pose that was not found" if found.elsewhere else ""
-        holds = f"holds the pose nearest to the truth this often, by {found.examples} simulated examples"
+        holds = (
+            f"it holds the grid pose nearest to the truth with this probability, measured on {found.examples} examples"
+        )
         yield f"{100 * found.coverage:.1f} % set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
@@ -181,7 +183,7 @@ def _draw_made(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, s
 
 
 def _describe_distribution(record: ResultRecord, arrays: ResultArrays, data: dict[str, Any]) -> dict[str, Any]:
-    held = f"they have {100 * arrays.mass:.3g} % of the probability"
+    held = f"these have {100 * arrays.mass:.3g} % of the probability"
     return {
         "kept": len(arrays.log_p),
         "searched": record.grid_poses,

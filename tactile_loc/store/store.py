@@ -139,7 +139,7 @@ class StageStore:
         try:
             return self._open(key)
         except DamagedError as damage:
-            logger.warning("the damaged stage %s in %s is removed: %s", key, self._find_folder(key), damage)
+            logger.warning("the stage %s in %s is damaged and is removed: %s", key, self._find_folder(key), damage)
         _remove(self._find_folder(key))
         return None
 

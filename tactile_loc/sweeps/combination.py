@@ -111,7 +111,8 @@ def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any
     components = {slot: component for slot, (component, _) in made.items()}
     if components["grid"].capabilities.places:
         raise ConfigError(
-            f"a sweep needs a grid that lists its poses, and {config.grid.name!r} does not; choose for instance face"
+            f"a sweep needs a grid that lists its poses, but {config.grid.name!r} does not; choose another, such as "
+            "face"
         )
     require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
     return {slot: described for slot, (_, described) in made.items()}

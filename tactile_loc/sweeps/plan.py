@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from tactile_loc.core.errors import ConfigError, did_you_mean, name_source
+from tactile_loc.core.errors import ConfigError, did_you_mean, name_source, quote
 from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
@@ -98,7 +98,7 @@ def _read_objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ..
         table = entry if isinstance(entry, dict) else {"path": entry}
         if not table.get("path"):
             raise ConfigError(f"{source} has an object without a path, {entry!r}; write a name or {{path = ...}}")
-        chosen: ObjectConfig = validate_options(ObjectConfig, table, f"object of {source}")
+        chosen: ObjectConfig = validate_options(ObjectConfig, table, f"the object of {source}")
         if chosen.path not in DEMO_OBJECTS or os.path.isfile(chosen.path):
             chosen = chosen.model_copy(update={"path": str(Path(chosen.path).expanduser().absolute())})
         found.append(chosen)
@@ -200,7 +200,7 @@ def find_varying_slots(plan: Plan) -> list[str]:
 
 
 def _resolve(slot: str, name: str, options: Mapping[str, Any]) -> SlotConfig:
-    complete = validate_options(registry().load(slot, name).Options, options, f"{slot} {name!r}")
+    complete = validate_options(registry().load(slot, name).Options, options, f"the {slot} {name!r}")
     return SlotConfig(name=name, options=complete.model_dump(mode="json"))
 
 
@@ -248,11 +248,18 @@ def read_whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[i
     """Return whole numbers without duplicates. Raises ConfigError for other values, or numbers below `least`."""
     found = []
     for entry in list_values(value, key, source):
-        is_number = isinstance(entry, int) and not isinstance(entry, bool)
-        if not (is_number or (isinstance(entry, str) and entry.strip().isdecimal())) or int(entry) < least:
-            raise ConfigError(f"{_name_key(key, source)} cannot be {entry!r}; give a whole number, {least} or more")
+        if not _is_number(entry) or int(entry) < least:
+            shown = entry if _is_number(entry) else quote(entry)
+            raise ConfigError(f"{_name_key(key, source)} cannot be {shown}; give a whole number, {least} or more")
         found.append(int(entry))
     return tuple(dict.fromkeys(found))
+
+
+def _is_number(entry: Any) -> bool:
+    """Whether an entry is a whole number, or the text of one."""
+    if isinstance(entry, str):
+        return entry.strip().removeprefix("-").isdecimal()
+    return isinstance(entry, int) and not isinstance(entry, bool)
 
 
 def _name_key(key: str, source: str) -> str:

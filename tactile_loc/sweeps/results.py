@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import ConfigError, OutputError, did_you_mean
+from tactile_loc.core.errors import ConfigError, OutputError, advise_choice
 from tactile_loc.core.formatting import format_mm
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
@@ -29,7 +29,7 @@ FAILED = "failed"
 def require_line(line: str) -> str:
     """Return `line` if it is a line of the protocol. Raises ConfigError otherwise."""
     if line not in LINES:
-        raise ConfigError(f"there is no line {line!r}.{did_you_mean(line, LINES)} The lines are {', '.join(LINES)}")
+        raise ConfigError(f"there is no line {line!r}; {advise_choice(line, LINES)}")
     return line
 
 
@@ -94,9 +94,9 @@ def read_sweep(folder: Path) -> dict[str, Any]:
         _require_rows(found["rows"])
         _ = dict(found["versions"])
     except FileNotFoundError as error:
-        raise ConfigError(f"there is no {path}; give the --out folder of a finished sweep") from error
+        raise ConfigError(f"there is no file {path}; give the --out folder of a finished sweep") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path} is damaged ({type(error).__name__}); run that sweep again") from error
+        raise ConfigError(f"{path} is damaged ({type(error).__name__}); run this sweep again") from error
     return dict(found)
 
 

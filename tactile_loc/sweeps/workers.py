@@ -202,7 +202,9 @@ class DaskWorkers:
         """
         _require_dask()
         if not _ADDRESS.fullmatch(self.address):
-            raise ClusterError(f"{self.address!r} is not the address of a Dask scheduler; write it as tcp://host:8786")
+            raise ClusterError(
+                f"--scheduler cannot be {self.address!r}; give the address of a Dask scheduler, such as tcp://host:8786"
+            )
         why = "its Dask workers died each time, perhaps for lack of memory; see their logs"
         with _redirect_logs(logging.NullHandler()), _connect(self.address) as client:
             if not client.scheduler_info()["workers"]:

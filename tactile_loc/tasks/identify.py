@@ -153,7 +153,7 @@ def identify(
     if not touches:
         raise TouchError("there is no touch to identify; give at least one")
     if located < 1:
-        raise ConfigError(f"cannot locate {located} objects; give a number of 1 or more")
+        raise ConfigError(f"the number of objects to locate cannot be {located}; give 1 or more")
     if len(touches) > 1:
         require_sensor_poses([touch.T_base_sensor for touch in touches])
     glances = [library.glance(touch) for touch in touches]

@@ -136,8 +136,11 @@ class FoundMount:
         iou, best = self.imprint_ious[number], self.best_ious[number]
         if iou > best - SHORT:
             off_m, off_rad = self.residuals[number]
-            return f"it sees the object {1e3 * off_m:.2f} mm and {np.degrees(off_rad):.2f} degrees off"
-        return f"where the others see the object, it explains {iou:.0%} of the imprint; another pose {best:.0%}"
+            return f"its pose of the object differs by {1e3 * off_m:.2f} mm and {np.degrees(off_rad):.2f} degrees"
+        return (
+            f"its imprint IoU is {100 * iou:.0f} % for the object's pose in the other touches, but {100 * best:.0f} % "
+            "for another pose"
+        )
 
 
 def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
@@ -146,7 +149,7 @@ def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
     own = localizer.config.sensor
     others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
     if others:
-        raise TouchError(f"{path} has touches of another sensor, {others[0]}; choose one sensor: --sensor")
+        raise TouchError(f"{path} has touches of another sensor, {others[0]}; give touches of one sensor")
     touches = tuple(read_listed_touch(localizer, one) for one in listed)
     return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))
 
@@ -291,17 +294,17 @@ class _Registration:
 def require_motions(given: FlangeTouches) -> None:
     """Raise MountError unless there are enough touches and the flange was rotated about two axes."""
     if len(given) < LEAST:
-        raise MountError(f"a mount takes at least {LEAST} touches, better ten, but there are {len(given)}; add touches")
+        raise MountError(f"there are only {len(given)} touches; give at least {LEAST}, better ten")
     (most, second, _), axes = measure_turns(given.T_base_flange)
     if most < ROTATED_RAD:
         raise MountError(
-            "the flange was hardly rotated between the touches, so the mount is not determined; touch with the flange "
-            "rotated by 30 degrees or more, about two axes"
+            "the flange was hardly rotated between the touches, so the mount is not determined; rotate the flange by "
+            "30 degrees or more, about two axes"
         )
     if second < ROTATED_RAD:
         raise MountError(
-            f"the flange was rotated about {_name_axis(axes[0])} of the flange only, so the sensor's place along this "
-            "axis is unknown; add touches with the flange rotated about another axis"
+            f"the flange was rotated about {_name_axis(axes[0])} of the flange only, so the sensor's position along "
+            "this axis is unknown; add touches with the flange rotated about another axis"
         )
 
 
@@ -311,8 +314,8 @@ def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Moun
     if found is None or agreeing < max(LEAST, len(given) / 2):
         near = "" if nominal is None else " near the nominal one"
         raise MountError(
-            f"only {agreeing} of {len(given)} touches agree on a mount{near}; check that each T_base_flange is its "
-            "touch's (metres, from flange to base), that the part did not move, and the object's mesh and units"
+            f"only {agreeing} of {len(given)} touches agree on a mount{near}; check each T_base_flange "
+            "(metres, from flange to base), the object's mesh and units, and that the part did not move"
         )
     require_motions(given.select(found.kept))
     require_determined(found.fit.covariance)
@@ -330,8 +333,8 @@ def require_determined(covariance: Floats) -> None:
         if std > limit:
             where = f"{_name_axis(directions[:, -1])} of the flange"
             raise MountError(
-                f"the sensor's {what} {where} is known to {unit * std:.1f} {name} only; add touches with the flange "
-                "rotated about other axes, on edges and corners rather than flat faces"
+                f"the sensor's {what} {where} has a standard deviation of {unit * std:.1f} {name}, which is too much; "
+                "add touches on edges and corners, with the flange rotated about other axes"
             )
 
 

@@ -289,8 +289,8 @@ def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> l
     """Return the reason why each approach (A,) cannot be made; "" if it can be made."""
     inside = seen.blocked @ modes.probabilities
     return [
-        "is out of reach: its cost is infinite" if np.isinf(price)
-        else f"would start inside or behind the object, with {share:.0%} probability" if share > IN_THE_WAY
+        "has an infinite cost" if np.isinf(price)
+        else f"would start inside or behind the object, with {100 * share:.0f} % probability" if share > IN_THE_WAY
         else ""
         for price, share in zip(costs, inside, strict=True)
     ]  # fmt: skip
@@ -303,7 +303,10 @@ def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseM
             raise ConfigError(f"{name} costs {price:g}; give a cost above 0, or infinity if it is out of reach")
         press_m = _find_press_m(approach, modes)
         if not 0 < press_m < modes.geometry.surface_m:
-            raise ConfigError(f"{name} presses by {1e3 * press_m:.3g} mm, which the sensor cannot")
+            raise ConfigError(
+                f"{name} presses by {1e3 * press_m:.3g} mm; give more than 0 and less than "
+                f"{1e3 * modes.geometry.surface_m:.3g} mm"
+            )
 
 
 def _find_press_m(approach: Approach, modes: PoseModes) -> float:

@@ -124,7 +124,7 @@ class Tracker:
 
     def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
         if not (0 <= creep_m < math.inf and 0 <= creep_rad < math.inf):
-            raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give numbers from 0 on")
+            raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give 0 or more")
         self.localizer = localizer
         self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
         self.options = options = localizer.config.tracker

@@ -130,7 +130,7 @@ def test_ill_typed_option(refused):
 
 
 def test_option_that_cannot_be_read(refused):
-    refused("-o", "spacing_mm", mentions=("slot.option=value",))
+    refused("-o", "spacing_mm", mentions=("SLOT.OPTION=VALUE", "grid.spacing_mm=3"))
     refused("-o", "gird.spacing_mm=3", mentions=("'gird'", "'grid'"))
 
 

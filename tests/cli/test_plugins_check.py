@@ -152,7 +152,7 @@ def test_plugins_of_other_interfaces_are_named_where_components_are_listed(cli):
         done = cli("plugins", "matcher")
     told = [line for line in done.stdout.splitlines() if line.startswith("interface: ")]
     assert [line.split("'")[1] for line in told] == ["plain", "weighing", "ahead"]
-    assert "was written for plugin interface 1, this tactile-loc has 2" in told[0]
+    assert not missing(told[0], "was written for plugin interface 1", "this tactile-loc has 2")
     assert "pip install --upgrade tactile-loc" in told[2]
     assert not any(line.startswith("interface: ") for line in cli("plugins").stdout.splitlines())
 
@@ -171,7 +171,7 @@ def test_one_component_of_an_earlier_interface_says_what_to_change(cli, words):
 @pytest.mark.parametrize("words", [[], ["--check"]])
 def test_one_component_of_a_later_interface_is_refused(cli, words):
     with installed():
-        assert_refused(cli("plugins", "matcher", "ahead", *words), "'ahead'", "plugin interface 99 or newer")
+        assert_refused(cli("plugins", "matcher", "ahead", *words), "'ahead'", "plugin interface 99")
 
 
 def test_what_it_returns(strange):

@@ -92,6 +92,7 @@ def test_a_dry_run_lists_and_counts_and_runs_nothing(cli, plan, tmp_path):
     lines = done.stdout.splitlines()
     assert lines[0].split() == [
         "object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed",
+        "state",
     ]  # fmt: skip
     assert lines[1].split() == [
         "pin",
@@ -146,6 +147,16 @@ def test_bad_input_is_one_sentence_before_anything_runs(cli, tmp_path, words, me
     (tmp_path / "bad.toml").write_text('refinr = "icp"\n')
     assert_refused(cli("sweep", *words), *mentioned)
     assert not (tmp_path / "sweep").exists()
+
+
+@pytest.mark.parametrize(("words", "mentioned"), [
+    (["--seed", "-1"], "--seed cannot be -1"), (["--seed", "x"], "--seed cannot be 'x'"),
+    (["--refiner", "ipc"], "'ipc'"), (["--noise", "loud"], "'loud'"), (["-o", "grid.spacing=3"], "'spacing'"),
+])  # fmt: skip
+def test_an_error_in_an_option_beside_a_plan_does_not_name_the_file(cli, plan, words, mentioned):
+    done = cli("sweep", plan.name, *words, "--dry-run")
+    assert_refused(done, mentioned)
+    assert plan.name not in done.stderr
 
 
 def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):

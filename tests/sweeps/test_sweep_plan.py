@@ -108,7 +108,7 @@ def test_what_is_described_can_be_planned_again():
         ({"option": ["grid.spacing_mm=coarse"]}, "spacing_mm"),
         ({"option": ["grid.spacing=3"]}, "'spacing_mm'"),
         ({"option": ["gird.spacing_mm=3"]}, "'grid'"),
-        ({"option": ["grid.spacing_mm"]}, "slot.option=value"),
+        ({"option": ["grid.spacing_mm"]}, "SLOT.OPTION=VALUE"),
         ({"option": ["grid.spacing_mm="]}, "spacing_mm"),
         ({"option": {"grid": 3}}, "option.grid"),
         ({"option": {"gird": {"spacing_mm": 3}}}, "gird"),

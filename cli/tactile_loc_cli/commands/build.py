@@ -51,8 +51,8 @@ def _require_press_depth_m(localizer: Localizer) -> float:
     asked_m = localizer.config.touch.press_depth_m
     if asked_m is not None and not 0 < asked_m <= deepest_m:
         raise TouchError(
-            f"a press of {1e3 * asked_m:g} mm is outside the sensor's range of 0 to {1e3 * deepest_m:g} mm; "
-            "choose another --press-depth"
+            f"the press depth cannot be {1e3 * asked_m:.3g} mm on this sensor; give more than 0 and at most "
+            f"{1e3 * deepest_m:.3g} mm"
         )
     return deepest_m if asked_m is None else asked_m
 

@@ -47,19 +47,27 @@ Geometry = Annotated[
     ),
 ]  # fmt: skip
 EstimatorName = Annotated[
-    Estimator, typer.Option("--estimator", help="Learn slope from colour, or a network on the whole image.")
+    Estimator,
+    typer.Option(
+        "--estimator", help="photometric: slope from the colour of each pixel. cnn: a network for the whole image."
+    ),
 ]
 Untouched = Annotated[
-    Background, typer.Option("--background", help="Image of the untouched gel: the table's, or the presses' median.")
+    Background,
+    typer.Option("--background", help="Image of the untouched gel: that of the table, or the median of all presses."),
 ]
 PublicFormat = Annotated[
     Format | None, typer.Option("--format", help="FOLDER is a public calibration set of this format.")
 ]
 BallRadius = Annotated[
-    float | None, declare("--ball-radius", "MM", "Radius of the ball in mm, without presses.csv or with --format.")
+    float | None,
+    declare("--ball-radius", "MM", "Radius of the ball in mm. Needed if there is no presses.csv, and with --format."),
 ]
 PixelSize = Annotated[
-    float | None, declare("--mm-per-px", "MM", "Size of a pixel on the gel in mm, without sensor.toml.")
+    float | None,
+    declare(
+        "--mm-per-px", "MM", "Size of a pixel on the gel in mm. Needed if there is no sensor.toml, and with --format."
+    ),
 ]
 ImageSize = Annotated[
     tuple[int, int] | None,
@@ -69,7 +77,9 @@ ImageSize = Annotated[
         "of the original images.", min=16,
     ),
 ]  # fmt: skip
-Simulated = Annotated[bool, typer.Option("--simulated", help="Without FOLDER: simulate presses of two boards.")]
+Simulated = Annotated[
+    bool, typer.Option("--simulated", help="Instead of FOLDER: simulate presses of two calibration boards.")
+]
 Lamps = Annotated[
     str | None, declare("--optics", "NAME", "With --simulated: lamps of gelslim, gelsight-mini or digit.")
 ]
@@ -79,7 +89,9 @@ Presses = Annotated[
         "--presses", "N", "With --simulated: number of presses. Default: 200, or 2000 for cnn.", min=5, max=100_000
     ),
 ]
-Curved = Annotated[bool, typer.Option("--curved", help="The gel is not flat: also learn its surface from the balls.")]
+Curved = Annotated[
+    bool, typer.Option("--curved", help="Also learn the surface of a curved gel, from presses of a ball.")
+]
 EstimatorOption = Annotated[
     list[str] | None, set_option("Set an option of the estimator, such as steps=4000.", "OPTION=VALUE")
 ]
@@ -107,9 +119,9 @@ def calibrate(
 ) -> dict[str, Any]:
     """Calibrate a sensor to read its images.
 
-    The calibration uses presses of a ball, or of any mesh at a known pose. For simulated images, it uses simulated
-    presses. Without a table, the ball is detected in the images; check the circles in labels.png. A fifth of the
-    presses is held out to measure the errors. Use the result with: run --sensor FOLDER --touch photo.png
+    The command learns from presses of a ball, or of any mesh at a known pose. With --simulated, it learns from
+    simulated presses. Without a table, it detects the ball in the images: check labels.png. A fifth of the presses is
+    held out to measure the errors. Use the result with: run --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
 
@@ -142,7 +154,7 @@ def _require_one_source(
     if not simulated and folder is None:
         raise ConfigError("no presses are given; give FOLDER with images of presses, or --simulated")
     if not simulated and (optics is not None or presses is not None):
-        raise ConfigError("--optics and --presses need --simulated; give it, or leave them out")
+        raise ConfigError("--optics and --presses need --simulated; add it, or leave them out")
 
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
@@ -160,7 +172,7 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
 
     for word in words:
         if not word.partition("=")[1]:
-            raise ConfigError(f"cannot read the option {word!r}; write it as OPTION=VALUE, such as steps=4000")
+            raise ConfigError(f"the option {word!r} cannot be read; write OPTION=VALUE, such as steps=4000")
     return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})  # parsing needs the name of a slot
 
 
@@ -173,7 +185,7 @@ def _calibrate(
     from tactile_loc.store.store import StageStore
 
     if not os.path.isdir(folder):
-        raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
+        raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
     camera = _read_geometry(sensor)
     size_px = image_size or choose_size_px(camera)
     presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
@@ -231,7 +243,7 @@ def _read_geometry(path: Path) -> SensorGeometry:
     from tactile_loc.io.sensor_files import read_sensor_file
 
     if not os.path.isfile(path):
-        raise SensorError(f"there is no {path}; describe the sensor in it (docs/files.md), or give --sensor")
+        raise SensorError(f"there is no sensor file {path}; write it (docs/files.md), or give --sensor")
     return read_sensor_file(path)
 
 

@@ -46,7 +46,7 @@ Count = Annotated[
     int | None,
     options.declare(
         "--count", "N",
-        "Simulated touches for each object, by default 150; with --contacts examples, by default 100.",
+        "Number of simulated touches for each object. Default: 150. With --contacts: of examples. Default: 100.",
         min=1, max=100_000,
     ),
 ]  # fmt: skip
@@ -54,7 +54,7 @@ Contacts = Annotated[
     str | None,
     options.declare(
         "--contacts", "RANGE",
-        "Locate from several touches at once, for each number in the range: 1..7, or 1,2,3 (from 1 to 20).",
+        "Locate from several touches together, for each of these numbers of touches: 1..7, or 1,2,3 (at most 20).",
     ),
 ]  # fmt: skip
 TouchKind = enum.StrEnum("TouchKind", "SHAPES IMAGES")
@@ -244,9 +244,15 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     written += [plan.out / _name_gallery(run.object, run.encoder) for run in runs]
     for title, table in (
         ("median ADD, mm", tabulate_medians(runs)),
-        ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
-        ("ambiguous touches; median ADD of all touches and of the unambiguous ones, mm", tabulate_ambiguity(runs)),
-        ("by share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm", tabulate_areas(runs)),
+        ("median ADD divided by the mean ADD of random poses", tabulate_medians(runs, normalised=True)),
+        (
+            "share of ambiguous touches; median ADD of all touches and of the unambiguous ones, mm",
+            tabulate_ambiguity(runs),
+        ),
+        (
+            "by contact area, % of the sensor: median ADD of chosen, mm, share within 1 mm, (number of touches)",
+            tabulate_areas(runs),
+        ),
         (
             "coverage: share of true poses in the credible sets; means of likelihood, entropy and expected error",
             tabulate_posteriors(runs),
@@ -282,7 +288,7 @@ def parse_contacts(text: str) -> tuple[int, ...]:
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
         if not 1 <= first <= last <= MOST_FUSED:
             raise ConfigError(
-                f"cannot read --contacts {text!r}; write a range or a list of numbers from 1 to {MOST_FUSED}, "
+                f"--contacts cannot be {text!r}; give a range or a list of numbers from 1 to {MOST_FUSED}, "
                 "such as 1..7 or 1,2,3"
             )
         numbers.update(range(first, last + 1))
@@ -318,7 +324,7 @@ def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
     written.append(save_figure(plan.out / "contacts.png", draw_fusion(runs, heading)))
     for title, (header, *rows) in (
         ("median ADD by number of contacts, mm", tabulate_medians(runs)),
-        ("median ADD divided by the mean of random poses", tabulate_medians(runs, normalised=True)),
+        ("median ADD divided by the mean ADD of random poses", tabulate_medians(runs, normalised=True)),
     ):
         say(title)
         say_table([[head.split()[0] for head in header], *rows], left=3)
@@ -335,8 +341,8 @@ def _say_left_out(run: FusionRun) -> None:
     if any(counts.values()):
         listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
         say(
-            f"{run.object}: examples without a pose that touches all sensors, located from the first contact alone: "
-            f"{listed} contacts\n"
+            f"{run.object}: no pose touches all sensors in some examples, which are located from the first contact "
+            f"alone: {listed} contacts\n"
         )
     if found.refused.any():
-        say(f"{run.object}: {found.refused.sum()} presses showed no touch and were replaced by others\n")
+        say(f"{run.object}: {found.refused.sum()} presses made no contact and were replaced by others\n")

@@ -22,7 +22,7 @@ Touches = Annotated[
     str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
 ]
 Located = Annotated[
-    int, options.declare("--located", "N", "Number of objects to locate: the most likely ones of a coarse search.")
+    int, options.declare("--located", "N", "Number of objects to locate: the most probable ones after a rough search.")
 ]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
 Given = Annotated[RunOptions, options.Takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]

@@ -49,8 +49,8 @@ Track = Annotated[
     bool,
     typer.Option(
         "--track/--alone",
-        help="Track the object through the frames: the sensor stands still, or the files give its T_base_sensor. "
-        "Default: locate each frame separately.",
+        help="Track the object through the frames. The sensor must stand still, or the files must give its "
+        "T_base_sensor. Default: locate each frame separately.",
     ),
 ]
 Out = Annotated[

@@ -28,7 +28,7 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
 
     The next touch should distinguish the poses that a result lists. For each pose and approach, the command simulates
     the sensor's travel until contact and the contact shape. Approaches are ranked by their expected information per
-    cost. The result names the poses that no approach distinguishes.
+    cost. The output also names the poses that no approach distinguishes.
     """
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_next_touch

@@ -106,11 +106,11 @@ def _say_interface(component: dict[str, Any], outdated: str = "") -> None:
 
     written, named = component["interface"], "the {slot} {name!r} of {distribution}".format(**component)
     if written > INTERFACE_VERSION:
-        say(f"interface: {named} needs plugin interface {written}, this tactile-loc has {INTERFACE_VERSION}; "
+        say(f"interface: {named} needs plugin interface {written}, but this tactile-loc has {INTERFACE_VERSION}: "
             "pip install --upgrade tactile-loc")  # fmt: skip
     elif written < INTERFACE_VERSION:
         advice = f"; {outdated}" if outdated else ""
-        say(f"interface: {named} was written for plugin interface {written}, this tactile-loc has "
+        say(f"interface: {named} was written for plugin interface {written}, but this tactile-loc has "
             f"{INTERFACE_VERSION}{advice}")  # fmt: skip
 
 
@@ -200,13 +200,13 @@ def _make(found: Registry, slot: str, name: str, words: list[str]) -> Component:
     overrides = parse_overrides(words)
     others = sorted(overrides.keys() - {slot})
     if others:
-        raise ConfigError(f"--check is only of the {slot} {name!r}; leave out the options of {', '.join(others)}")
+        raise ConfigError(f"--check tests only the {slot} {name!r}; leave out the options of {', '.join(others)}")
     try:
         component: Component = found.create(slot, name, overrides.get(slot))
     except TactileLocError:
         raise
     except Exception as error:
         raise PluginLoadError(
-            f"the {slot} {name!r} cannot be made from its options ({type(error).__name__}: {error})"
+            f"the {slot} {name!r} cannot be made from its options ({type(error).__name__}: {error}); correct them"
         ) from error
     return component

@@ -118,7 +118,7 @@ def _require_free(contents: Contents, recording: Path, pose_topic: str, poses_on
     """Raise RecordingError if recorded messages would mix with the poses."""
     if not poses_only and pose_topic in {topic.name for topic in contents.counts}:
         raise RecordingError(
-            f"{recording} already has messages on {pose_topic}; choose another --pose-topic, or --poses-only"
+            f"{recording} already has messages on {pose_topic}; choose another --pose-topic, or give --poses-only"
         )
 
 

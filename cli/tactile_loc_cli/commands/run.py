@@ -142,7 +142,7 @@ def _report(
     for sentence in list_doubts(record):
         logger.warning("%s", sentence)
     if localization.outliers:
-        logger.warning("--drop-outliers leaves out the touches that contradict the others")
+        logger.warning("to leave out the touches that contradict the others, give --drop-outliers")
     figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
     arrays = gather_arrays(observations, localization)
     with lock_folder(out):

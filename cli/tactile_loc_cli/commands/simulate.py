@@ -138,7 +138,11 @@ def _warn_of_others(out: Path, names: list[str]) -> None:
     others = sorted(path.name for path in out.glob("*.npz") if path.stem not in names)
     if others:
         logger.warning(
-            "%s also holds %d older touches (%s, ...); their poses are not in poses.json", out, len(others), others[0]
+            "%s also holds %d older touches (%s, ...); their poses are not in poses.json; remove them, "
+            "or choose another --out",
+            out,
+            len(others),
+            others[0],
         )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, StoreError
+from tactile_loc.core.errors import ConfigError, StoreError, advise_choice
 from tactile_loc.core.formatting import format_bytes
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import format_count, say, say_table
@@ -68,18 +68,22 @@ def size(store: Store = None) -> dict[str, Any]:
 
 def prune(
     older_than: Annotated[
-        str | None, typer.Option("--older-than", metavar="AGE", help="Entries older than this: 30d, 12h, 2w, ...")
+        str | None,
+        typer.Option("--older-than", metavar="AGE", help="Remove entries older than this: 30d, 12h, 2w, ..."),
     ] = None,
     stage: Annotated[
-        list[str] | None, typer.Option("--stage", metavar="NAME", help="Entries of this stage; may be repeated.")
+        list[str] | None, typer.Option("--stage", metavar="NAME", help="Remove entries of this stage; may be repeated.")
     ] = None,
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="Remains of interrupted builds; these then cannot resume.")
+        bool,
+        typer.Option(
+            "--incomplete", help="Remove the remains of interrupted builds; these builds then start from the beginning."
+        ),
     ] = False,
     keep_newest: Annotated[
-        int | None, typer.Option("--keep-newest", min=1, metavar="N", help="All but the newest N of each stage.")
+        int | None, typer.Option("--keep-newest", min=1, metavar="N", help="Keep the newest N entries of each stage.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="All entries.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Remove all entries.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the entries without removing them.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
     store: Store = None,
@@ -136,7 +140,9 @@ def _is_being_built(place: StageStore, entry: Entry) -> bool:
 def _is_confirmed(entries: Sequence[Entry]) -> bool:
     """Ask for confirmation. Raises ConfigError if stdin is not a terminal."""
     if not _is_terminal():
-        raise ConfigError("removing needs a confirmation; give --yes, or --dry-run to list what would be removed")
+        raise ConfigError(
+            "the removal needs a confirmation; give --yes, or --dry-run to list the entries without removing them"
+        )
     return typer.confirm(f"Remove {_summarise(entries)}?", err=True)
 
 
@@ -192,7 +198,7 @@ def parse_age(text: str) -> timedelta:
             return timedelta(seconds=float(match[1]) * UNITS_S[match[2]])
     except OverflowError:
         pass
-    raise ConfigError(f"cannot read --older-than {text!r}; write a number and s, m, h, d or w, such as 30d or 12h")
+    raise ConfigError(f"--older-than cannot be {text!r}; give a number and s, m, h, d or w, such as 30d or 12h")
 
 
 def write_age(seconds: float) -> str:
@@ -220,11 +226,9 @@ class Criteria:
 
     def __post_init__(self) -> None:
         if not (self.everything or self._some):
-            raise ConfigError(
-                "nothing to remove is given; give --older-than, --stage, --incomplete, --keep-newest or --all"
-            )
+            raise ConfigError("no condition is given; give --older-than, --stage, --incomplete, --keep-newest or --all")
         if self.everything and self._some:
-            raise ConfigError("--all excludes other conditions; leave it out, or leave them out")
+            raise ConfigError("--all excludes other conditions; leave out --all, or leave out the others")
 
     @property
     def _some(self) -> bool:
@@ -234,7 +238,7 @@ class Criteria:
         """Return the entries to remove, in the given order. Raises ConfigError if a stage is not in the store."""
         known = {entry.stage for entry in entries}
         if unknown := [stage for stage in self.stages if stage not in known]:
-            raise ConfigError(f"the store has no stage {unknown[0]!r}; it has {', '.join(sorted(known)) or 'none'}")
+            raise ConfigError(f"the store has no stage {unknown[0]!r}; {advise_choice(unknown[0], sorted(known))}")
         kept, now = set(self._find_newest(entries)), datetime.now(UTC)
         return [entry for entry in entries if entry.path not in kept and self._is_met(entry, now)]
 

@@ -10,7 +10,7 @@ import typer
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc_cli import options
-from tactile_loc_cli.console import complain, make_progress, say, say_table, say_written
+from tactile_loc_cli.console import complain, format_count, make_progress, say, say_table, say_written
 from tactile_loc_cli.failures import UNEXPECTED, Finding
 from tactile_loc_cli.options import declare, set_option
 
@@ -128,7 +128,7 @@ def sweep(
         report["comparison"] = _compare(compare, out, line)
     if found.failed:
         complain(
-            "failed", f"{found.failed} of {len(found.combinations)} combinations; see the errors in {out}/sweep.md"
+            "failed", f"{found.failed} of {len(found.combinations)} combinations; their errors are in {out}/sweep.md"
         )
         raise Finding(UNEXPECTED, report)
     return report
@@ -146,15 +146,29 @@ def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | 
     if "option" in given:
         written = read_options(in_file.get("option", []), source)
         values["option"] = merge_options(written, read_options(given["option"], COMMAND_LINE))
+    if path is not None:
+        _check_given(given, values)
     table = {"units": units, "symmetry": symmetry}
     table = {key: str(value) for key, value in table.items() if value is not None}
     if table:
         objects = values.get("object", [])
         objects = objects if isinstance(objects, list) else [objects]
         if not objects or ("symmetry" in table and len(objects) > 1):
-            raise ConfigError("--units needs --object, and --symmetry a single --object; or give them in a plan")
+            flag, needed = ("--symmetry", "a single --object") if "symmetry" in table else ("--units", "--object")
+            raise ConfigError(f"{flag} needs {needed}; give it, or write the {flag[2:]} in the plan")
         values["object"] = [{**(one if isinstance(one, dict) else {"path": one}), **table} for one in objects]
     return Plan.from_values(values, source)
+
+
+def _check_given(given: dict[str, Any], values: dict[str, Any]) -> None:
+    """Raise the errors of the command line before those of the plan's file, whose name they must not have."""
+    from tactile_loc.io.config import COMMAND_LINE
+    from tactile_loc.sweeps.plan import Plan, read_options
+
+    written, merged = (read_options(one.get("option", []), COMMAND_LINE) for one in (given, values))
+    slots = [slot for slot in SLOTS if slot in given or slot in written]
+    own = {key: values[key] for key in (*given, *slots) if key != "option" and key in values}
+    Plan.from_values({**own, "option": {slot: merged[slot] for slot in slots if slot in merged}}, COMMAND_LINE)
 
 
 def _choose_workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
@@ -183,12 +197,12 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
          str(one.config.seed), "done" if one.key in done else "to do"]
         for one in combinations
     ]  # fmt: skip
-    header = ["object", *SLOTS, "noise", "seed", ""]
+    header = ["object", *SLOTS, "noise", "seed", "state"]
     say_table([header, *rows], left=len(header))
-    say(f"\n{len(combinations)} combinations of {plan.count} touches each, {len(missing)} to do")
+    say(f"\n{format_count(len(combinations), 'combination')} with {plan.count} touches each, {len(missing)} to do")
     say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
-    say("an encoder that follows the press depth needs a bank for each depth of the touches; only one is counted")
-    keys = [dict(zip([*header[:-1], "state"], row, strict=True)) for row in rows]
+    say("an encoder that depends on the press depth needs a bank for each depth; one bank is counted")
+    keys = [dict(zip(header, row, strict=True)) for row in rows]
     return {"combinations": keys, "count": plan.count, "missing": len(missing), "stages_to_build": stages}
 
 
@@ -199,7 +213,7 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     files = write_sweep(out, found, line)
     _say_medians(found, line)
     total = len(found.combinations)
-    say(f"\n{total} combinations: {found.done} evaluated now, {total - found.done} before")
+    say(f"\n{format_count(total, 'combination')}: {found.done} evaluated now, {total - found.done} before")
     say(f"stages built: {', '.join(f'{stage} {count}' for stage, count in found.built.items()) or 'none'}")
     return {
         "out": str(out), "combinations": total, "evaluated": found.done, "failed": found.failed, "built": found.built,
@@ -218,10 +232,10 @@ def _say_medians(found: Sweep, line: str) -> None:
             [str(label), *(FAILED if value != value else f"{value:.3g}" for value in row)]
             for label, row in zip(errors_mm.index, errors_mm.to_numpy(), strict=True)
         ]
-        say(f"median error of {line}, mm, noise {noise}")
+        say(f"median error in mm (line {line}, noise {noise})")
         say_table([["components", *errors_mm.columns], *rows[:MOST_SHOWN]], left=1)
         if len(rows) > MOST_SHOWN:
-            say(f"... and {len(rows) - MOST_SHOWN} more, in sweep.md")
+            say(f"{len(rows) - MOST_SHOWN} more rows are in sweep.md")
 
 
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:

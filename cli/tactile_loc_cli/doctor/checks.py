@@ -174,7 +174,7 @@ def find_remedy(failure: str, otherwise: str) -> str:
 
 PYTHON = (3, 11)
 LITTLE_DISK_B = 2e9
-LOW_DISK = "little: models of large grids take gigabytes"
+LOW_DISK = "too little for models of large grids, which take gigabytes"
 
 
 @dataclass(frozen=True)
@@ -335,7 +335,7 @@ def _check_store(folder: Path | None) -> Check:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        return Check("store", State.BROKEN, f"{root} cannot be written to ({error.strerror})", remedy, True)
+        return Check("store", State.BROKEN, f"{root} cannot be written ({error.strerror})", remedy, True)
     nbytes, free = sum(entry.nbytes for entry in StageStore(folder).entries()), shutil.disk_usage(existing).free
     says = f"{root} holds {format_bytes(nbytes)}; {format_bytes(free)} are free on its disk"
     facts = {"folder": str(root), "bytes": nbytes, "free_bytes": free}

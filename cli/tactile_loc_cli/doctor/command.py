@@ -23,8 +23,8 @@ def doctor(
 ) -> dict[str, Any]:
     """Check the installation.
 
-    Each library is tried in a separate process. If a library is missing or broken, its line says what to do. The exit
-    code is 1 if a required part is missing or broken.
+    Each library is tried in a separate process. If one is missing or broken, its line says what to do. The exit code is
+    1 if something required is missing or broken.
     """
     from tactile_loc_cli.doctor.checks import examine
 

@@ -43,7 +43,7 @@ def write(naming: Naming, folder: Path) -> list[str]:
     Raises OutputError if the folder exists or cannot be written.
     """
     if os.path.lexists(folder):
-        raise OutputError(f"{folder} already exists; choose another folder with --out")
+        raise OutputError(f"{folder} already exists; choose another --out")
     made = render(naming)
     try:
         with replace_folder(folder, fresh=True) as beside:

@@ -54,7 +54,9 @@ def run(
 
     newest = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(kind, image_topic, on_image, newest)
-    node.get_logger().info(f"locating the images on {image_topic}, poses on {pose_topic}")
+    node.get_logger().info(
+        f"locating the object in the images on {image_topic}; its poses are published on {pose_topic}"
+    )
     try:
         rclpy.spin(node)
     except KeyboardInterrupt:

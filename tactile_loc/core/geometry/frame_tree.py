@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import FrameError, did_you_mean
+from tactile_loc.core.errors import FrameError, advise_choice
 from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert
 
@@ -95,8 +95,7 @@ class FrameTree:
         """Raise FrameError, which lists the known frames, unless there are frames with all these names."""
         for name in names:
             if name not in self.names:
-                known = ", ".join(self.names) or "none"
-                raise FrameError(f"there is no frame {name!r}; there are: {known}.{did_you_mean(name, self.names)}")
+                raise FrameError(f"there is no frame {name!r}; {advise_choice(name, self.names)}")
 
     def look_up(self, target: str, source: str, stamp_ns: int) -> Transform:
         """Return T_target_source (4, 4), metres, at a time in ns, interpolated between stamps.
@@ -115,7 +114,9 @@ class FrameTree:
         found = [name]
         while (edge := self._edges.get(found[-1])) is not None:
             if edge.parent in found:
-                raise FrameError(f"the frames {', '.join(found)} are each other's parents, so they are not a tree")
+                raise FrameError(
+                    f"the frames {', '.join(found)} are each other's parents; correct the transforms of the recording"
+                )
             found.append(edge.parent)
         return found
 

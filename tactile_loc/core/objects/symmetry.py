@@ -98,8 +98,8 @@ class SymmetryGroup:
             rotations = _list_flips(self.terms, axis)
         if rotations is None:
             raise SymmetryError(
-                f"the symmetry '{self}' does not close: it generates more than {MAX_ORDER} rotations; correct an axis "
-                "or an order (a spherical object is not supported: name its rotations about one axis)"
+                f"the symmetry '{self}' has more than {MAX_ORDER} rotations; correct an axis or an order. For a "
+                "sphere, give the rotations about one axis"
             )
         for name, value in (("centre_m", centre_m), ("rotations", rotations), ("continuous_axis", axis)):
             object.__setattr__(self, name, value)

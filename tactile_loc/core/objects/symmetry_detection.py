@@ -68,9 +68,9 @@ def require_symmetry(
     if deviation_m > tolerance_m:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
         raise SymmetryError(
-            f"the object does not have the symmetry '{group}': the surface differs by {1e3 * deviation_m:.2g} mm after "
-            f"{_name_rotation(R)}, at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the "
-            "symmetry, or declare none"
+            f"the object does not have the symmetry '{group}': {_name_rotation(R)} changes its surface by "
+            f"{1e3 * deviation_m:.2g} mm at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the "
+            "symmetry, or give none"
         )
 
 

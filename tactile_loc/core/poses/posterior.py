@@ -52,7 +52,9 @@ class PosePosterior:
     def __post_init__(self) -> None:
         log_p = np.asarray(self.log_p, float)
         if log_p.shape != (len(self.grid),) or np.isnan(log_p).any() or not np.isfinite(log_p.max()):
-            raise GridError("no pose of the grid explains the touch: all probabilities are zero or undefined")
+            raise GridError(
+                "no pose of the grid explains the touch; check the touch and the prior, or search a larger grid"
+            )
         peak = log_p.max()
         if not 0 <= self.elsewhere < 1:
             raise GridError(f"the probability elsewhere is {self.elsewhere}; it must be at least 0 and below 1")

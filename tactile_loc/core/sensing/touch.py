@@ -107,8 +107,8 @@ class Touch:
         flat = np.ptp(depth[self.geometry.observed_mask]) < 0.05 * self.contact_shape.press_depth_m
         if contact.all() and flat:
             raise TouchError(
-                f"{self.name} is nothing but contact: every pixel has the same depth, which fits any flat face; "
-                "touch where an edge or a feature is on the sensor, or check how the file marks 'no contact'"
+                f"{self.name} has the same depth at every pixel, which fits any flat face; touch an edge or a "
+                "feature, or check how the file marks pixels without contact"
             )
         if self.geometry.indentation_m != self.indentation_m or self.geometry.max_depth_m != self.press_depth_m:
             pressed = self.geometry.press(self.indentation_m, self.press_depth_m)
@@ -158,7 +158,7 @@ def contact_shape_from_array(
     if finite.size and finite.max() > 100 * max_depth_m:
         raise TouchError(
             f"{name} has depths up to {finite.max():.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; "
-            "its unit is probably another (give --touch-unit mm or um)"
+            "its unit is probably wrong; give --touch-unit mm or um"
         )
     if press_depth_m is None:
         press_depth_m = _find_deepest_step(depth, max_depth_m)

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.errors import ConfigError, advise_choice
 from tactile_loc.core.geometry.rigid import Poses, make_transform
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -328,5 +328,5 @@ NOISE: dict[str, TouchNoise] = {
 def make_noise(name: str) -> TouchNoise:
     """Return the noise called none, mild or strong. Raises ConfigError for another name."""
     if name not in NOISE:
-        raise ConfigError(f"there is no noise {name!r}; give one of {', '.join(NOISE)}.{did_you_mean(name, NOISE)}")
+        raise ConfigError(f"there is no noise {name!r}; {advise_choice(name, NOISE)}")
     return NOISE[name]

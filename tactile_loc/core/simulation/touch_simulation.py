@@ -46,8 +46,8 @@ def draw_touches(
     press = deepest if press_depth_m is None else press_depth_m
     if not 0 < press <= deepest:
         raise TouchError(
-            f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm; choose "
-            "another --press-depth"
+            f"the press depth cannot be {press * 1e3:.3g} mm on this sensor; give more than 0 and at most "
+            f"{deepest * 1e3:.3g} mm"
         )
     press_noise = PressNoise(noise or TouchNoise(), scene.use_pressed_drawing(), press_depth_m, rng.spawn(1)[0])
     touches: list[Touch] = []

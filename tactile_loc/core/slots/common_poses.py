@@ -173,9 +173,9 @@ def find_common_poses(
         touching = found[number] >= 0
         if len(first) and not touching.any():
             raise GridError(
-                f"no pose touches all {len(grids)} sensors: contact {number + 1} drops the last {len(first):,} of the "
-                f"first grid's {len(poses):,} poses; check each T_base_sensor (metres, from sensor to base), or search "
-                "a grid that covers all faces, whole or hopf"
+                f"no pose touches all {len(grids)} sensors: contact {number + 1} excludes the last {len(first):,} of "
+                f"{len(poses):,} poses. Check each T_base_sensor (metres, from sensor to base), or search all faces "
+                "with the grid whole or hopf"
             )
         first, found = first[touching], found[:, touching]
     return CommonPoses(first, found)

@@ -42,7 +42,7 @@ class Incompatibility:
 INCOMPATIBILITIES = (
     Incompatibility(
         Declared("grid", "places", True), Declared("matcher", "weights", False),
-        "a sensor sees only part of the surroundings of a place, and this matcher cannot leave out the rest",
+        "a touch shows only a part of a place, and this matcher cannot compare parts",
         "choose another matcher, such as dense, or a grid that lists poses, such as face",
     ),
 )  # fmt: skip

@@ -43,8 +43,8 @@ class DepthSensor(SensorModel):
         depth = np.asarray(image)
         if depth.ndim == 3 or depth.dtype == np.uint8:
             raise TouchError(
-                f"the {type(self).__name__} sensor is not calibrated for images; give a contact shape (.npz, .npy or "
-                "16-bit .png), or choose a sensor that is calibrated for images: --sensor FOLDER"
+                f"the sensor {type(self).__name__} is not calibrated for images; give a contact shape (.npz, .npy or "
+                "16-bit grey .png), or a calibration folder as --sensor"
             )
         shape = contact_shape_from_array(depth, self.geometry.max_depth_m)
         if depth.shape != self.geometry.shape:

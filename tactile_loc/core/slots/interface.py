@@ -43,7 +43,7 @@ def adapt(kind: Any, slot: str, version: int) -> Any:
     weighs = hasattr(kind, "weighted_scores")  # only interface 1 had this method
     consequence = "its weighted_scores is used" if weighs else "it compares with listed poses only"
     logger.warning(
-        "The matcher %s was written for plugin interface 1: %s. To bring it to interface %d, %s.",
+        "the matcher %s was written for plugin interface 1, so %s; to update it to interface %d, %s",
         kind.__name__, consequence, INTERFACE_VERSION, WEIGHTS_CHANGE,
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ from tactile_loc.core.errors import (
     PluginConflictError,
     PluginLoadError,
     UnknownPluginError,
+    advise_choice,
     did_you_mean,
     quote,
 )
@@ -103,7 +104,7 @@ class Registry:
                 if not isinstance(spec, ComponentSpec) or spec.slot not in SLOTS:
                     raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")
                 if not isinstance(spec.interface, int) or spec.interface < 1:
-                    raise TypeError(f"offers {spec!r}; its interface must be a whole number from 1 on")
+                    raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
         except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
             reason = f"{type(error).__name__}: {error}"
             self.failures.append(LoadFailure(plugin.name, distribution, reason))
@@ -128,11 +129,10 @@ class Registry:
 
     def _describe_unknown(self, slot: str, name: str) -> str:
         if slot not in SLOTS:
-            return f"there is no slot {slot!r}; the slots are {', '.join(SLOTS)}"
-        broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
-        known = self.names(slot)
+            return f"there is no slot {slot!r}; {advise_choice(slot, SLOTS)}"
+        broken = "".join(f". The plugin {f.plugin} could not be loaded ({f.error})" for f in self.failures)
         also = ", and no folder or file with that name" if slot == "sensor" else ""
-        return f"there is no {slot} {name!r}{also}; choose {', '.join(known)}.{did_you_mean(name, known)}{broken}"
+        return f"there is no {slot} {name!r}{also}; {advise_choice(name, self.names(slot))}{broken}".replace("?.", "?")
 
     def load(self, slot: str, name: str) -> type[Any]:
         """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or an error of `find`.
@@ -142,9 +142,8 @@ class Registry:
         found = self.find(slot, name)
         if found.spec.interface > INTERFACE_VERSION:
             raise PluginLoadError(
-                f"the {slot} {name!r} of {found.distribution} needs a tactile-loc with plugin interface "
-                f"{found.spec.interface} or newer, and this one has {INTERFACE_VERSION}: pip install --upgrade "
-                "tactile-loc"
+                f"the {slot} {name!r} of {found.distribution} needs plugin interface {found.spec.interface}, but this "
+                f"tactile-loc has {INTERFACE_VERSION}: pip install --upgrade tactile-loc"
             )
         if found.spec not in self._kinds:
             self._kinds[found.spec] = self._import_component(found)
@@ -174,7 +173,7 @@ class Registry:
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
         kind = self.load(slot, name)
-        return kind(validate_options(kind.Options, options or {}, f"{slot} {name!r}"))
+        return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
 
 
 def _is_part_of(missing: str | None, module: str) -> bool:
@@ -212,8 +211,10 @@ def validate_options(
                 fields = getattr(fields[str(table)].annotation, "model_fields", fields)
             allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none"
             near = did_you_mean(str(problem["loc"][-1]), fields)
-            raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
-        subject = f"{key} of the {owner}" if name_option is None else name_option(key)
+            raise ConfigError(f"{owner} has no option {key!r}.{near} Known: {allowed}") from error
+        if problem["type"] == "missing":
+            raise ConfigError(f"{owner} needs the option {key!r}; set it") from error
+        subject = f"{key} of {owner}" if name_option is None else name_option(key)
         raise ConfigError(f"{subject} cannot be {quote(problem['input'])}; {explain_allowed(problem)}") from error
 
 

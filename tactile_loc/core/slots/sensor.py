@@ -37,6 +37,6 @@ class SensorModel(Component):
         Raises ConfigError if the sensor does not read images, and CalibrationError if it cannot simulate them.
         """
         raise ConfigError(
-            f"the sensor {type(self).__name__} reads no images; make one that does with tactile-loc calibrate "
-            "--simulated, and give its folder as --sensor"
+            f"the sensor {type(self).__name__} does not read images; give the folder of tactile-loc calibrate "
+            "--simulated as --sensor"
         )

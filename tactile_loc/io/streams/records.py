@@ -33,12 +33,14 @@ def read_document(path: Path) -> dict[str, Any]:
     """Return the JSON object in a result's file. Raises ResultError when the file cannot be read or holds no object."""
     try:
         found = read_json(path)
+    except FileNotFoundError as error:
+        raise ResultError(f"there is no file {path}; check the path") from error
     except OSError as error:
         raise ResultError(f"{path} cannot be read ({error.strerror or error}); check the path") from error
     except ValueError as error:
         raise ResultError(f"{path} is damaged: it is not JSON ({error}); make the result again") from error
     if not isinstance(found, dict):
-        raise ResultError(f"{path} is not a result: it holds a {type(found).__name__}; give a result's JSON file")
+        raise ResultError(f"{path} is not a result, but a {type(found).__name__}; give the .json file of a result")
     return found
 
 

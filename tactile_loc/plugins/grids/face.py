@@ -114,7 +114,7 @@ class FaceGrid(GridSampler):
         elif face in SIDES:
             normal = SIDES[face]
         else:
-            raise GridError(f"there is no face {face!r}; choose one of {', '.join(SIDES)} or auto")
+            raise GridError(f"there is no face {face!r}; choose {', '.join(SIDES)} or auto")
         return align_to_z(-normal)
 
 

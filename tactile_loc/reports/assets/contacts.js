@@ -22,7 +22,7 @@
   }
 
   draw("curves", (c) => {
-    const asked = value("line"), unit = value("scale") === "metres" ? "mm" : "share of the mean of random poses";
+    const asked = value("line"), unit = value("scale") === "metres" ? "mm" : "share of the mean ADD of random poses";
     const traces = data.runs.flatMap((run, k) =>
       Object.keys(run.lines).flatMap((line, n) => (asked === "all" || asked === line ? band(run, line, k, n) : [])));
     const xaxis = axis(c, { title: { text: "contacts" }, dtick: 1 });

@@ -179,8 +179,10 @@ def make_backbone(
     state is neither read nor changed. Raises ConfigError for an unknown name or norm, or a number below 1.
     """
     if name not in BACKBONES:
-        hint = did_you_mean(name, BACKBONES)
-        raise ConfigError(f"there is no backbone {name!r}; choose one of {', '.join(BACKBONES)}.{hint}")
+        near = did_you_mean(name, BACKBONES)
+        raise ConfigError(
+            f"there is no backbone {name!r}; choose one of {', '.join(BACKBONES)}" + (near and f".{near}")
+        )
     for label, count in (("in_channels", in_channels), ("channels", channels)):
         if count is not None and count < 1:
             raise ConfigError(f"the backbone's {label} is {count}; it must be at least 1")
@@ -237,11 +239,13 @@ def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
         from safetensors import SafetensorError
         from safetensors.torch import load_file
     except ImportError as error:
-        raise MissingLibraryError(f"reading {path} needs safetensors; run pip install safetensors") from error
+        raise MissingLibraryError(
+            f"{path} needs safetensors, which is not installed: pip install safetensors"
+        ) from error
     try:
         return load_file(path)
     except OSError as error:
-        raise WeightsError(f"cannot read the weights file {path} ({error.strerror or error})") from error
+        raise WeightsError(f"the weights file {path} cannot be read ({error.strerror or error})") from error
     except SafetensorError as error:
         raise WeightsError(f"the weights file {path} is damaged; download or save it again") from error
 

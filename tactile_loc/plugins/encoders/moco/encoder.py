@@ -173,7 +173,7 @@ class MocoEncoder(Encoder):
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise WeightsError(
-                f"cannot read {path} as the weights of a {self.recipe.backbone} encoder ({reason}); train it again"
+                f"{path} cannot be read as the weights of a {self.recipe.backbone} encoder ({reason}); train it again"
             ) from error
         self._network = network.to(self.device).eval()
 

@@ -87,7 +87,7 @@ def open_board(folder: str, epochs_done: int) -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
         raise MissingLibraryError(
-            "encoder.tensorboard needs tensorboard; install it with pip install tensorboard, or omit the option"
+            "encoder.tensorboard needs tensorboard, which is not installed: pip install tensorboard"
         ) from error
     return SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
 
