@@ -129,8 +129,8 @@ def test_the_refined_pose_is_in_contact(refiner, problem):
     np.testing.assert_allclose(problem.scene.bring_to_contact(T[None])[0][0], T, atol=1e-9)
 
 
-def test_a_prior_on_the_pose_reduces_the_effect_of_noise_only(problem):
-    """A strong prior reduces the motion for a noisy touch, but not for a clean one."""
+def test_the_noise_correlation_limits_the_motion_for_noisy_touches_only(problem):
+    """A larger correlation length of the noise reduces the motion for a noisy touch, but not for a clean one."""
     rng = np.random.default_rng(5)
     depth, press = problem.touch.contact_shape.depth_m, problem.touch.press_depth_m
     rough = depth + rng.normal(0, 4e-4, depth.shape)
