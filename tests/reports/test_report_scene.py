@@ -39,10 +39,10 @@ def test_the_camera_sees_every_point():
     assert towards == pytest.approx(-view.axes[2], abs=1e-3)
     angles = np.degrees(np.arctan2(np.abs(seen[:, :2]), -seen[:, 2:]))
     assert angles.max() < 22.5
-    assert angles.max() > 15  # and from not too far away
+    assert angles.max() > 15  # and the camera is not too far away
 
 
-def test_the_numbers_around_the_pad_are_its_coordinates(flat_camera):
+def test_the_labels_around_the_pad_are_its_coordinates(flat_camera):
     ticks = scene.list_pad_ticks(flat_camera, View(35.0, 28.0))
     x0, x1, y0, y1 = (1e3 * v for v in flat_camera.rectangle)
     for x, y, text in zip(ticks["x"], ticks["y"], ticks["text"], strict=True):
