@@ -59,7 +59,7 @@ def test_the_page_contains_the_gallery_as_a_small_image(page):
     assert "pin" in str(image["alt"])
 
 
-def test_several_encoders_have_separate_rows(tmp_path):
+def test_runs_of_several_encoders_have_different_names(tmp_path):
     write_evaluation(tmp_path)
     document = json.loads((tmp_path / "results.json").read_text())
     document["runs"].append({**document["runs"][0], "encoder": "moco"})
