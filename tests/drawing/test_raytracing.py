@@ -72,7 +72,7 @@ def test_shading_is_transparent_beside_the_object():
     assert (shadowed[seen.hit][:, 0] < lit[:, 0]).all()
 
 
-def test_shrinking_weighs_colours_by_opacity():
+def test_shrinking_weights_colours_by_opacity():
     image = np.zeros((2, 4, 4))
     image[0, 0] = [1.0, 0.2, 0.0, 1.0]
     small = shrink(image, 2)

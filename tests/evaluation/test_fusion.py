@@ -95,7 +95,7 @@ def test_more_contacts_reduce_the_error_and_kinematic_errors_stay_large(pipe):
     found = evaluate_fusion(pipe, (1, 5), 9, SOURCE)
     assert found.select_errors("best-1", 5).mean() < found.select_errors("best-1", 1).mean()
     assert found.select_errors("kinematic", 5).mean() > 1.5 * found.select_errors("best-1", 5).mean()
-    assert found.normalise_errors("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes nothing
+    assert found.normalise_errors("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes no pose
 
 
 def test_certain_touches_find_the_truth(monkeypatch, store):
@@ -180,7 +180,7 @@ def test_an_interrupted_evaluation_resumes_with_the_same_errors(evaluation, pipe
 
 
 def test_a_finished_evaluation_is_not_repeated(evaluation, pipe, monkeypatch):
-    monkeypatch.setattr(fusion._Examples, "locate", lambda *others: pytest.fail("located again"))
+    monkeypatch.setattr(fusion._Examples, "locate", lambda *others: pytest.fail("an example was located again"))
     again = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.alone == evaluation.alone).all()

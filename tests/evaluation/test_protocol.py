@@ -142,7 +142,7 @@ def test_an_interrupted_evaluation_resumes_with_the_same_errors(plain, localizer
 
 
 def test_a_finished_evaluation_is_not_repeated(evaluation, localizer, monkeypatch):
-    monkeypatch.setattr(TouchEvaluator, "measure", lambda *others: pytest.fail("localised again"))
+    monkeypatch.setattr(TouchEvaluator, "measure", lambda *others: pytest.fail("a touch was localised again"))
     again = evaluate(fresh(localizer.store), COUNT, SimulatedTouches("strong", 3))
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.seconds == evaluation.seconds).all()
