@@ -56,7 +56,7 @@ def project(name: str) -> dict:
 
 
 def require_libraries(name: str) -> None:
-    """Skip where a library that a distribution needs beside tactile-loc is not installed."""
+    """Skip the test if a library that a distribution needs besides tactile-loc is not installed."""
     for needed in project(name)["dependencies"]:
         library = re.split(r"[<>=!~ \[;]", needed)[0]
         try:

@@ -74,7 +74,7 @@ def test_the_plugin_refines_the_found_poses(tactile_loc, tmp_path):
     found = result["hypotheses"]
     grid_poses, refined = (np.array([h[k] for h in found]) for k in ("T_sensor_object_grid", "T_sensor_object"))
     assert np.abs(grid_poses[:, :2, 3] - refined[:, :2, 3]).max() > 1e-5, "the refiner did not shift a pose"
-    np.testing.assert_array_equal(grid_poses[:, :3, :3], refined[:, :3, :3], err_msg="and only slid it")
+    np.testing.assert_array_equal(grid_poses[:, :3, :3], refined[:, :3, :3], err_msg="the refiner changed the rotation")
 
 
 def test_an_environment_variable_excludes_or_includes_the_plugin(tactile_loc):

@@ -81,7 +81,7 @@ def plate(x_m: tuple[float, float], z_m: float) -> tuple[list[list[float]], list
 
 
 def test_a_pinhole_camera_sees_below_an_overhang(exact_renderer):
-    """Rays spread, so one that just misses a plate's inner edge meets what lies behind the plate."""
+    """Rays diverge: a ray that just misses the inner edge of a plate hits the surface behind the plate."""
     g = SensorGeometry("pinhole", 200, 21, 400.0, 400.0, 20.0, 10.5, 0.02, 0.002)
     (front, faces), (hidden, _) = plate((0.005, 0.006), 0.02), plate((0.00501, 0.006), 0.0215)
     mesh = TriangleMesh(np.array(front + hidden), np.array(faces + [[a + 4, b + 4, c + 4] for a, b, c in faces]))
