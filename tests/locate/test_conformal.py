@@ -1,4 +1,4 @@
-"""Sets hold the truth with the coverage asked for, however wrong the probabilities are."""
+"""Sets hold the truth with the requested coverage, even for wrong probabilities."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def grid(box):
 
 
 def example(grid: PoseGrid, rng: np.random.Generator, sureness: float) -> tuple[PosePosterior, int]:
-    """Return a posterior that is `sureness` times as certain as it should be, and a truth."""
+    """Return a posterior whose logits are `sureness` times too large, and a truth."""
     logits = rng.normal(size=len(grid)) * rng.uniform(0.3, 3)
     truth = rng.choice(len(grid), p=np.exp(logits) / np.exp(logits).sum())
     return PosePosterior(grid, sureness * logits), int(truth)

@@ -255,7 +255,7 @@ def test_an_encoder_with_one_bank_gets_the_press_depth_of_the_touch(coarse, stor
 
 
 def test_a_touch_with_half_the_pixels_has_the_same_result(pin, touches):
-    """The touch carries its geometry: half the pixels are the same touch."""
+    """The touch carries its geometry, so half the pixels describe the same touch."""
     touch = touches[3]
     half = Touch(touch.contact_shape.subsample(2), touch.geometry.subsample(2), T_sensor_object=touch.T_sensor_object)
     a, b = pin.posterior(touch), pin.posterior(half)
@@ -356,7 +356,7 @@ def test_only_the_most_recent_matchers_stay_in_memory(coarse):
 
 
 def test_a_refined_pose_has_a_covariance(pin, touches):
-    """Every refiner's poses: in half of the touches the true pose is within a few of its standard deviations."""
+    """For each refiner, the true pose of half of the touches lies within a few standard deviations."""
     found = [pin.localize(touch) for touch in touches[:6]]
     for one in found:
         for h in one.hypotheses:

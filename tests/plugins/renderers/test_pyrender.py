@@ -154,7 +154,7 @@ def test_the_whole_contact_band_is_between_the_clipping_planes(camera, quad, new
 
 
 def test_depths_of_slopes_have_no_bias(camera, quad, new_pyrender):
-    """Multisampling would give the depth beside the pixel's centre: on a slope, tens of micrometres to one side."""
+    """Multisampling would give the depth away from the pixel's centre: on a slope, an error of tens of micrometres."""
     T = make_transform(rotation_about([0.7, 1, 0], 0.8), [0, 0, camera.standoff_m + 0.001])
     depth = new_pyrender().render(quad, T[None], camera)
     points = camera.backproject(depth)[0][np.isfinite(depth[0])]
