@@ -91,7 +91,7 @@ def test_a_touch_is_compared_at_other_sensor_poses_at_a_cost(make_box, make_scen
 
 
 def test_distant_modes_contain_the_poses_beside_them(metric):
-    """Five poses along a line give two modes; poses between the likelier one and the limit are its members."""
+    """Five poses along a line give two modes; poses between the more probable mode and the limit are its members."""
     poses = np.concatenate([make_translation([x, 0, 0])[None] for x in (0.0, 0.4e-3, 0.9e-3, 3e-3, 3.2e-3)])
     p = np.array([0.4, 0.2, 0.1, 0.25, 0.05])
     first, second = choose_best_apart(PosePosterior(PoseGrid(poses, metric), np.log(p)), 0.5e-3, 2)

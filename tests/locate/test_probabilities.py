@@ -1,4 +1,4 @@
-"""Probabilities from scores: known parameters are found again, and probabilities are true."""
+"""Probabilities from scores: fits recover known parameters, and probabilities are calibrated."""
 
 from __future__ import annotations
 

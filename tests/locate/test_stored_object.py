@@ -60,7 +60,7 @@ def test_a_symmetry_is_found_once_and_read_back_from_the_store(tmp_path, monkeyp
     trimesh.creation.box((0.03, 0.02, 0.01)).export(path)
     plain = meshes.load_object(path, "m", declared)
     first = module.load_stored_object(path, "m", declared, store)
-    monkeypatch.setattr(module, "find_symmetry", lambda *_: pytest.fail("the symmetry is judged again"))
+    monkeypatch.setattr(module, "find_symmetry", lambda *_: pytest.fail("the symmetry was searched again"))
     again = module.load_stored_object(path, "m", declared, store)
     for found in (first, again):
         assert found.symmetry.terms == plain.symmetry.terms
