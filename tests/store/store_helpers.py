@@ -53,7 +53,7 @@ def contents(path: Path) -> dict[str, bytes]:
 
 
 def forbidden(workspace: Workspace) -> None:
-    raise AssertionError("built again")
+    raise AssertionError("the stage was built again")
 
 
 def run_python(script: str, *arguments: object, **options: Any) -> subprocess.Popen[str]:

@@ -45,7 +45,7 @@ class Nobody:
     """Workers that must get no job."""
 
     def run_jobs(self, jobs, objects):
-        raise AssertionError(f"{len(jobs)} jobs are done again")
+        raise AssertionError(f"{len(jobs)} jobs were run again")
 
 
 @pytest.fixture(scope="module")
