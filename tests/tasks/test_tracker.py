@@ -43,7 +43,7 @@ def sure(pin):
             good.append(touch)
         if len(good) == 2:
             return good
-    raise AssertionError("hardly any touch of the pin shows where it is")
+    raise AssertionError("too few touches of the pin determine its pose")
 
 
 @pytest.fixture(scope="module")

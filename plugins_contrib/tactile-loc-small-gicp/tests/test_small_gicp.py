@@ -65,7 +65,7 @@ def test_too_few_iterations_do_not_converge():
 
 
 def test_clouds_out_of_reach_are_not_registered():
-    """4 pixels of 0.4 mm are the least reach: a contact three times as far away has no pair."""
+    """The reach is at least 4 pixels of 0.4 mm; a contact three times as far away has no pair."""
     problem = press_block()
     depth = np.full_like(problem.touch.contact_shape.depth_m, problem.touch.press_depth_m)
     depth[2:8, 2:8] = 0

@@ -30,7 +30,7 @@ def until_it_fails(frames: Iterable[SourceFrame]) -> tuple[list[SourceFrame], st
             found.append(frame)
     except SourceError as error:
         return found, str(error)
-    raise AssertionError("the source did not go away")
+    raise AssertionError("the source gave no error")
 
 
 READS_VIDEOS = any(importlib.util.find_spec(name) for name in ("cv2", "imageio"))
