@@ -76,7 +76,9 @@ def test_stored_shapes_decode_to_the_rendered_shapes(make_pin_scene, sampler, ow
     assert decoded.dtype == np.float32
     assert decoded.shape == (model.size, *scene.geometry.shape)
     max_depth_m = scene.geometry.max_depth_m
-    assert np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9  # of which float32 depths are
+    assert (
+        np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9
+    )  # half a step of the storage, plus float32 rounding
     touching = rendered < np.float32(max_depth_m)
     assert np.array_equal(decoded < np.float32(max_depth_m), touching)
     for index in (0, 1, SHARD - 1, SHARD, model.size - 1):

@@ -1,4 +1,4 @@
-"""The grid keeps every contract of its slot, covers what hopf covers, and takes any number of rotations."""
+"""The grid keeps every contract of its slot, has the coverage of hopf, and accepts any number of rotations."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_symmetry_keeps_its_share_of_rotations_and_full_coverage(symmetry, ord
 
 @pytest.mark.parametrize(("symmetry", "share", "most"), [("zinf", 1.0, 1.3), ("zinf*x2", 0.5, 1.8)])
 def test_a_round_part_has_one_rotation_for_each_direction_of_its_axis(symmetry, share, most):
-    """`most` is in radii of a cap of one direction's share; where half a sphere meets its other half, spirals clash."""
+    """`most` is in radii of a cap of one direction's share; the spiral is irregular where two half spheres meet."""
     R = spread_rotations(brick(symmetry), 400)
     assert len(R) == pytest.approx(400 * share, rel=0.05)
     axes = R[:, :, 2] if share == 1 else np.concatenate([R[:, :, 2], -R[:, :, 2]])
@@ -114,7 +114,7 @@ def test_the_grid_does_not_depend_on_the_origin_of_the_mesh():
 
 
 def test_random_poses_have_the_distribution_of_hopf():
-    """Ten numbers of a pose are distributed as hopf's: no quantile is off by more than chance."""
+    """Ten numbers of a pose have the distribution of hopf: their quantiles differ only by chance."""
     from scipy.stats import ks_2samp
 
     hopf = registry().create("grid", "hopf")

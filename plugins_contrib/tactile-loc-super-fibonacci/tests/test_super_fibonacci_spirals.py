@@ -36,7 +36,7 @@ def test_the_first_point_follows_the_formula():
 
 @pytest.mark.parametrize("count", [10, 100, 1000, 10_000])
 def test_every_quaternion_is_far_from_others_and_their_antipodes(count):
-    """A rotation is q and -q: the closest two are as far apart as half the side of a cube of their share of SO(3)."""
+    """q and -q are one rotation; the least distance is half the side of a cube with one rotation's share of SO(3)."""
     q = super_fibonacci_quaternions(count)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1)
     R = super_fibonacci_rotations(count)
