@@ -26,7 +26,7 @@ def test_meshes_and_poses_are_in_mm(box):
 
 
 def test_the_camera_sees_every_point():
-    """In plotly, the unit is the geometric mean of the ranges, the origin their centre, and the view 45 degrees wide."""
+    """In plotly, the unit is the geometric mean of the ranges, the origin their centre, the view 45 degrees wide."""
     rng = np.random.default_rng(0)
     points = rng.uniform([-60, -10, 20], [30, 40, 60], (200, 3))
     bounds = [[-80.0, 50.0], [-30.0, 60.0], [0.0, 70.0]]
