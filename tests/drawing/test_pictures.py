@@ -39,7 +39,7 @@ def figure(localizer, localization):
     return draw_result(localization, localizer.scene, "pin on gelslim", errors_m)
 
 
-def test_everything_is_labelled_with_units(figure):
+def test_labels_name_the_object_the_poses_and_the_units(figure):
     shown = texts(figure)
     for label in ("pin on gelslim", "x (mm)", "y (mm)", "z (mm)"):
         assert label in shown
@@ -56,14 +56,14 @@ def test_each_candidate_has_its_probability_score_and_error(figure, localization
     assert not missing(captions[0], "2.5 mm")
 
 
-def test_without_a_true_pose_none_is_promised(localizer, localization):
+def test_a_result_without_a_true_pose_shows_neither_true_pose_nor_error(localizer, localization):
     unknown = dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, T_sensor_object=None))
     shown = texts(draw_result(unknown, localizer.scene, "pin"))
     assert not any("true" in text for text in shown)
     assert not any(" mm" in text for text in shown if " %,  IoU " in text)
 
 
-def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, localization):
+def test_a_photo_shows_the_outline_of_the_best_pose(localizer, localization):
     photo = np.full((*localization.touch.geometry.shape, 3), (10, 90, 160), np.uint8)
     seen = dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, image=photo))
     figure = draw_result(seen, localizer.scene, "pin")
@@ -80,20 +80,20 @@ def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, l
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_few_candidates(localizer, localization, count):
+def test_few_candidates_have_one_caption_each(localizer, localization, count):
     few = dataclasses.replace(localization, hypotheses=(localization.best,) * count)
     captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if " %,  IoU " in text]
     assert len(captions) == count
 
 
-def test_pyplot_knows_of_no_figure_and_the_settings_are_as_they_were(localizer, localization, tmp_path):
+def test_drawing_changes_neither_pyplots_figures_nor_its_settings(localizer, localization, tmp_path):
     before, figures = dict(plt.rcParams), plt.get_fignums()
     save_figure(tmp_path / "a.png", draw_result(localization, localizer.scene, "pin"), dpi=40)
     assert plt.get_fignums() == figures
     assert dict(plt.rcParams) == before
 
 
-def test_contact_shapes_are_drawn_where_they_are(tmp_path):
+def test_contact_shapes_are_drawn_at_their_position_in_mm(tmp_path):
     depth = np.full(FLAT.shape, 0.001, np.float32)
     depth[3, 4] = 0.0004  # its centre is 0.25 mm right of and below the axis
     axes = Figure().add_subplot()
@@ -121,7 +121,7 @@ def test_the_outline_runs_around_the_contact(localizer, localization):
     assert [y.min(), y.max()] == pytest.approx([(50 - cy) / sy, (100 - cy) / sy], abs=0.11)
 
 
-def test_the_pose_panel_shows_the_object_where_it_is(localizer, localization):
+def test_the_pose_panel_draws_estimate_and_truth_at_the_same_scale(localizer, localization):
     T = localization.touch.T_sensor_object
     pictures = []
     for estimate, truth in ((T, None), (T, T)):
@@ -131,11 +131,11 @@ def test_the_pose_panel_shows_the_object_where_it_is(localizer, localization):
     blue, with_lines = pictures
     assert blue.shape == with_lines.shape  # the same pose: the same bounds
     changed = np.abs(blue - with_lines).max(axis=-1) > 0.05
-    assert 0.001 < changed.mean() < 0.1  # lines, no areas
+    assert 0.001 < changed.mean() < 0.1  # lines rather than areas
     assert (with_lines[changed][:, 0] > with_lines[changed][:, 2]).mean() > 0.9  # orange
 
 
-def test_a_sheet_of_touches(localizer):
+def test_a_sheet_shows_at_most_the_stated_number_of_touches(localizer):
     touches = localizer.simulate(7, seed=1)
     figure = draw_touches(touches, "pin, simulated")
     shown = texts(figure)
@@ -143,7 +143,7 @@ def test_a_sheet_of_touches(localizer):
     assert len(draw_touches(touches[:1] * 100, "many").findobj(lambda a: a in figure.axes)) <= MOST_TOUCHES
 
 
-def test_saving(tmp_path, figure):
+def test_a_figure_is_saved_in_a_new_folder_but_not_below_a_file(tmp_path, figure):
     with Image.open(save_figure(tmp_path / "deep" / "a.png", figure, dpi=50)) as picture:
         picture.load()
         assert picture.size == tuple(int(50 * side) for side in figure.get_size_inches())

@@ -18,16 +18,18 @@ def test_the_view_is_a_rotation_with_z_up(azimuth, elevation):
     assert axes[2, 2] == pytest.approx(np.sin(np.radians(elevation)))
 
 
-def test_from_the_front_x_is_right_and_z_is_up():
+def test_the_front_view_has_x_to_the_right_and_z_up():
     assert FRONT.project(np.array([1.0, 5.0, 2.0])) == pytest.approx([1.0, 2.0])
     assert View(90.0, 0.0).project(np.array([1.0, 5.0, 2.0])) == pytest.approx([5.0, 2.0])  # from +x
 
 
-def test_a_box_has_its_surface():
+def test_a_box_has_the_right_area_and_volume():
     a, b, c = np.moveaxis(BLOCK, 1, 0)
     normals = np.cross(b - a, c - a) / 2
     assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(2 * (4 * 2 + 4 * 3 + 2 * 3))
-    assert abs(np.einsum("ij,ij->i", a, normals).sum() / 3) == pytest.approx(4 * 2 * 3)  # wound alike
+    assert abs(np.einsum("ij,ij->i", a, normals).sum() / 3) == pytest.approx(
+        4 * 2 * 3
+    )  # all faces have the same winding
 
 
 def test_rays_meet_the_nearest_surface():
@@ -41,7 +43,7 @@ def test_rays_meet_the_nearest_surface():
     assert (seen.surface[0] == -1).all()  # above everything
 
 
-def test_edges_are_outlines_and_creases_and_nothing_else():
+def test_only_outlines_and_creases_are_edges():
     seen = Tracer([BLOCK], FRONT).look((-5, 5, -1, 6), (70, 100))
     marked = seen.find_edges(jump=0.1)
     assert marked.sum() == pytest.approx(2 * (40 + 30), abs=6)
@@ -57,7 +59,7 @@ def test_a_shadow_lies_opposite_the_light():
     assert dark.mean(axis=0)[:2] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)
 
 
-def test_shading_is_transparent_where_nothing_is():
+def test_shading_is_transparent_beside_the_object():
     tracer = Tracer([BLOCK], FRONT)
     seen = tracer.look((-5, 5, -1, 6), (70, 100))
     image = shade(seen, np.array([[1.0, 0.5, 0.0]]), np.zeros(seen.surface.shape, bool))
@@ -70,7 +72,7 @@ def test_shading_is_transparent_where_nothing_is():
     assert (shadowed[seen.hit][:, 0] < lit[:, 0]).all()
 
 
-def test_shrinking_weighs_colours_by_opacity():
+def test_shrinking_weights_colours_by_opacity():
     image = np.zeros((2, 4, 4))
     image[0, 0] = [1.0, 0.2, 0.0, 1.0]
     small = shrink(image, 2)

@@ -29,7 +29,7 @@ def rerun():
     return pytest.importorskip("rerun", reason="rerun is not installed")
 
 
-def test_what_was_logged_is_read_back(rerun, localizer, tmp_path):
+def test_rerun_reads_the_logged_entries(rerun, localizer, tmp_path):
     touch = replace(localizer.simulate(1, seed=0)[0], T_base_sensor=make_transform(np.eye(3), [0.4, 0, 0.1]))
     photo = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
@@ -59,7 +59,7 @@ def test_what_was_logged_is_read_back(rerun, localizer, tmp_path):
     assert texts[1] == "no contact"
 
 
-def test_a_result_has_its_posterior(rerun, localizer, localization, tmp_path):
+def test_a_result_logs_its_posterior(rerun, localizer, localization, tmp_path):
     found = read(write_localization(tmp_path / "a.rrd", localization, localizer.scene))
     poses = np.reshape(found["base/sensor/posterior"]["T_sensor_object"][0], (-1, 4, 4))
     shares = np.array(found["base/sensor/posterior"]["probability"][0])
@@ -70,7 +70,7 @@ def test_a_result_has_its_posterior(rerun, localizer, localization, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
-def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path):
+def test_the_ellipsoid_has_the_rotation_of_the_covariance(rerun, localizer, tmp_path):
     R = rotation_about([1, 1, 0], 0.5)
     turned = C.copy()
     turned[:3, :3] = R @ C[:3, :3] @ R.T
@@ -85,13 +85,13 @@ def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path
     np.testing.assert_allclose(axes @ np.diag(half**2) @ axes.T, turned[:3, :3], atol=1e-12)
 
 
-def test_words_without_a_pose_or_its_spread():
+def test_the_text_of_a_frame_needs_no_pose_and_no_covariance():
     assert describe_pose(Logged(0, 0.0, says="no contact")) == "no contact"
     assert describe_pose(Logged(0, 0.0, located=LocatedFrame(None, says="damaged"))) == "refused\ndamaged"
     assert "std" not in describe_pose(Logged(0, 0.0, located=replace(located(), covariance=None)))
 
 
-def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path, monkeypatch):
+def test_an_unusable_rerun_file_is_refused_before_the_run(rerun, tmp_path, monkeypatch):
     with pytest.raises(OutputError, match=naming(".rrd", "a.txt", "--rerun")):
         require_rerun(tmp_path / "a.txt")
     (tmp_path / "file").write_text("")
@@ -102,7 +102,7 @@ def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path,
         require_rerun(tmp_path / "a.rrd")
 
 
-def test_a_full_disk_is_one_sentence(rerun, localizer, tmp_path, monkeypatch):
+def test_a_full_disk_gives_a_one_sentence_error(rerun, localizer, tmp_path, monkeypatch):
     def full(*_: object, **__: object) -> None:
         raise RuntimeError("File-writer thread shut down prematurely")
 

@@ -32,7 +32,7 @@ def ratios(localizer: Localizer, touches: list[Touch], seed: int = 0) -> np.ndar
     return measure_ambiguity(localizer, touches, MILD, [np.random.default_rng([seed, i]) for i in range(len(touches))])
 
 
-def test_with_gaussian_noise_the_ratio_says_how_often_the_wrong_shape_is_nearer():
+def test_the_noise_ratio_gives_the_rate_of_wrong_matches_for_gaussian_noise():
     rng = np.random.default_rng(0)
     mixing = np.diag(rng.uniform(0.2, 2, 12)) @ np.linalg.qr(rng.normal(size=(12, 12)))[0]
     true, other = rng.normal(size=(2, 12))
@@ -45,7 +45,7 @@ def test_with_gaussian_noise_the_ratio_says_how_often_the_wrong_shape_is_nearer(
     assert compute_noise_ratio(true, true[None], measured[:20]) == 0
 
 
-def test_noise_that_is_another_difference_than_the_shapes_hides_nothing():
+def test_noise_in_other_directions_does_not_hide_the_difference_of_shapes():
     true, other = np.zeros(3), np.array([[1.0, 0.0, 0.0]])
     measured = np.array([[0.1, 9.0, -9.0], [-0.1, -9.0, 9.0]])
     assert compute_noise_ratio(true, other, measured) == pytest.approx([1 / np.hypot(0.2, 0)])
@@ -53,7 +53,7 @@ def test_noise_that_is_another_difference_than_the_shapes_hides_nothing():
 
 @pytest.fixture(scope="module")
 def plates(store, make_object) -> dict[str, Localizer]:
-    """A plate of 17 x 6 mm, and one with a notch in one corner, by declared symmetry."""
+    """A plate of 17 x 6 mm, and one with a notch in one corner, for each declared symmetry."""
     plate = trimesh.creation.box((0.017, 0.006, 0.004))
     corner = trimesh.creation.box((0.004, 0.004, 0.02), make_transform(np.eye(3), [0.0085, 0.003, 0.0]))
     notched = trimesh.boolean.difference([plate, corner], engine="manifold")
@@ -65,7 +65,7 @@ def plates(store, make_object) -> dict[str, Localizer]:
 
 
 def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:
-    """The plate's face on the sensor, its middle `x_m` metres from the sensor's along the plate."""
+    """The plate's face on the sensor, its centre `x_m` metres from the sensor's centre along the plate."""
     R = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)
     scene = localizer.scene.press(5e-4)
     T = scene.bring_to_contact(make_transform(R, R @ [x_m, 0.001, 0.0])[None])[0][0]
@@ -74,26 +74,26 @@ def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:
     )
 
 
-def test_two_poses_that_look_the_same_are_ambiguous_unless_they_are_the_same(plates):
+def test_two_poses_that_look_the_same_are_ambiguous_unless_a_symmetry_joins_them(plates):
     """A plate rotated by 180 degrees is a rival, unless that is declared as its symmetry."""
     whole = [touch_at(plates["alike"], x) for x in (0.0, 0.001, -0.002)]
     assert (ratios(plates["alike"], whole) < 1).all()
     assert (ratios(plates["symmetric"], whole) > 3).all()
 
 
-def test_a_notch_tells_poses_apart(plates):
-    """The notch is in view, or the end without a notch is."""
+def test_a_notch_distinguishes_the_poses(plates):
+    """The view contains either the notch or the end without a notch."""
     assert (ratios(plates["notched"], [touch_at(plates["notched"], x) for x in (0.0, 0.012)]) > 2).all()
 
 
-def test_the_same_randomness_gives_the_same_ratio_and_more_noise_a_smaller_one(plates):
+def test_equal_seeds_give_equal_ratios_and_more_noise_lowers_the_ratio(plates):
     touch = touch_at(plates["notched"], 0.0)
     (mild,) = ratios(plates["notched"], [touch])
     assert mild == ratios(plates["notched"], [touch])[0]
     assert measure_ambiguity(plates["notched"], [touch], NOISE["strong"], [np.random.default_rng([0, 0])])[0] < mild
 
 
-def test_rivals_are_distant_from_the_truth_and_from_one_another(localizer):
+def test_rivals_are_distant_from_the_truth_and_from_each_other(localizer):
     grid, rng = localizer.model.grid, np.random.default_rng(0)
     truth, apart = grid.T_sensor_object[100], rng.random(len(grid)).astype(np.float32)
     rivals = find_rivals(grid, truth, apart, 0.012)
@@ -105,7 +105,7 @@ def test_rivals_are_distant_from_the_truth_and_from_one_another(localizer):
     assert (rivals[0] == grid.T_sensor_object[np.flatnonzero(distant)[apart[distant].argmin()]]).all()
 
 
-def test_without_a_distant_pose_nothing_is_ambiguous(plates):
+def test_a_touch_without_distant_poses_is_not_ambiguous(plates):
     touch = touch_at(plates["symmetric"], 0.0)
     grid = plates["symmetric"].model.grid
     near = grid.distances(touch.T_sensor_object) < DISTANT_M

@@ -46,7 +46,7 @@ def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(runs
     assert save_figure(tmp_path / "violins.png", figure, dpi=40).stat().st_size > 1000
 
 
-def test_violins_show_the_medians(runs):
+def test_violins_mark_the_medians(runs):
     axes = draw_violins(runs[:1], "t").axes[0]
     dots = [line for line in axes.lines if line.get_marker() == "o"]
     medians = [np.median(runs[0].evaluation.normalise_errors(line)) for line in DRAWN]
@@ -58,7 +58,7 @@ def test_violins_show_the_medians(runs):
     assert all(low <= np.log10(m) <= high for m in medians)
 
 
-def test_violins_of_a_single_exact_touch(tmp_path):
+def test_a_violin_can_show_a_single_exact_touch(tmp_path):
     run = make_run("pin", "pixel", 0)
     errors = run.evaluation.errors_m[:1].copy()
     errors[:, :2] = 0.0  # an error of zero has no logarithm
@@ -87,7 +87,7 @@ def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_
     assert save_figure(tmp_path / "gallery.png", figure, dpi=40).exists()
 
 
-def test_the_curve_says_how_many_true_poses_a_set_holds(tmp_path):
+def test_the_coverage_curve_shows_the_share_of_true_poses_in_each_set(tmp_path):
     run = make_run("pin", "pixel", 0)
     figure = draw_reliability([run], "title")
     trusted, entropy = figure.axes
@@ -103,7 +103,7 @@ def test_the_curve_says_how_many_true_poses_a_set_holds(tmp_path):
     assert save_figure(tmp_path / "a.png", figure, dpi=40).exists()
 
 
-def test_many_runs_are_told_apart(tmp_path):
+def test_many_runs_have_different_lines(tmp_path):
     runs = [make_run(f"part {i}", "pixel", i) for i in range(8)]
     figure = draw_reliability(runs, "title")
     styles = {(line.get_color(), line.get_marker()) for line in figure.axes[1].lines}
@@ -134,7 +134,7 @@ def test_each_object_has_a_panel_with_medians_and_quartiles(tmp_path):
     assert save_figure(tmp_path / "a.png", figure, dpi=40).stat().st_size > 1000
 
 
-def test_encoders_are_told_apart_and_kinematic_is_drawn_once():
+def test_encoders_have_different_lines_and_kinematic_is_drawn_once():
     runs = [make_contact_run("pin", encoder, i) for i, encoder in enumerate(("pixel", "other"))]
     figure = draw_fusion(runs, "t")
     (axes,) = panels(figure)

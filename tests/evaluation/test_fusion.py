@@ -56,7 +56,7 @@ def certain(localizer: Localizer, touch) -> PosePosterior:
     return PosePosterior(grid, log_p)
 
 
-def test_every_example_has_every_number_of_contacts_and_line(evaluation):
+def test_errors_exist_for_every_example_contact_count_and_line(evaluation):
     assert evaluation.errors_m.shape == (COUNT, len(CONTACTS), len(FUSION_LINES))
     assert evaluation.alone.shape == (COUNT, len(CONTACTS), len(FUSED_LINES))
     assert (evaluation.errors_m >= 0).all()
@@ -67,7 +67,7 @@ def test_every_example_has_every_number_of_contacts_and_line(evaluation):
     )
 
 
-def test_one_contact_is_the_single_touch(evaluation, pipe):
+def test_one_contact_has_the_error_of_the_single_touch(evaluation, pipe):
     from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
@@ -80,7 +80,7 @@ def test_one_contact_is_the_single_touch(evaluation, pipe):
     assert evaluation.count_without_common("best-1", 1) == 0
 
 
-def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
+def test_errors_of_several_contacts_are_those_of_the_fused_posterior(evaluation, pipe):
     from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
@@ -91,22 +91,22 @@ def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
     assert evaluation.select_errors("best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
 
 
-def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
+def test_more_contacts_reduce_the_error_and_kinematic_errors_stay_large(pipe):
     found = evaluate_fusion(pipe, (1, 5), 9, SOURCE)
     assert found.select_errors("best-1", 5).mean() < found.select_errors("best-1", 1).mean()
     assert found.select_errors("kinematic", 5).mean() > 1.5 * found.select_errors("best-1", 5).mean()
-    assert found.normalise_errors("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes nothing
+    assert found.normalise_errors("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes no pose
 
 
-def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
+def test_certain_touches_find_the_truth(monkeypatch, store):
     monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
-    localizer = fresh(store, temperature=0.1)  # used by no other test, since results are stored
+    localizer = fresh(store, temperature=0.1)  # no other test uses this seed, since results are stored
     found = evaluate_fusion(localizer, (1, 3), 4, SOURCE)
     assert (found.normalise_errors("best-1", 1) < 0.2).all()
     assert found.select_errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
 
 
-def test_a_first_touch_that_tells_nothing_is_made_up_for(monkeypatch, store):
+def test_later_touches_compensate_an_uninformative_first_touch(monkeypatch, store):
     localizer = fresh(store, temperature=0.2)
 
     def first_knows_nothing(self, touches):
@@ -135,7 +135,7 @@ def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
     assert (found.select_errors("best-1", 2) == evaluation.select_errors("best-1", 2)[:3]).all()
 
 
-def test_a_seed_always_gives_the_same_and_another_others(evaluation, pipe):
+def test_equal_seeds_give_equal_errors_and_other_seeds_give_other_errors(evaluation, pipe):
     again = evaluate_fusion(fresh(pipe.store), CONTACTS, 2, SOURCE)
     assert (again.errors_m == evaluation.errors_m[:2]).all()
     other = evaluate_fusion(pipe, CONTACTS, 2, SimulatedTouches("strong", 4))
@@ -153,13 +153,13 @@ def test_refused_presses_are_counted(pipe, monkeypatch):
     assert found.refused.tolist() == [0 + 1 + 2, 3 * MOST_FUSED + 0 + 1 + 2]
 
 
-def test_which_numbers_are_asked_for_does_not_change_a_number(evaluation, pipe):
+def test_requested_contact_counts_do_not_change_the_errors(evaluation, pipe):
     found = evaluate_fusion(pipe, (2,), 2, SOURCE)
     for line in FUSION_LINES:
         assert (found.select_errors(line, 2) == evaluation.select_errors(line, 2)[:2]).all()
 
 
-def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, monkeypatch):
+def test_an_interrupted_evaluation_resumes_with_the_same_errors(evaluation, pipe, monkeypatch):
     pipe.store.remove(make_fusion_key(pipe, CONTACTS, COUNT, SOURCE).digest)
     monkeypatch.setattr(fusion, "SHARD", 2)
     located: list[int] = []
@@ -179,14 +179,14 @@ def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, m
     assert (resumed.errors_m == evaluation.errors_m).all()
 
 
-def test_what_is_finished_is_not_done_again(evaluation, pipe, monkeypatch):
-    monkeypatch.setattr(fusion._Examples, "locate", lambda *others: pytest.fail("located again"))
+def test_a_finished_evaluation_is_not_repeated(evaluation, pipe, monkeypatch):
+    monkeypatch.setattr(fusion._Examples, "locate", lambda *others: pytest.fail("an example was located again"))
     again = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.alone == evaluation.alone).all()
 
 
-def test_the_key_holds_whatever_changes_the_errors(pipe):
+def test_the_key_contains_every_input_that_changes_the_errors(pipe):
     def digest(local=pipe, contacts=CONTACTS, count=COUNT, source=SOURCE):
         return make_fusion_key(local, contacts, count, source).digest
 
@@ -198,6 +198,6 @@ def test_the_key_holds_whatever_changes_the_errors(pipe):
 
 
 @pytest.mark.parametrize("contacts", [(), (0, 1), (1, MOST_FUSED + 1), (-2,)])
-def test_numbers_of_contacts_that_cannot_be_are_refused(pipe, contacts):
+def test_impossible_contact_counts_are_refused(pipe, contacts):
     with pytest.raises(ConfigError, match=naming("contacts", list(contacts), MOST_FUSED)):
         evaluate_fusion(pipe, contacts, 1, SOURCE)

@@ -72,7 +72,7 @@ def test_files_are_written(run, tmp_path):
     assert written[2].read_text() == format_markdown([run, make_contact_run("hook", "pixel", 1)], "Title")
 
 
-def test_markdown_says_what_fell_back(run):
+def test_markdown_counts_the_examples_without_a_common_pose(run):
     text = format_markdown([run], "Title")
     assert text.startswith("# Title\n")
     assert not missing(text, "common", 80)

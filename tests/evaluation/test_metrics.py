@@ -41,7 +41,7 @@ def test_a_shift_moves_every_point_by_its_length(box, points_m, true_pose):
     assert compute_add_s(points_m, shifted[None], true_pose)[0] < LENGTH_M
 
 
-def test_the_largest_distance_of_a_turned_box_is_its_corners(box, true_pose):
+def test_the_largest_distance_of_a_rotated_box_is_at_its_corners(box, true_pose):
     turned = true_pose @ turn([0, 0, 1], np.pi / 2)  # 30 x 20 mm across: the chord of a right angle
     expected_m = np.sqrt(2) * np.hypot(0.015, 0.010)
     assert compute_mssd(box, box.mesh.hull_corners_m, turned[None], true_pose) == pytest.approx(expected_m)
@@ -71,7 +71,7 @@ def make_plain(obj):
 
 
 @pytest.mark.parametrize("symmetry", ["none", "x2*y2"])
-def test_symmetry_is_regarded_where_there_is_one(make_box, true_pose, symmetry):
+def test_a_declared_symmetry_removes_the_error_of_an_equivalent_pose(make_box, true_pose, symmetry):
     obj = make_box(0.030, 0.020, 0.012, symmetry=symmetry)
     points_m = obj.mesh.sample(2000, np.random.default_rng(0))
     turned = (true_pose @ turn([1, 0, 0], np.pi))[None]
@@ -81,10 +81,10 @@ def test_symmetry_is_regarded_where_there_is_one(make_box, true_pose, symmetry):
     )
     same = symmetry != "none"
     assert all((error < 1e-9) == same for error in errors)
-    assert compute_add_s(points_m, turned, true_pose)[0] < 0.001  # forgives it in either case
+    assert compute_add_s(points_m, turned, true_pose)[0] < 0.001  # ADD-S ignores it in either case
 
 
-def test_turns_about_a_continuous_axis_are_no_error_and_shifts_along_it_are(cylinder, true_pose):
+def test_rotations_about_a_continuous_axis_cost_nothing_and_shifts_along_it_do(cylinder, true_pose):
     points_m = cylinder.mesh.sample(2000, np.random.default_rng(0))
     corners_m = cylinder.mesh.hull_corners_m
     turned = true_pose @ turn([0, 0, 1], 1.2345) @ turn([1, 0, 0], np.pi)
@@ -96,7 +96,7 @@ def test_turns_about_a_continuous_axis_are_no_error_and_shifts_along_it_are(cyli
 
 @pytest.mark.parametrize("spread", [1.0, 0.05])
 @pytest.mark.parametrize("symmetry", ["zinf", "zinf*x2", "axis(1,2,3)inf"])
-def test_the_best_roll_is_that_of_two_thousand(cylinder, true_pose, symmetry, spread):
+def test_the_best_roll_equals_the_best_of_two_thousand_sampled_rolls(cylinder, true_pose, symmetry, spread):
     """Poses far from and near to the truth, also of an object that is not round."""
     obj = ObjectModel("rolled", cylinder.mesh, SymmetryGroup.parse(symmetry, [0, 0, 0.002]))
     rng = np.random.default_rng(2)
@@ -111,7 +111,7 @@ def test_the_best_roll_is_that_of_two_thousand(cylinder, true_pose, symmetry, sp
     sampled_m = np.array([d.max(axis=-1).min() for d in largest_m])
     found_m = compute_mssd(obj, corners_m, poses, true_pose)
     assert (found_m <= sampled_m + 1.1e-7).all()
-    assert (found_m >= sampled_m - 0.04 * step_rad).all(), "half a step along the way of the outermost corner"
+    assert (found_m >= sampled_m - 0.04 * step_rad).all(), "the outermost corner moved more than half a step"
 
 
 def corners_of(T, corners_m):
@@ -125,7 +125,7 @@ def test_add_s_is_the_mean_distance_to_the_nearest_point():
     assert compute_add_s(points_m, slid, np.eye(4), every=3) == pytest.approx(0.010)
 
 
-def test_the_smaller_metrics_are_smaller(box, points_m, true_pose):
+def test_add_s_is_at_most_adds_and_adds_at_most_mssd(box, points_m, true_pose):
     rng = np.random.default_rng(3)
     poses = make_transform(rotation_about([1, 1, 0], rng.uniform(0, 3, 20)), rng.normal(0, 0.01, (20, 3))) @ true_pose
     mean = compute_adds(box, points_m, poses, true_pose)

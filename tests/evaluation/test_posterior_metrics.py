@@ -33,7 +33,7 @@ def asked(posterior: PosePosterior, T: np.ndarray, seed: int = 0) -> dict[str, f
     return dict(zip(POSTERIOR_METRICS, measure_posterior(posterior, T, np.random.default_rng(seed)), strict=True))
 
 
-def test_numbers_of_a_posterior_that_is_known(posterior):
+def test_a_known_posterior_has_its_known_metrics(posterior):
     found = asked(posterior, posterior.grid.T_sensor_object[2])
     assert found["nll"] == pytest.approx(-np.log(0.2))
     assert found["entropy"] == pytest.approx(-(P * np.log(P)).sum())
@@ -44,7 +44,7 @@ def test_numbers_of_a_posterior_that_is_known(posterior):
     assert np.mean(levels) == pytest.approx(0.8, abs=0.01)
 
 
-def test_the_truth_between_poses_is_that_of_the_nearest(posterior):
+def test_a_truth_between_poses_counts_as_the_nearest_pose(posterior):
     T = posterior.grid.T_sensor_object[1].copy()
     T[0, 3] += 0.4 * STEP_M
     assert asked(posterior, T)["nll"] == pytest.approx(-np.log(0.4))
@@ -53,14 +53,14 @@ def test_the_truth_between_poses_is_that_of_the_nearest(posterior):
     )
 
 
-def test_symmetry_is_regarded(make_object):
+def test_posterior_metrics_respect_the_symmetry(make_object):
     part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)), "z2")
     grid = PoseGrid(make_transform(np.eye(3), np.zeros((1, 3))), PoseMetric(part))
     turned = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
     assert asked(PosePosterior(grid, np.zeros(1)), turned)["expected_error"] == pytest.approx(0, abs=1e-9)
 
 
-def test_levels_of_true_probabilities_are_uniform(posterior):
+def test_credible_levels_of_calibrated_posteriors_are_uniform(posterior):
     rng = np.random.default_rng(5)
     truths = rng.choice(4, size=4000, p=P)
     levels = [
@@ -71,14 +71,14 @@ def test_levels_of_true_probabilities_are_uniform(posterior):
     assert held == pytest.approx((0.25, *LEVELS), abs=0.025)
 
 
-def test_many_touches_are_summed_up():
+def test_metrics_of_many_touches_are_summarised():
     metrics = np.array([[1.0, 0.4, 2.0, 1e-3, 2e-3], [3.0, 0.9, 4.0, 3e-3, 4e-3]])
     summary = PosteriorSummary.of(metrics, 100)
     assert summary == PosteriorSummary(2.0, pytest.approx(np.log(100)), (0.5, 0.5, 1.0), 3.0, pytest.approx(2e-3), 3e-3)
 
 
 @pytest.mark.parametrize("symmetry", ["none", "z2"])
-def test_errors_drawn_from_a_covariance_are_six_on_average(make_object, symmetry):
+def test_nees_of_errors_drawn_from_the_covariance_is_six_on_average(make_object, symmetry):
     part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)), symmetry)
     metric, rng = PoseMetric(part), np.random.default_rng(7)
     root = rng.normal(size=(6, 6)) * ([1e-4] * 3 + [3e-3] * 3)

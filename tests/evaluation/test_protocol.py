@@ -57,18 +57,18 @@ def test_every_touch_has_every_line_metric_and_stage(evaluation):
     [("closest", "best-50"), ("best-50", "best-10"), ("best-10", "best-1"), ("reg-10", "reg-1"),
      ("random-10", "random"), ("closest", "random-10")],
 )  # fmt: skip
-def test_a_line_with_more_to_choose_from_is_never_farther(evaluation, less, more):
+def test_a_line_that_chooses_among_more_poses_has_no_larger_error(evaluation, less, more):
     assert (evaluation.select_errors(less) <= evaluation.select_errors(more)).all()
 
 
-def test_lines_differ(evaluation):
+def test_lines_have_different_errors(evaluation):
     """The touches are hard enough to separate the lines."""
     assert (evaluation.select_errors("best-50") < evaluation.select_errors("best-1")).any()
     assert evaluation.select_errors("best-50").mean() < evaluation.select_errors("random").mean()
     assert len(np.unique(evaluation.select_errors("random"))) == COUNT
 
 
-def test_the_errors_are_those_of_the_poses(evaluation, localizer):
+def test_errors_equal_the_distances_of_the_poses(evaluation, localizer):
     from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = localizer.object.mesh.sample(20_000, np.random.default_rng(9))
@@ -79,7 +79,7 @@ def test_the_errors_are_those_of_the_poses(evaluation, localizer):
             assert evaluation.select_errors(line)[number] == pytest.approx(error_m, rel=0.03, abs=1e-6)
 
 
-def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
+def test_the_closest_line_uses_the_nearest_pose_of_the_whole_grid(evaluation, localizer):
     from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = protocol.sample_surface(localizer.object)
@@ -90,7 +90,7 @@ def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
         assert evaluation.select_errors("closest")[number] == pytest.approx(every.min(), rel=1e-6)
 
 
-def test_the_random_line_is_one_when_normalised(evaluation):
+def test_the_random_line_has_a_normalised_mean_of_one(evaluation):
     for metric in METRICS:
         assert evaluation.normalise_errors("random", metric).mean() == pytest.approx(1)
     assert evaluation.normalise_errors("best-1") * evaluation.compute_scale_m() == pytest.approx(
@@ -98,7 +98,7 @@ def test_the_random_line_is_one_when_normalised(evaluation):
     )
 
 
-def test_a_seed_always_gives_the_same_and_another_seed_others(plain, localizer, tmp_path):
+def test_equal_seeds_give_equal_errors_and_other_seeds_give_other_errors(plain, localizer, tmp_path):
     again = evaluate(fresh(StageStore(tmp_path), refiner="none"), COUNT, SimulatedTouches("strong", 3))
     assert_same(plain, again)
     other = evaluate(fresh(localizer.store, refiner="none"), 2, SimulatedTouches("strong", 4))
@@ -111,7 +111,7 @@ def test_the_number_of_touches_does_not_change_the_first_ones(evaluation, locali
     np.testing.assert_allclose(fewer.errors_m, evaluation.errors_m[:2], atol=1e-8)
 
 
-def test_encoders_are_asked_about_the_same_touches(plain, localizer):
+def test_all_encoders_get_the_same_touches(plain, localizer):
     settings = {"encoder": {"name": "pixel", "cells": 5}, "refiner": "none"}
     other = evaluate(fresh(localizer.store, **settings), COUNT, SimulatedTouches("strong", 3))
     for line in ("random", "random-10"):
@@ -120,7 +120,7 @@ def test_encoders_are_asked_about_the_same_touches(plain, localizer):
     assert not (other.select_errors("best-1") == plain.select_errors("best-1")).all()
 
 
-def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, tmp_path, monkeypatch):
+def test_an_interrupted_evaluation_resumes_with_the_same_errors(plain, localizer, tmp_path, monkeypatch):
     monkeypatch.setattr(protocol, "SHARD", 2)
     store, measured = StageStore(tmp_path), []
     measure = TouchEvaluator.measure
@@ -141,14 +141,14 @@ def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, t
     assert_same(plain, resumed)
 
 
-def test_what_is_finished_is_not_done_again(evaluation, localizer, monkeypatch):
-    monkeypatch.setattr(TouchEvaluator, "measure", lambda *others: pytest.fail("localised again"))
+def test_a_finished_evaluation_is_not_repeated(evaluation, localizer, monkeypatch):
+    monkeypatch.setattr(TouchEvaluator, "measure", lambda *others: pytest.fail("a touch was localised again"))
     again = evaluate(fresh(localizer.store), COUNT, SimulatedTouches("strong", 3))
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.seconds == evaluation.seconds).all()
 
 
-def test_the_key_holds_whatever_changes_the_errors(localizer):
+def test_the_key_contains_every_input_that_changes_the_errors(localizer):
     def digest(local=localizer, count=COUNT, noise="strong", seed=3):
         return make_evaluation_key(local, count, SimulatedTouches(noise, seed)).digest
 
@@ -160,7 +160,7 @@ def test_the_key_holds_whatever_changes_the_errors(localizer):
     assert len({digest(), *others}) == 7
 
 
-def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
+def test_an_equivalent_pose_of_a_symmetric_object_has_no_error(localizer):
     """The pin rotated by 180 degrees about its axis looks the same, so such an estimate is correct."""
     evaluator = TouchEvaluator(localizer)
     touch = SimulatedTouches("none", 0).draw_touch(localizer, 0)

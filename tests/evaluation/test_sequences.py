@@ -31,7 +31,7 @@ def frames(box):
     return SlidingTouches(source(box)).draw_example(COUNT, np.random.default_rng(2), jump_at=JUMP)
 
 
-def test_the_sensor_stays_in_contact_as_deep_as_the_touch_says(frames, box):
+def test_the_sensor_stays_in_contact_at_the_stated_depth(frames, box):
     T = np.array([frame.T_sensor_object for frame in frames])
     pressed_m = GEOMETRY.surface_m - find_lowest_points(box.mesh, T, GEOMETRY.rectangle)
     for frame, m in zip(frames, pressed_m, strict=True):
@@ -40,7 +40,7 @@ def test_the_sensor_stays_in_contact_as_deep_as_the_touch_says(frames, box):
     assert sum(frame.touch is not None for frame in frames) > 0.9 * COUNT
 
 
-def test_it_moves_smoothly_and_says_where_it_was(frames):
+def test_the_sensor_moves_smoothly_and_reports_its_poses(frames):
     T_base_object = np.array([frame.T_base_sensor @ frame.T_sensor_object for frame in frames])
     assert np.allclose(T_base_object[:JUMP], np.eye(4), atol=1e-9)
     assert np.allclose(T_base_object[JUMP:], T_base_object[JUMP], atol=1e-9)
@@ -55,19 +55,21 @@ def test_it_moves_smoothly_and_says_where_it_was(frames):
     assert shift_m[JUMP - 1] < 1e-12  # the object jumps, not the sensor
 
 
-def test_a_slip_is_as_far_as_asked_for(box):
+def test_a_slip_has_the_requested_length(box):
     slip = Slip(2e-3, 0.1)
     frames = SlidingTouches(source(box)).draw_example(3, np.random.default_rng(4), jump_at=1, slip=slip)
     before, after = (frames[k].T_sensor_object for k in (0, 1))
     T = after @ invert(before)
     gel = np.array([0.0, 0.0, GEOMETRY.standoff_m])
     shift_m = T[:3, :3] @ gel + T[:3, 3] - gel
-    assert np.linalg.norm(shift_m[:2]) == pytest.approx(slip.shift_m, rel=0.1), "the press changes a little, too"
+    assert np.linalg.norm(shift_m[:2]) == pytest.approx(slip.shift_m, rel=0.1), (
+        "the shift also contains a small change of the press"
+    )
     assert rotation_angle(T[:3, :3]) == pytest.approx(slip.turn_rad, rel=1e-6)
-    assert np.allclose(frames[0].T_base_sensor, frames[1].T_base_sensor), "the sensor stays where it is"
+    assert np.allclose(frames[0].T_base_sensor, frames[1].T_base_sensor), "the sensor does not move"
 
 
-def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):
+def test_equal_seeds_give_equal_sequences_and_noise_stays_on_the_gel(box):
     sliding = SlidingTouches(source(box, noise=NOISE["mild"]))
     first, again = (sliding.draw_example(3, np.random.default_rng(3)) for _ in range(2))
     for a, b in zip(first, again, strict=True):
@@ -75,7 +77,7 @@ def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):
     np.testing.assert_array_equal(first[0].touch.T_base_sensor, first[0].T_base_sensor)
 
 
-def test_sensor_poses_are_off_by_as_much_as_told(box):
+def test_sensor_poses_have_errors_of_the_stated_size(box):
     std_m, std_rad = 3e-4, 5e-3
     sliding = SlidingTouches(source(box, sensor_std_m=std_m, sensor_std_rad=std_rad), noise_s=0.01)
     frames = sliding.draw_example(150, np.random.default_rng(4))
@@ -85,7 +87,7 @@ def test_sensor_poses_are_off_by_as_much_as_told(box):
     assert frames[0].touch.T_base_sensor_std_m == std_m
 
 
-def test_random_numbers_have_unit_size_and_the_correlation_asked_for():
+def test_random_numbers_have_unit_variance_and_the_requested_correlation():
     rng = np.random.default_rng(5)
     smooth = draw_smooth(3000, 0.01, 40, rng)
     assert np.sqrt((smooth**2).mean()) == pytest.approx(1.0, abs=0.03)

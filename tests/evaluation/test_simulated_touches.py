@@ -37,7 +37,7 @@ def folder(store, tmp_path_factory) -> Path:
 
 def located(folder: Path, store) -> Localizer:
     sensor = {"name": "calibrated", "path": str(folder)}
-    grid = {"name": "face", "spacing_mm": 8, "min_contact_percent": 2}  # smaller contacts do not show in its images
+    grid = {"name": "face", "spacing_mm": 8, "min_contact_percent": 2}  # its images do not show smaller contacts
     return Localizer.create("pin", store=store, sensor=sensor, grid=grid, refiner="none")
 
 
@@ -46,7 +46,7 @@ def localizer(folder, store) -> Localizer:
     return located(folder, store)
 
 
-def test_an_image_shows_the_touch_of_that_number(localizer):
+def test_the_image_of_a_number_shows_the_touch_of_that_number(localizer):
     overlaps = []
     for number in range(6):
         shape, image = (SimulatedTouches(seed=3, images=i).draw_touch(localizer, number) for i in (False, True))
@@ -58,14 +58,14 @@ def test_an_image_shows_the_touch_of_that_number(localizer):
     assert np.median(overlaps) > 0.6
 
 
-def test_a_touch_is_always_the_same_and_another_seeds_is_not(localizer):
+def test_equal_seeds_give_equal_touches_and_other_seeds_give_other_touches(localizer):
     first, again = (IMAGES.draw_touch(localizer, 2) for _ in range(2))
     assert (first.image == again.image).all()
     other = dataclasses.replace(IMAGES, seed=4).draw_touch(localizer, 2)
     assert not np.allclose(first.T_sensor_object, other.T_sensor_object)
 
 
-def test_an_image_without_contact_is_drawn_anew_and_said(localizer, monkeypatch, caplog):
+def test_an_image_without_contact_is_drawn_again_with_a_warning(localizer, monkeypatch, caplog):
     read, asked = type(localizer.sensor).contact_shape, []
 
     def sees_nothing_first(self, image):
@@ -87,16 +87,16 @@ def test_an_image_without_contact_is_drawn_anew_and_said(localizer, monkeypatch,
         IMAGES.draw_touch(localizer, 1)
 
 
-def test_evaluating_images_is_another_evaluation_with_the_same_truth(localizer):
+def test_an_evaluation_of_images_has_its_own_key_and_the_same_true_poses(localizer):
     shapes = evaluate(localizer, 3, SimulatedTouches(seed=3))
     images = evaluate(localizer, 3, IMAGES)
-    # how deep a photo was pressed is measured: its grid is as deep as that
+    # the depth of a photo is measured, and its grid uses this depth
     np.testing.assert_allclose(shapes.select_errors("random"), images.select_errors("random"), atol=2e-4)
     assert make_evaluation_key(localizer, 3, IMAGES) != make_evaluation_key(localizer, 3, SimulatedTouches(seed=3))
     assert np.median(images.select_errors("best-1")) < np.median(images.select_errors("random"))
 
 
-def test_the_key_holds_the_calibration(localizer, folder, store, tmp_path):
+def test_the_key_contains_the_calibration(localizer, folder, store, tmp_path):
     other = write_altered(folder, tmp_path / "other")
     keys = {make_evaluation_key(located(f, store), 3, IMAGES).digest for f in (folder, other)}
     assert len({make_evaluation_key(localizer, 3, IMAGES).digest, *keys}) == 2
@@ -125,6 +125,6 @@ def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tm
     SimulatedTouches().require_readable(located(real, store))
 
 
-def test_noise_of_shapes_and_images_do_not_go_together():
+def test_images_with_noise_of_contact_shapes_are_refused():
     with pytest.raises(ConfigError, match=naming("'mild'", "--noise")):
         SimulatedTouches("mild", images=True)

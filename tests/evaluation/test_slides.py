@@ -24,13 +24,13 @@ def over_a_box(make_scene, box, flat_camera) -> Slide:
     return draw_slide(make_scene(box, flat_camera), START, IMAGES)
 
 
-def test_the_object_is_pressed_as_deep_as_is_said(over_a_box, box, flat_camera):
+def test_the_object_is_pressed_to_the_stated_depth(over_a_box, box, flat_camera):
     lowest = find_lowest_points(box.mesh, over_a_box.T_sensor_object, flat_camera.rectangle)
     np.testing.assert_allclose(lowest, flat_camera.standoff_m - over_a_box.press_m, atol=1e-12)
     assert over_a_box.press_m.max() <= 0.9 * flat_camera.max_depth_m
 
 
-def test_its_images_show_contact_but_for_the_first_and_the_last(over_a_box, flat_camera):
+def test_all_images_but_the_first_and_the_last_show_contact(over_a_box, flat_camera):
     for k, number in enumerate(over_a_box.frames):
         depth, press_m = over_a_box.draw_depths_m(number), over_a_box.press_m[number]
         shape = contact_shape_from_array(depth, flat_camera.max_depth_m)
@@ -39,7 +39,7 @@ def test_its_images_show_contact_but_for_the_first_and_the_last(over_a_box, flat
             assert shape.press_depth_m == pytest.approx(press_m, abs=2e-6)
 
 
-def test_noise_is_that_of_a_seed_and_an_image(make_scene, box, flat_camera, over_a_box):
+def test_noise_depends_on_the_seed_and_the_image(make_scene, box, flat_camera, over_a_box):
     noisy, same, other = (
         draw_slide(make_scene(box, flat_camera), START, IMAGES, NOISE["mild"], seed) for seed in (1, 1, 2)
     )

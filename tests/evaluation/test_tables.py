@@ -46,7 +46,7 @@ def make_run(name: str, encoder: str, seed: int) -> Run:
     )
 
 
-def test_trust_is_said_in_table_json_and_mm(runs):
+def test_posterior_metrics_agree_in_table_and_json(runs):
     trust, (header, row, *_) = runs[0].summarise_posteriors(), tabulate_posteriors(runs)
     held = runs[0].evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("credible_level")] <= 0.8
     assert trust.coverage[1] == held.mean()
@@ -73,7 +73,7 @@ def test_ambiguous_touches_are_counted_and_left_out(runs):
     assert " | ".join(row.values()) in format_markdown(runs, "title")
 
 
-def test_errors_are_told_by_the_contact_s_area(runs):
+def test_errors_are_grouped_by_contact_area(runs):
     (found, *_) = record_runs(runs, PROTOCOL)["runs"]
     shares, errors = np.array(found["contact_shares"]), np.array(found["errors_m"]["chosen"]["add"])
     assert sum(area["touches"] for area in found["contact_areas"]) == len(shares)
@@ -89,7 +89,7 @@ def test_errors_are_told_by_the_contact_s_area(runs):
     assert " | ".join(row.values()) in format_markdown(runs, "title")
 
 
-def test_a_sensor_all_in_contact_is_the_last_area_and_none_is_a_dash():
+def test_full_contact_counts_in_the_last_area_and_empty_areas_show_a_dash():
     run = make_run("pin", "pixel", 0)
     full = dataclasses.replace(run, evaluation=dataclasses.replace(run.evaluation, contact_share=np.ones(12)))
     *others, last = tabulate_areas([full])[1][3:]
@@ -98,7 +98,7 @@ def test_a_sensor_all_in_contact_is_the_last_area_and_none_is_a_dash():
     assert json.loads(json.dumps(record_runs([full], PROTOCOL)))["runs"][0]["contact_areas"][0]["median_m"] is None
 
 
-def test_nothing_is_said_of_no_touches_and_infinity_is_no_number():
+def test_an_empty_group_shows_a_dash_and_json_has_no_infinity():
     run = make_run("pin", "pixel", 0)
     for ratio, shown in ((0.0, "-"), (np.inf, format_mm(run.summarise("chosen").median))):
         evaluation = dataclasses.replace(run.evaluation, ambiguity=np.full(12, ratio))
@@ -134,7 +134,7 @@ def test_csv_json_and_markdown_agree(runs):
             assert cells[6] == f"{float(row['median_normalised']):.3f}"
 
 
-def test_the_statistics_are_those_of_the_touches(runs):
+def test_statistics_equal_those_of_the_touches(runs):
     (run, *_) = record_runs(runs, PROTOCOL)["runs"]
     for line in LINES:
         for metric in METRICS:

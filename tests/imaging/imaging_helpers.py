@@ -21,7 +21,7 @@ def sensor(px: int = 80, size_m: float = 0.016, **more) -> SensorGeometry:
 
 
 def places(geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels of an orthographic sensor are, x and y (H, W), metres."""
+    """The positions x and y (H, W) of an orthographic sensor's pixels, metres."""
     return np.meshgrid(*geometry.pixel_slopes)
 
 

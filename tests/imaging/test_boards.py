@@ -35,7 +35,7 @@ def test_every_shape_of_a_board_is_a_closed_solid(numbered):
     assert all(s.is_watertight and s.is_winding_consistent and s.volume > 0 for s in solids)
 
 
-def test_a_board_has_its_plates_outline_and_shapes_2_to_4_mm_high(numbered):
+def test_a_board_has_the_outline_of_its_plate_and_shapes_of_several_heights(numbered):
     x, y, thickness = PLATE_M
     assert numbered.mesh.vertices_m.min(axis=0) == pytest.approx([-x / 2, -y / 2, -thickness])
     assert numbered.mesh.vertices_m.max(axis=0) == pytest.approx([x / 2, y / 2, 4e-3], abs=1e-4)
@@ -43,14 +43,14 @@ def test_a_board_has_its_plates_outline_and_shapes_2_to_4_mm_high(numbered):
     raised = [s.bounds for s in whole.split(only_watertight=False) if s.bounds[1, 2] > 0]
     low, high = (np.array([bounds[i] for bounds in raised]) for i in (0, 1))
     assert len(raised) >= 35
-    assert high[:, 2].min() >= 1.0e-3  # the lower of two parts, leaning
+    assert high[:, 2].min() >= 1.0e-3  # the lower of two parts, tilted
     assert len(np.unique(high[:, 2].round(5))) >= 5
     assert (np.maximum(high, -low)[:, :2] <= [x / 2, y / 2]).all()
-    assert (low[:, 2] < 0).all()  # rooted in the plate
-    assert (low[:, 2] > -thickness).all()  # and not through it
+    assert (low[:, 2] < 0).all()  # every shape begins inside the plate
+    assert (low[:, 2] > -thickness).all()  # and does not pass through it
 
 
-def test_boards_are_always_the_same_and_differ_from_one_another(numbered):
+def test_boards_are_reproducible_and_differ_from_each_other(numbered):
     assert make_board(int(numbered.name[-1])).mesh.digest == numbered.mesh.digest
     assert make_board(1).mesh.digest != make_board(2).mesh.digest
 
@@ -72,7 +72,7 @@ def test_poses_lie_above_the_sensor_with_the_raised_side_down(numbered, pinhole)
     assert np.abs(np.exp(1j * yaw).mean()) < 0.15
     x0, x1, y0, y1 = pinhole.rectangle
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
-    over = np.einsum("nji,nj->ni", T[:, :3, :3], middle - T[:, :3, 3])  # what is at the plate's height, nearly
+    over = np.einsum("nji,nj->ni", T[:, :3, :3], middle - T[:, :3, 3])  # close to the height of the plate
     assert np.ptp(over[:, :2], axis=0) == pytest.approx(MIDDLE * PITCH_M * np.array([COLUMNS, ROWS]), abs=0.012)
     assert draw_board_poses(numbered, pinhole, 0, np.random.default_rng(0)).shape == (0, 4, 4)
 
@@ -89,5 +89,5 @@ def test_poses_touch_the_raised_side(numbered, make_scene, size_m):
     for t, points, contact in zip(T, in_sensor, depth < np.float32(geometry.max_depth_m), strict=True):
         assert contact.any()
         on_board = transform_points(invert(t), points[contact])
-        assert on_board[:, 2].min() > -4e-4  # the raised side, the plate at the least
+        assert on_board[:, 2].min() > -4e-4  # the contact is on the raised side, at the plate or above
         assert on_board[:, 2].max() <= 4.1e-3

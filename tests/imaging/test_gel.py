@@ -15,7 +15,7 @@ from tactile_loc.imaging.gel import find_indentation, press_gel, relax
 SOFTNESS_M = 8e-4
 
 
-def test_a_flat_press_pushes_the_gel_in_by_its_depth():
+def test_a_flat_press_displaces_the_gel_by_its_depth():
     geometry = sensor()
     surface = press_gel(tip_depth(geometry), presses(), geometry, SOFTNESS_M)
     x, y = places(geometry)
@@ -24,13 +24,13 @@ def test_a_flat_press_pushes_the_gel_in_by_its_depth():
     assert surface.dtype == np.float32
 
 
-def test_the_gel_takes_a_balls_surface():
+def test_the_gel_follows_the_surface_of_a_ball():
     geometry = sensor(160)
     surface = press_gel(ball_depth(geometry), presses(), geometry, SOFTNESS_M)
     x, y = places(geometry)
     near = np.hypot(x, y) < 0.4 * BALL_M
     true = np.sqrt(BALL_M**2 - x**2 - y**2, where=near, out=np.zeros_like(x)) - BALL_M + PRESS_M
-    assert surface[0][near] == pytest.approx(true[near], abs=2e-6)  # the last blur's lowering
+    assert surface[0][near] == pytest.approx(true[near], abs=2e-6)  # the last blur lowers the surface slightly
 
 
 @pytest.mark.parametrize("softness_m", [2e-4, 8e-4, 2e-3])
@@ -50,7 +50,7 @@ def rng_bumps() -> np.ndarray:
     return 1e-3 * np.random.default_rng(0).normal(size=(3, 80, 80))
 
 
-def test_around_a_tip_the_gel_falls_off_without_a_step():
+def test_the_gel_has_no_step_around_a_tip():
     geometry = sensor(320)
     surface = press_gel(tip_depth(geometry), presses(), geometry, SOFTNESS_M)[0, 160, 240:]  # from the edge outwards
     fall = -np.diff(surface)
@@ -59,7 +59,7 @@ def test_around_a_tip_the_gel_falls_off_without_a_step():
     assert surface[[0, 20, 60]] == pytest.approx(np.array([0.87, 0.34, 0.06]) * PRESS_M, abs=0.05 * PRESS_M)
 
 
-def test_a_groove_narrower_than_the_gel_is_soft_is_bridged_and_a_wide_one_is_not():
+def test_the_gel_bridges_a_narrow_groove_but_not_a_wide_one():
     geometry = sensor(160)
     x, _ = places(geometry)
     middles = []
@@ -70,7 +70,7 @@ def test_a_groove_narrower_than_the_gel_is_soft_is_bridged_and_a_wide_one_is_not
     assert middles[1] < 0.1 * PRESS_M
 
 
-def test_the_surface_is_the_same_in_smaller_pixels():
+def test_the_surface_does_not_depend_on_the_pixel_size():
     coarse, fine = (press_gel(ball_depth(g), presses(), g, SOFTNESS_M)[0] for g in (sensor(80), sensor(240)))
     assert coarse == pytest.approx(fine.reshape(80, 3, 80, 3).mean((1, 3)), abs=0.01 * PRESS_M)
 
@@ -83,13 +83,13 @@ def test_the_surface_scales_with_the_press_and_with_the_size():
     assert twice == pytest.approx(surface, abs=1e-9)
 
 
-def test_a_gel_that_is_not_soft_is_the_object():
+def test_a_gel_with_zero_softness_has_the_surface_of_the_object():
     geometry = sensor()
     surface = press_gel(ball_depth(geometry), presses(), geometry, 0.0)
     assert np.array_equal(surface, find_indentation(ball_depth(geometry), presses()))
 
 
-def test_images_do_not_see_one_another_and_no_contact_leaves_nothing():
+def test_images_of_a_batch_are_independent_and_no_contact_leaves_no_imprint():
     geometry = sensor()
     depth = np.concatenate([tip_depth(geometry), np.full((1, 80, 80), 5e-4, np.float32), ball_depth(geometry)])
     press = np.array([PRESS_M, 5e-4, PRESS_M])
@@ -100,7 +100,7 @@ def test_images_do_not_see_one_another_and_no_contact_leaves_nothing():
     assert press_gel(depth[:0], press[:0], geometry).shape == (0, 80, 80)
 
 
-def test_off_the_rectangle_there_is_no_gel():
+def test_the_gel_covers_only_the_sensing_rectangle():
     geometry = sensor(rectangle_m=(-0.006, 0.004, -0.005, 0.008))
     surface = press_gel(np.zeros((1, 80, 80), np.float32), presses(), geometry)
     assert np.array_equal(surface[0] > 0, geometry.observed_mask)
@@ -117,6 +117,6 @@ def test_off_the_rectangle_there_is_no_gel():
         (np.zeros((1, 80, 80)), [1e-3], np.nan, ("softness_m", "nan")),
     ],
 )
-def test_what_does_not_fit_is_refused(depth, press, softness_m, values):
+def test_arrays_that_do_not_fit_are_refused(depth, press, softness_m, values):
     with pytest.raises(ConfigError, match=naming(*values)):
         press_gel(depth, press, sensor(), softness_m)

@@ -18,7 +18,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.3, 0.2), (-2.5, 1.2), (math.pi / 2, 0.7)])
-def test_a_light_is_where_its_angles_say(azimuth, elevation):
+def test_a_light_has_the_direction_of_its_angles(azimuth, elevation):
     light = Light.at(azimuth, elevation, WHITE, 1.0)
     assert light.azimuth_rad == pytest.approx(azimuth)
     assert light.elevation_rad == pytest.approx(elevation)
@@ -75,7 +75,7 @@ def test_optics_are_described_as_json():
 
 
 @pytest.mark.parametrize("name", list(OPTICS))
-def test_specimens_differ_around_their_make(name):
+def test_specimens_vary_around_their_sensor_model(name):
     make = OPTICS[name]
     assert make.vary(rng(), 0.0) == make
     assert make.vary(rng(3)) == make.vary(rng(3))
@@ -86,10 +86,10 @@ def test_specimens_differ_around_their_make(name):
     made = np.array([light.strength for light in make.lights])
     assert np.median(strengths, axis=0) == pytest.approx(made, rel=0.05)
     spread = np.log(strengths / made).std(axis=0)
-    assert spread == pytest.approx(math.hypot(0.15, 0.1) * np.ones(3), rel=0.2)  # the lamp's and the exposure's
+    assert spread == pytest.approx(math.hypot(0.15, 0.1) * np.ones(3), rel=0.2)  # the lamp and the exposure both vary
     turned = np.array([o.lights[0].azimuth_rad for o in specimens]) - make.lights[0].azimuth_rad
     assert np.degrees(np.angle(np.exp(1j * turned))).std() == pytest.approx(6.0, rel=0.2)
-    wild = [make.vary(generator, 5.0) for _ in range(50)]  # whatever is drawn, no light is behind the gel
+    wild = [make.vary(generator, 5.0) for _ in range(50)]  # no draw puts a light behind the gel
     assert all(light.direction[2] > 0 for o in wild for light in o.lights)
 
 
@@ -98,7 +98,7 @@ def test_a_negative_variation_is_refused():
         lit("right").vary(rng(), -1.0)
 
 
-def test_an_unknown_make_is_refused_with_the_near_name():
+def test_an_unknown_sensor_model_is_refused_with_the_nearest_name():
     assert find_optics("digit") is OPTICS["digit"]
     with pytest.raises(ConfigError, match=naming("'gelslam'", "'gelslim'")):
         find_optics("gelslam")

@@ -40,7 +40,7 @@ def pressed_tip(geometry: SensorGeometry) -> np.ndarray:
     [sensor(40), sensor(90), SensorGeometry("pinhole", 64, 48, 42.0, 40.0, 31.0, 25.0, 0.025, 0.002)],
     ids=["coarse", "fine", "pinhole"],
 )
-def test_a_tilted_plane_has_its_slope_and_lamberts_shade_in_any_pixels(geometry):
+def test_a_tilted_plane_has_lamberts_shade_at_any_pixel_size(geometry):
     tilted = plane(geometry, 0.3, -0.2)
     slope_x, slope_y = measure_slopes(tilted, geometry)
     assert slope_x == pytest.approx(0.3, abs=1e-4)
@@ -54,7 +54,7 @@ def test_a_tilted_plane_has_its_slope_and_lamberts_shade_in_any_pixels(geometry)
         assert rendered(tilted, geometry, lit(side)) == pytest.approx(expected, abs=0.6), side
 
 
-def test_a_ball_has_its_analytic_shade():
+def test_a_ball_has_the_analytic_shade():
     geometry = sensor(320)
     indentation = PRESS_M - ball_depth(geometry)
     picture = rendered(indentation, geometry, lit("right"))[0, ..., 0]
@@ -63,11 +63,11 @@ def test_a_ball_has_its_analytic_shade():
     up = np.sqrt(BALL_M**2 - x**2 - y**2, where=inside, out=np.ones_like(x))
     lambert = np.maximum((x * math.cos(ELEVATION) + up * math.sin(ELEVATION)) / BALL_M, 0)  # the normal is (x, y, up)/R
     assert picture[inside] == pytest.approx(np.minimum(255 * 0.9 * lambert, 255)[inside], abs=1.0)
-    assert lambert[inside].min() == 0  # some of it lies in its own shadow
+    assert lambert[inside].min() == 0  # a part of the ball lies in its own shadow
     assert picture[160, 200] > picture[160, 160] > picture[160, 120]  # the side that faces the lamp is bright
 
 
-def test_a_near_lamp_lights_its_own_side_by_the_inverse_square():
+def test_a_near_lamp_follows_the_inverse_square_law():
     geometry = sensor()
     near = Optics((lamp("right", 30.0, 0.5, distance=3.0),))
     x, y = (a / (0.008 * math.sqrt(2)) for a in places(geometry))  # in field radii
@@ -79,7 +79,7 @@ def test_a_near_lamp_lights_its_own_side_by_the_inverse_square():
     assert middle == pytest.approx(255 * 0.5 * math.sin(ELEVATION), abs=0.51)  # a far one lights evenly
 
 
-def test_a_domed_gel_is_shaded_as_the_dome_it_is():
+def test_a_domed_gel_has_the_shade_of_a_flat_gel_pressed_to_a_dome():
     geometry = sensor(120)
     radius_m = 0.008 * math.sqrt(2)
     x, y = places(geometry)
@@ -91,7 +91,7 @@ def test_a_domed_gel_is_shaded_as_the_dome_it_is():
     assert domed[60, 0, 0] > domed[60, 119, 0] + 40  # it faces the lamp on the other side
 
 
-def test_inside_a_flat_tip_the_colour_is_that_of_the_unpressed_gel():
+def test_a_flat_tip_has_the_colour_of_the_unpressed_gel_inside():
     for name, optics in OPTICS.items():
         geometry = sensor(160)
         picture = rendered(pressed_tip(geometry), geometry, optics.remove_noise())[0].astype(int)
@@ -103,7 +103,7 @@ def test_inside_a_flat_tip_the_colour_is_that_of_the_unpressed_gel():
         assert np.median(change[wall]) > 25, name
 
 
-def test_walls_are_bands_of_their_lights_colours():
+def test_walls_show_bands_in_the_colours_of_their_lights():
     geometry = sensor(160)
     lights = (lamp("right", colour=(1, 0, 0)), lamp("left", colour=(0, 1, 0)), lamp("above", colour=(0, 0, 1)))
     picture = rendered(pressed_tip(geometry), geometry, Optics(lights))[0].astype(int)
@@ -113,17 +113,17 @@ def test_walls_are_bands_of_their_lights_colours():
     assert right[1] < -50  # and the light from the other side is gone
 
 
-def test_the_picture_is_the_same_in_smaller_pixels():
+def test_the_picture_does_not_depend_on_the_pixel_size():
     optics = OPTICS["gelslim"].remove_noise()
     coarse, fine = (
         rendered(press_gel(ball_depth(g), presses(), g), g, optics)[0].astype(float) for g in (sensor(100), sensor(200))
     )
     difference = np.abs(coarse - fine.reshape(100, 2, 100, 2, 3).mean((1, 3)))
     assert np.percentile(difference, 95) < 1.5
-    assert difference.max() < 25  # where a contact's edge falls between pixels
+    assert difference.max() < 25  # the edge of a contact may lie between pixels
 
 
-def test_a_mirrored_touch_under_mirrored_lights_is_a_mirrored_picture():
+def test_a_mirrored_touch_under_mirrored_lights_gives_a_mirrored_picture():
     geometry = sensor()
     surface = press_gel(ball_depth(geometry, 2e-3, 1e-3), presses(), geometry)
     optics = Optics((lamp("right", 30, 0.5, (1, 0, 0.2), distance=2.0), lamp("above", 50, 0.4, (0, 1, 0))), dome=0.2)
@@ -138,7 +138,7 @@ def test_a_mirrored_touch_under_mirrored_lights_is_a_mirrored_picture():
     assert np.abs(picture[:, :, ::-1].astype(int) - picture).max() > 50
 
 
-def test_no_press_and_no_noise_give_back_the_photo():
+def test_a_photo_stays_unchanged_without_press_and_noise():
     geometry = sensor()
     photo = rng().integers(0, 256, (80, 80, 3), dtype=np.uint8)
     for optics in OPTICS.values():
@@ -158,7 +158,7 @@ def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
     assert on_photo[free] == pytest.approx(change[free], abs=1)
 
 
-def test_the_background_is_the_unpressed_picture():
+def test_the_background_equals_the_unpressed_picture():
     geometry = sensor()
     optics = OPTICS["digit"]
     unpressed = rendered(np.zeros((1, 80, 80), np.float32), geometry, optics.remove_noise())[0]
@@ -178,7 +178,7 @@ def test_the_lens_blurs_by_its_width_in_metres():
         assert row == pytest.approx(left + (right - left) * ndtr(x[0] / 1e-3), abs=1.0)
 
 
-def test_vignetting_darkens_the_corner_by_its_share():
+def test_vignetting_darkens_the_corner_by_the_stated_share():
     geometry = sensor()
     bright = render_background(geometry, lit("right")).astype(float)
     dark = render_background(geometry, lit("right", vignetting=0.4)).astype(float)
@@ -186,7 +186,7 @@ def test_vignetting_darkens_the_corner_by_its_share():
     assert (dark / bright)[40, 40] == pytest.approx(1.0, abs=0.01)
 
 
-def test_gloss_is_brightest_half_way_to_the_lamp():
+def test_gloss_is_brightest_halfway_to_the_lamp():
     geometry = sensor(40)
     matt, gloss = lit("right"), lit("right", specular=0.3, shininess=12.0)
     shine = {
@@ -200,7 +200,7 @@ def test_gloss_is_brightest_half_way_to_the_lamp():
     assert shine[-0.3] < shine[0.0] < shine[0.3]
 
 
-def test_brightness_is_cut_at_black_and_white():
+def test_brightness_is_clipped_at_black_and_white():
     geometry = sensor(40)
     bright = lit("right", ambient=(2.0, 0.0, 0.0))
     assert (render_background(geometry, bright)[..., 0] == 255).all()
@@ -209,7 +209,7 @@ def test_brightness_is_cut_at_black_and_white():
 
 
 @pytest.mark.parametrize(("read", "shot", "brightness"), [(3.0, 0.0, 0.5), (0.0, 6.0, 0.25), (2.0, 4.0, 0.5)])
-def test_noise_has_its_strength(read, shot, brightness):
+def test_noise_has_the_stated_strength(read, shot, brightness):
     geometry = sensor(120)
     even = Optics((lamp(strength=0.0),), ambient=(brightness,) * 3, read_noise=read, shot_noise=shot)
     flat = np.zeros((4, 120, 120), np.float32)
@@ -219,7 +219,7 @@ def test_noise_has_its_strength(read, shot, brightness):
     assert noise.mean() == pytest.approx(0, abs=0.05)
 
 
-def test_one_seed_gives_one_picture():
+def test_equal_seeds_give_equal_pictures():
     geometry = sensor()
     surface = pressed_tip(geometry)
     optics = OPTICS["gelsight-mini"]
@@ -227,7 +227,7 @@ def test_one_seed_gives_one_picture():
     assert not np.array_equal(rendered(surface, geometry, optics, 1), rendered(surface, geometry, optics, 2))
 
 
-def test_off_the_rectangle_nothing_changes():
+def test_pixels_outside_the_sensing_rectangle_do_not_change():
     geometry = sensor(rectangle_m=(-0.006, 0.004, -0.005, 0.008))
     optics = lit("right", "below")
     surface = press_gel(np.zeros((1, 80, 80), np.float32), presses(), geometry)

@@ -18,7 +18,7 @@ from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 GELSLIM = OPTICS["gelslim"]
 
 
-def test_a_touchs_picture_is_the_shaded_gel():
+def test_the_picture_of_a_touch_is_the_shaded_gel():
     geometry = sensor()
     depth = np.concatenate([ball_depth(geometry), tip_depth(geometry)])
     photo = render_background(geometry, OPTICS["digit"])
@@ -38,7 +38,7 @@ def test_a_softer_gel_changes_more_of_the_picture():
     assert areas[0] < areas[1] < areas[2]
 
 
-def test_board_presses_come_in_batches_with_their_truth():
+def test_board_presses_come_in_batches_with_their_true_shapes():
     geometry, optics = sensor(64), GELSLIM.remove_noise()
     batches = list(press_boards(geometry, BATCH + 3, optics, rng(), HeightmapRenderer()))
     assert [len(b.images) for b in batches] == [BATCH, 3]
@@ -59,14 +59,14 @@ def test_board_presses_come_in_batches_with_their_truth():
     assert len(np.unique(first)) == BATCH + 3
 
 
-def test_the_picture_of_a_board_press_is_that_of_its_indentation():
+def test_the_picture_of_a_board_press_shows_its_indentation():
     geometry, optics = sensor(64), GELSLIM.remove_noise()
     images, indentation_m, press_m = next(press_boards(geometry, 4, optics, rng(2), HeightmapRenderer()))
     depth = press_m.astype(np.float32)[:, None, None] - indentation_m
     assert render_touches(depth, press_m, geometry, optics, rng()) == pytest.approx(images, abs=1)
 
 
-def test_one_seed_gives_the_same_presses_whatever_the_lights():
+def test_equal_seeds_give_equal_presses_under_any_lights():
     geometry = sensor(24)
     a, b, c = (
         next(press_boards(geometry, 4, optics, rng(seed), HeightmapRenderer()))
@@ -84,7 +84,7 @@ def test_one_seed_gives_the_same_presses_whatever_the_lights():
         assert not np.array_equal(q.images, n.images)
 
 
-def test_the_boards_take_turns():
+def test_the_boards_alternate():
     seen = []
 
     class Watching(HeightmapRenderer):
@@ -104,12 +104,12 @@ def test_a_negative_number_of_presses_is_refused():
 
 
 class Nothing(HeightmapRenderer):
-    """Sees no surface anywhere."""
+    """A renderer that finds no surface at any pixel."""
 
     def render_apart(self, mesh, T_sensor_object, geometry):
         return np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
 
 
-def test_boards_that_never_leave_an_imprint_are_an_error_and_no_endless_search():
+def test_boards_without_any_imprint_raise_an_error():
     with pytest.raises(TouchError, match="calibration-board-1"):
         next(press_boards(sensor(16), 2, GELSLIM, rng(), Nothing()))

@@ -23,7 +23,7 @@ def listed(tmp_path):
     return write
 
 
-def test_starts_are_poses_of_the_base_or_motions_from_the_last_touch(listed):
+def test_an_approach_is_a_pose_in_the_base_or_a_motion_from_the_last_touch(listed):
     path = listed(
         f'[[approach]]\nT_base_sensor = {START.tolist()}\n[[approach]]\nname = "left"\nT_sensor_next = '
         f"{MOTION.tolist()}\npress_depth_mm = 0.8\ntravel_mm = 40\ncost = inf\n"
@@ -37,7 +37,7 @@ def test_starts_are_poses_of_the_base_or_motions_from_the_last_touch(listed):
     assert np.allclose(third.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
 
 
-def test_motions_alone_do_without_the_base(listed):
+def test_a_list_of_motions_needs_no_pose_in_the_base(listed):
     (only,) = read_approaches(listed(f"[[approach]]\nT_sensor_next = {MOTION.tolist()}\n"))
     assert np.allclose(only.T_base_sensor, MOTION)
 
@@ -58,12 +58,12 @@ def test_motions_alone_do_without_the_base(listed):
         ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_one_sentence(listed, text, values):
+def test_a_wrong_approach_gives_a_one_sentence_error(listed, text, values):
     with pytest.raises(ConfigError, match=naming(*values)):
         read_approaches(listed(text), START)
 
 
-def test_a_pose_of_the_base_needs_to_know_where_the_sensor_was(listed):
+def test_a_pose_in_the_base_needs_the_last_pose_of_the_sensor(listed):
     with pytest.raises(ConfigError, match=naming("poses.toml", "approach 1", "T_sensor_next")):
         read_approaches(listed("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n"))
     with pytest.raises(ConfigError, match=r"nowhere\.toml"):

@@ -11,7 +11,7 @@ from tactile_loc.io.options import TUNABLE
 from tactile_loc.io.toml import read_toml
 
 
-def test_nothing_said_is_a_whole_configuration():
+def test_an_empty_table_gives_a_complete_configuration():
     config = RunConfig.from_dict({})
     assert config.object.path
     assert all(getattr(config, slot).name for slot in SLOTS)
@@ -31,7 +31,7 @@ def test_a_slot_may_be_a_name_alone():
     assert (slot.name, slot.options) == ("none", {})
 
 
-def test_what_is_set_leaves_the_rest_alone():
+def test_a_value_that_is_set_leaves_the_other_defaults():
     config = RunConfig.from_dict({"top": 3, "object": {"units": "mm"}})
     assert (config.top, config.object.units, config.object.path) == (3, "mm", RunConfig().object.path)
     assert config.refiner == RunConfig().refiner
@@ -53,7 +53,7 @@ def test_what_is_set_leaves_the_rest_alone():
     ({"refiner": {"max_iterations": 7}}, "refiner.name"),
     ({"refiner": {"name": "icp", "options": {}, "reach": 1}}, "refiner.reach"),
 ])  # fmt: skip
-def test_bad_values_are_refused_in_a_sentence_that_names_source_and_entry(values, named):
+def test_a_bad_value_is_refused_with_its_source_and_entry(values, named):
     with pytest.raises(ConfigError, match=named) as refused:
         RunConfig.from_dict(values, "run.toml")
     assert "run.toml" in str(refused.value)
@@ -88,7 +88,7 @@ def test_a_configuration_cannot_be_changed():
         RunConfig().top = 3
 
 
-def test_overrides_are_read_as_toml_or_else_as_text():
+def test_overrides_are_read_as_toml_or_as_text():
     words = [
         "grid.face=+z",
         "grid.spacing_mm=3.5",
@@ -107,7 +107,7 @@ def test_overrides_are_read_as_toml_or_else_as_text():
     assert parse_overrides([]) == {}
 
 
-def test_the_last_override_counts():
+def test_the_last_override_wins():
     assert parse_overrides(["grid.spacing_mm=3", "grid.spacing_mm=4"]) == {"grid": {"spacing_mm": 4}}
 
 
@@ -117,12 +117,12 @@ def test_overrides_of_another_form_are_refused(word):
         parse_overrides([word])
 
 
-def test_an_override_of_an_unknown_slot_is_answered_with_the_near_one():
+def test_an_override_of_an_unknown_slot_is_refused_with_the_nearest_slot():
     with pytest.raises(ConfigError, match=naming("'refinr'", "'refinr.walls=true'", "'refiner'")):
         parse_overrides(["refinr.walls=true"])
 
 
-def test_plain_settings_are_told_from_components_options():
+def test_plain_settings_are_separated_from_options_of_components():
     words = ["drawing=paper", "grid.spacing_mm=3", "shape_px = 96", "grid=face", "drawing"]
     assert parse_settings(words) == (
         {"drawing": "paper", "shape_px": 96},
@@ -132,7 +132,7 @@ def test_plain_settings_are_told_from_components_options():
         RunConfig.from_dict({"drawing": "papr"})
 
 
-def test_numbers_to_tune_are_tables_of_the_configuration():
+def test_tuning_numbers_are_tables_of_the_configuration():
     words = ["search.registered=50", "tracker.modes=3", "hypotheses.refined=5", "grid.directions=400"]
     tables = parse_overrides(words, (*SLOTS, *TUNABLE))
     assert tables["grid"] == {"directions": 400}
@@ -147,6 +147,6 @@ def test_numbers_to_tune_are_tables_of_the_configuration():
     [({"registred": 5}, ("search.registred", "registered")), ({"registered": 0}, ("search.registered", 0, 1))],
     ids=["unknown", "out of range"],
 )
-def test_a_number_to_tune_that_cannot_be_is_refused(table, values):
+def test_an_impossible_tuning_number_is_refused(table, values):
     with pytest.raises(ConfigError, match=naming(*values)):
         RunConfig.from_dict({"search": table})

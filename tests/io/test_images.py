@@ -31,7 +31,7 @@ def zipped(path: Path, **members: bytes) -> Path:
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_arrays_are_read_as_numpy_wrote_them(tmp_path, order):
+def test_arrays_written_by_numpy_are_read_unchanged(tmp_path, order):
     np.save(tmp_path / "a.npy", np.asarray(NUMBERS, order=order))
     np.savez_compressed(tmp_path / "a.npz", depth=NUMBERS, unit=np.array("mm"), none=np.zeros((0, 3)))
     np.testing.assert_array_equal(load_npy(tmp_path / "a.npy"), NUMBERS)
@@ -46,7 +46,7 @@ LIES = [
 
 
 @pytest.mark.parametrize(("descr", "shape"), LIES)
-def test_a_header_that_says_more_than_there_is(tmp_path, descr, shape):
+def test_a_header_that_promises_too_much_data_is_refused(tmp_path, descr, shape):
     (tmp_path / "a.npy").write_bytes(lying(descr, shape))
     with pytest.raises(ValueError, match=r"96|allow_pickle"):
         load_npy(tmp_path / "a.npy")
@@ -54,7 +54,7 @@ def test_a_header_that_says_more_than_there_is(tmp_path, descr, shape):
         load_npz(zipped(tmp_path / "a.npz", depth=lying(descr, shape)))
 
 
-def test_what_inflates_beyond_the_bound_is_not_inflated(tmp_path, monkeypatch):
+def test_an_array_that_inflates_beyond_the_limit_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(images, "MOST_BYTES", 10**6)
     path = zipped(tmp_path / "a.npz", depth=lying("|u1", (2 * 10**6,), bytes(2 * 10**6)))
     assert path.stat().st_size < 10**4
@@ -63,14 +63,14 @@ def test_what_inflates_beyond_the_bound_is_not_inflated(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"PK\x03\x04" + bytes(100), b"\x93NUMPY\x09\x00", b"text"])
-def test_what_is_no_file_of_arrays(tmp_path, content):
+def test_a_file_without_arrays_is_refused(tmp_path, content):
     for suffix, load in ((".npy", load_npy), (".npz", load_npz)):
         (tmp_path / f"a{suffix}").write_bytes(content)
         with pytest.raises(ValueError):  # noqa: PT011 - the reason is whatever the file lacks
             load(tmp_path / f"a{suffix}")
 
 
-def test_an_image_longer_than_any_sensors_is_refused_before_it_is_read(tmp_path):
+def test_an_image_larger_than_any_sensors_is_refused_before_reading(tmp_path):
     path = tmp_path / "strip.png"
     Image.new("L", (2, MOST_SIDE_PX + 1)).save(path)
     with pytest.raises(ValueError, match=naming(MOST_SIDE_PX + 1, MOST_SIDE_PX)):

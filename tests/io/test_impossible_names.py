@@ -1,4 +1,4 @@
-"""Impossible file names, and paths that are no files, are refused like missing files."""
+"""Impossible file names, and paths that are not files, are refused like missing files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ READERS = {
 
 @pytest.mark.parametrize("name", NAMES, ids=range(len(NAMES)))
 @pytest.mark.parametrize("reader", READERS)
-def test_a_name_that_no_file_can_have(reader, name):
+def test_an_impossible_file_name_is_refused(reader, name):
     if reader == "recording":
         pytest.importorskip("mcap")
     read, error = READERS[reader]
@@ -54,7 +54,7 @@ def test_a_name_that_no_file_can_have(reader, name):
         read(name)
 
 
-def test_a_pipe_is_not_waited_for(tmp_path):
+def test_a_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "list.toml")
     with pytest.raises(ConfigError, match=r"list\.toml"):
         read_toml(tmp_path / "list.toml")

@@ -28,7 +28,7 @@ TWO_FACES = (
 
 @pytest.fixture
 def write_box(tmp_path: Path):
-    """Write a box of 30 x 20 x 12 mm, `scale` file units a metre."""
+    """Write a box of 30 x 20 x 12 mm, with `scale` file units per metre."""
 
     def write(name: str = "part.stl", scale: float = 1.0) -> Path:
         trimesh.creation.box(SIDES_M * scale).export(tmp_path / name)
@@ -38,16 +38,16 @@ def write_box(tmp_path: Path):
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "glb", "off"])
-def test_formats(write_box, suffix):
+def test_every_mesh_format_gives_the_same_box(write_box, suffix):
     obj = load_object(write_box(f"part.{suffix}"), units="m", symmetry="none")
     assert obj.name == "part"
     assert obj.source.endswith(f"part.{suffix}")
     np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
-    assert (len(obj.mesh.vertices_m), len(obj.mesh.faces)) == (8, 12), "corners are merged"
+    assert (len(obj.mesh.vertices_m), len(obj.mesh.faces)) == (8, 12), "the corners are not merged"
     assert obj.notes == ()
 
 
-def test_ascii_stl_and_quads(tmp_path):
+def test_ascii_stl_and_quads_are_read(tmp_path):
     box = trimesh.creation.box(SIDES_M)
     (tmp_path / "a.stl").write_text(trimesh.exchange.stl.export_stl_ascii(box))
     (tmp_path / "b.obj").write_text("v 0 0 0\nv 0.01 0 0\nv 0.01 0.01 0\nv 0 0.01 0\nf 1 2 3 4\n")
@@ -55,7 +55,7 @@ def test_ascii_stl_and_quads(tmp_path):
     assert load_object(tmp_path / "b.obj", "m", "none").mesh.face_areas.sum() == pytest.approx(1e-4)
 
 
-def test_all_bodies_of_a_scene_where_they_are(tmp_path):
+def test_all_bodies_of_a_scene_are_read_at_their_positions(tmp_path):
     scene = trimesh.Scene()
     scene.add_geometry(trimesh.creation.box([0.01, 0.01, 0.01]))
     scene.add_geometry(
@@ -67,7 +67,7 @@ def test_all_bodies_of_a_scene_where_they_are(tmp_path):
     )
 
 
-def test_a_mirrored_part_of_a_scene_is_the_mirrored_part_and_its_faces_stay_outward(tmp_path):
+def test_a_mirrored_part_of_a_scene_keeps_its_faces_outward(tmp_path):
     wedge = trimesh.creation.extrude_triangulation(
         np.array([[0, 0], [0.03, 0], [0, 0.02]]), np.array([[0, 1, 2]]), 0.01
     )
@@ -80,14 +80,14 @@ def test_a_mirrored_part_of_a_scene_is_the_mirrored_part_and_its_faces_stay_outw
 
 
 @pytest.mark.parametrize(("units", "per_metre"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2), ("inch", 1 / 0.0254)])
-def test_declared_units_agree(write_box, units, per_metre):
+def test_all_declared_units_give_the_same_object(write_box, units, per_metre):
     obj = load_object(write_box(scale=per_metre), units=units, symmetry="none")
     np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
     assert obj.notes == ()
 
 
 @pytest.mark.parametrize(("per_metre", "guess"), [(1.0, "m"), (1e3, "mm")])
-def test_guessed_units_are_right_and_said(write_box, caplog, per_metre, guess):
+def test_guessed_units_are_right_and_logged(write_box, caplog, per_metre, guess):
     with caplog.at_level(logging.WARNING):
         obj = load_object(write_box(scale=per_metre), symmetry="none")
     np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
@@ -104,7 +104,7 @@ def test_unknown_units_are_refused(write_box):
 
 
 @pytest.mark.parametrize("name", DEMO_OBJECTS)
-def test_demo_objects_load_by_name_with_their_symmetry_and_nothing_to_note(name):
+def test_demo_objects_load_by_name_with_their_symmetry_and_without_notes(name):
     obj = load_object(name)
     assert obj.name == name
     assert str(obj.symmetry) == DEMO_OBJECTS[name].symmetry
@@ -112,20 +112,20 @@ def test_demo_objects_load_by_name_with_their_symmetry_and_nothing_to_note(name)
     assert 0.02 < obj.mesh.extents_m.max() < 0.09
 
 
-def test_a_demo_objects_symmetry_can_be_declared_otherwise():
+def test_a_declared_symmetry_replaces_that_of_a_demo_object():
     assert str(load_object("pin", symmetry="none").symmetry) == "none"
     with pytest.raises(SymmetryError):
         load_object("pin", symmetry="z6")
 
 
-def test_a_file_comes_before_a_demo_object_of_its_name(tmp_path, monkeypatch):
+def test_a_file_takes_precedence_over_a_demo_object_of_the_same_name(tmp_path, monkeypatch):
     trimesh.creation.box(SIDES_M).export(tmp_path / "pin", file_type="stl")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ObjectError, match=naming("pin", "STL", "OBJ", "PLY")):
         load_object("pin")
 
 
-def test_name_can_be_given(write_box):
+def test_an_object_takes_the_given_name(write_box):
     assert load_object(write_box(), "m", "none", name="bracket").name == "bracket"
 
 
@@ -146,7 +146,7 @@ def test_declared_symmetry_is_about_the_centroid_and_checked(tmp_path):
         load_object(tmp_path / "part.ply", units="m", symmetry="z4")
 
 
-def test_a_missing_file_is_said_with_near_names(tmp_path):
+def test_a_missing_file_is_refused_with_similar_names(tmp_path):
     with pytest.raises(ObjectError, match=naming("none.stl", "damping_pin")):
         load_object(tmp_path / "none.stl")
     with pytest.raises(ObjectError, match=naming("'elbow_pipe'", "damping_pin") + r".*elbow_pip\b"):
@@ -177,7 +177,7 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_bad_files_are_refused_in_a_sentence_that_names_them(tmp_path, name):
+def test_a_bad_file_is_refused_by_name(tmp_path, name):
     path = tmp_path / name
     path.write_text(BAD_FILES[name])
     with pytest.raises(ObjectError) as refused:
@@ -185,34 +185,34 @@ def test_bad_files_are_refused_in_a_sentence_that_names_them(tmp_path, name):
     message = str(refused.value)
     assert name in message
     assert "\n" not in message
-    assert re.search(r"[.,:;] \w", message), "it says what to do"
+    assert re.search(r"[.,:;] \w", message), "the message names no next step"
 
 
 @pytest.mark.parametrize(("name", "value"), [
     ("nan.obj", "NaN"), ("point.obj", "extent"), ("line.obj", "extent"), ("huge.obj", "5000 mm"),
     ("tiny.obj", "0.5 mm"), ("points.ply", "faces"),
 ])  # fmt: skip
-def test_bad_files_are_refused_for_the_right_reason(tmp_path, name, value):
+def test_a_bad_file_is_refused_for_the_right_reason(tmp_path, name, value):
     (tmp_path / name).write_text(BAD_FILES[name])
     with pytest.raises(ObjectError, match=naming(name, value)):
         load_object(tmp_path / name, symmetry="none")
 
 
-def test_a_wrong_unit_is_refused_rather_than_believed(write_box):
+def test_a_wrong_declared_unit_is_refused(write_box):
     with pytest.raises(ObjectError, match=r"(30000|3e\+04) mm"):
         load_object(write_box(scale=1e3), units="m")
     with pytest.raises(ObjectError, match=naming("0.03 mm", "--units")):
         load_object(write_box(), units="mm")
 
 
-def test_an_open_surface_is_noted_and_used(tmp_path):
+def test_an_open_surface_is_used_with_a_note(tmp_path):
     (tmp_path / "open.stl").write_text(TWO_FACES)
     obj = load_object(tmp_path / "open.stl", units="mm", symmetry="none")
     assert len(obj.mesh.faces) == 2
     assert any(not missing(note, "open.stl", "watertight") for note in obj.notes)
 
 
-def test_degenerate_faces_and_stray_vertices_do_not_count(tmp_path):
+def test_degenerate_faces_and_stray_vertices_are_ignored(tmp_path):
     """Stray vertices would enlarge the object's bounding box."""
     box = trimesh.creation.box(SIDES_M)
     lines = [f"v {x} {y} {z}" for x, y, z in box.vertices] + ["v 0.5 0 0", "v 0.6 0 0", "v 0.7 0 0"]
@@ -225,7 +225,7 @@ def test_degenerate_faces_and_stray_vertices_do_not_count(tmp_path):
         assert len(obj.mesh.faces) == 12
 
 
-def test_reading_does_not_move_turn_or_reorder_the_surface(tmp_path):
+def test_reading_does_not_move_rotate_or_reorder_the_surface(tmp_path):
     """Poses refer to the file's own frame: nothing is centred, and no axes are swapped."""
     hook = load_object("hook").mesh
     trimesh.Trimesh(hook.vertices_m * 1e3, hook.faces, process=False).export(tmp_path / "hook.stl")
@@ -235,7 +235,7 @@ def test_reading_does_not_move_turn_or_reorder_the_surface(tmp_path):
     assert isinstance(again, TriangleMesh)
 
 
-def test_catalogue_parts_in_millimetres_are_read_as_such(shared_data):
+def test_catalogue_parts_are_read_in_millimetres(shared_data):
     path = next((shared_data / "meshes" / "o2ac").rglob("*.stl"))
     auto, declared = load_object(path, symmetry="none"), load_object(path, "mm", "none")
     np.testing.assert_allclose(auto.mesh.extents_m, declared.mesh.extents_m)
@@ -252,7 +252,7 @@ def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
 
 
 @pytest.mark.parametrize(("suffix", "place"), [("ply", -9), ("glb", None)])
-def test_faces_of_vertices_that_are_not_there(write_box, suffix, place):
+def test_faces_with_missing_vertices_are_refused(write_box, suffix, place):
     path = write_box(f"part.{suffix}", 1e3)
     content = bytearray(path.read_bytes())
     place = len(content) + place if place else content.index(b"BIN\x00") + 4  # glb: the indices come first
@@ -262,7 +262,7 @@ def test_faces_of_vertices_that_are_not_there(write_box, suffix, place):
         load_object(path, "mm")
 
 
-def test_vertices_of_two_numbers(tmp_path):
+def test_vertices_with_two_coordinates_are_refused(tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
     with pytest.raises(ObjectError, match=r"flat\.obj"):
         load_object(tmp_path / "flat.obj", "mm")

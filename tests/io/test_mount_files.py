@@ -1,4 +1,4 @@
-"""Mount files: a written mount is read again, a pose from a drawing is enough, wrong keys are named."""
+"""Mount files: a written mount is read back, a pose from a drawing is enough, and wrong keys are named."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ X = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.01, -0.02, 0.1])
 COVARIANCE = np.diag([1e-8] * 3 + [4e-6] * 3)
 
 
-def test_what_is_written_is_read(tmp_path):
+def test_a_written_mount_is_read_back(tmp_path):
     touches = [MountTouchRecord(name='a "b".npz', residual_m=1e-7, left_out="it slipped"), MountTouchRecord(name="c")]
     record = MountRecord(
         T_flange_sensor=X.tolist(), covariance=COVARIANCE.tolist(), T_base_object=X.tolist(), object="pin",
@@ -30,7 +30,7 @@ def test_what_is_written_is_read(tmp_path):
     assert path.read_text().count("[[touch]]") == 2
 
 
-def test_a_nominal_mount_is_a_pose(tmp_path):
+def test_a_nominal_mount_needs_only_a_pose(tmp_path):
     path = tmp_path / "nominal.toml"
     path.write_text("xyz_mm = [10, -20, 100]\nrpy_deg = [0, 0, 90]\n")
     found = read_mount(path)
@@ -38,7 +38,7 @@ def test_a_nominal_mount_is_a_pose(tmp_path):
     assert found.find_std_at(np.zeros(3)) == (0.0, 0.0)
 
 
-def test_the_error_of_a_turn_grows_with_the_distance():
+def test_the_error_of_a_rotation_grows_with_the_distance():
     near, far = (Mount(X, COVARIANCE).find_std_at(np.array([0, 0, z])) for z in (0.0, 0.1))
     assert near == pytest.approx((1e-4, 2e-3))
     assert far == pytest.approx((np.sqrt(1e-8 + 2 / 3 * 0.01 * 4e-6), 2e-3))
@@ -58,7 +58,7 @@ def test_the_error_of_a_turn_grows_with_the_distance():
         ),
     ],
 )
-def test_a_wrong_file_is_one_sentence(tmp_path: Path, text, values):
+def test_a_wrong_file_gives_a_one_sentence_error(tmp_path: Path, text, values):
     path = tmp_path / "mount.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=naming(*values)) as caught:

@@ -30,7 +30,7 @@ def random_poses(count: int, seed: int = 0) -> np.ndarray:
     return make_transform(draw_rotations(count, rng), rng.normal(scale=0.02, size=(count, 3)))
 
 
-def test_a_gaussian_is_in_mm_and_degrees(tmp_path, box):
+def test_a_gaussian_prior_is_given_in_mm_and_degrees(tmp_path, box):
     prior = read_prior(written(tmp_path, GAUSSIAN + POSE + "rotation_std_deg = 10\n"), box).prior
     T = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.001, 0.002, 0.025])
     expected = GaussianPrior(T, 0.004, np.radians(10))(random_poses(20))
@@ -43,7 +43,7 @@ def test_the_pose_may_be_a_matrix_in_metres(tmp_path, box):
     np.testing.assert_allclose(one(random_poses(20)), other(random_poses(20)), atol=1e-9)
 
 
-def test_a_rotation_that_is_left_out_is_unknown(tmp_path, box):
+def test_an_omitted_rotation_is_unknown(tmp_path, box):
     prior = read_prior(written(tmp_path, GAUSSIAN + POSE), box).prior
     turned = make_translation([0.001, 0.002, 0.025]) @ make_transform(
         draw_rotations(9, np.random.default_rng(0)), [0] * 3
@@ -51,14 +51,14 @@ def test_a_rotation_that_is_left_out_is_unknown(tmp_path, box):
     np.testing.assert_allclose(prior(turned), 0, atol=1e-12)
 
 
-def test_the_objects_symmetry_is_regarded(tmp_path, make_box):
+def test_a_prior_respects_the_symmetry_of_the_object(tmp_path, make_box):
     brick = make_box(0.03, 0.02, 0.01, symmetry="z2")
     prior = read_prior(written(tmp_path, GAUSSIAN + POSE + "rotation_std_deg = 10\n"), brick).prior
     poses = random_poses(20)
     np.testing.assert_allclose(prior(poses @ brick.symmetry.list_elements()[1]), prior(poses), atol=1e-9)
 
 
-def test_a_region_may_be_open_and_is_of_the_centroid(tmp_path, box):
+def test_a_region_may_be_open_and_bounds_the_centroid(tmp_path, box):
     text = REGION + "low_mm = [-inf, 0, -5]\nhigh_mm = [3, inf, 5]\n"
     poses = random_poses(200)
     expected = RegionPrior([-np.inf, 0, -0.005], [0.003, np.inf, 0.005], box.mesh.centroid_m)(poses)
@@ -66,7 +66,7 @@ def test_a_region_may_be_open_and_is_of_the_centroid(tmp_path, box):
     assert np.array_equal(read_prior(written(tmp_path, text), box).prior(poses), expected)
 
 
-def test_a_half_space_may_be_of_another_point(tmp_path, box):
+def test_a_half_space_may_bound_another_point_of_the_object(tmp_path, box):
     poses = make_translation([[0, 0, 0.013], [0, 0, 0.009]])
     prior = read_prior(written(tmp_path, HALF_SPACE + "object_point_mm = [0, 0, 9]\n"), box).prior
     assert prior(poses).tolist() == [0.0, -np.inf]
@@ -83,7 +83,7 @@ def test_a_prior_in_the_base_frame_needs_the_sensors_pose(tmp_path, box):
         framed.view_from(None)
 
 
-def test_a_prior_in_the_sensors_frame_needs_none(tmp_path, box):
+def test_a_prior_in_the_sensors_frame_needs_no_pose_of_the_sensor(tmp_path, box):
     framed = read_prior(written(tmp_path, GAUSSIAN + POSE), box)
     assert framed.view_from(None) is framed.prior
     assert framed.view_from(random_poses(1)[0]) is framed.prior

@@ -37,7 +37,7 @@ def numbers(geometry: SensorGeometry) -> list[float]:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_a_sensor_survives_its_file(tmp_path: Path, name: str) -> None:
+def test_a_sensor_is_read_back_from_its_file(tmp_path: Path, name: str) -> None:
     geometry = GEOMETRIES[name]
     path = write_sensor_file(tmp_path / "sensor.toml", geometry)
     assert path == tmp_path / "sensor.toml"
@@ -51,7 +51,7 @@ def test_a_sensor_survives_its_file(tmp_path: Path, name: str) -> None:
     assert found.is_same_sensor(geometry)
 
 
-def test_lengths_are_mm_in_the_file(tmp_path: Path) -> None:
+def test_the_file_gives_lengths_in_mm(tmp_path: Path) -> None:
     path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
     values = tomllib.loads(path.read_text())
     assert values["image_size_px"] == [64, 48]
@@ -62,12 +62,12 @@ def test_lengths_are_mm_in_the_file(tmp_path: Path) -> None:
     assert not values.keys() & {"fx", "fy"}
 
 
-def test_without_a_mask_there_is_one_file(tmp_path: Path) -> None:
+def test_a_sensor_without_a_mask_is_one_file(tmp_path: Path) -> None:
     write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["gelslim"])
     assert [path.name for path in tmp_path.iterdir()] == ["sensor.toml"]
 
 
-def test_a_mask_goes_with_its_file(tmp_path: Path) -> None:
+def test_a_missing_mask_is_named_with_its_sensor_file(tmp_path: Path) -> None:
     write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["mask"])
     tmp_path.joinpath("sensor_mask.png").unlink()
     with pytest.raises(SensorError, match=naming("sensor.toml", "sensor_mask.png")):
@@ -85,7 +85,7 @@ def test_a_mask_goes_with_its_file(tmp_path: Path) -> None:
         (np.full((48, 64), -1.0), "1e+03 mm"),
     ],
 )
-def test_a_surface_that_is_none(tmp_path: Path, surface: np.ndarray | None, value: str) -> None:
+def test_an_invalid_gel_surface_is_refused_by_file(tmp_path: Path, surface: np.ndarray | None, value: str) -> None:
     path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
     path.write_text(path.read_text() + 'surface = "gel.npy"\n')
     if surface is not None:
@@ -94,6 +94,6 @@ def test_a_surface_that_is_none(tmp_path: Path, surface: np.ndarray | None, valu
         read_sensor_file(path)
 
 
-def test_a_place_that_cannot_be_written_to(tmp_path: Path) -> None:
+def test_a_file_in_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="none"):
         write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])

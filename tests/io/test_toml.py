@@ -14,7 +14,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import PoseKeys, format_toml, parse_value, read_pose, read_toml
 
 
-def test_angles_turn_about_fixed_axes_roll_first():
+def test_angles_rotate_about_fixed_axes_with_roll_first():
     T = read_pose(PoseKeys(xyz_mm=[1, -2.5, 30], rpy_deg=[10, -20, 70]), None, "T")
     np.testing.assert_allclose(T[:3, 3], [0.001, -0.0025, 0.030], atol=1e-15)
     np.testing.assert_allclose(T[:3, :3], Rotation.from_euler("xyz", [10, -20, 70], degrees=True).as_matrix())
@@ -22,7 +22,7 @@ def test_angles_turn_about_fixed_axes_roll_first():
     np.testing.assert_allclose(quarter[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-12)  # y to z by the roll, z stays
 
 
-def test_three_ways_of_writing_one_pose():
+def test_three_notations_give_the_same_pose():
     angles = read_pose(PoseKeys(xyz_mm=[1, 2, 3], rpy_deg=[10, -20, 70]), None, "T")
     w_last = Rotation.from_matrix(angles[:3, :3]).as_quat()
     rounded = [round(float(v), 4) for v in [w_last[3], *w_last[:3]]]
@@ -32,7 +32,7 @@ def test_three_ways_of_writing_one_pose():
     np.testing.assert_array_equal(read_pose(PoseKeys(), angles.tolist(), "T"), angles)
 
 
-def test_no_key_is_no_pose():
+def test_no_pose_keys_give_no_pose():
     assert read_pose(PoseKeys(), None, "T") is None
 
 
@@ -52,13 +52,13 @@ def test_no_key_is_no_pose():
         ({}, np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), ("T", "rigid")),
     ],
 )
-def test_half_a_pose_or_two_are_refused(keys, matrix, values):
+def test_an_incomplete_pose_and_two_poses_are_refused(keys, matrix, values):
     pose = PoseKeys(**keys)
     with pytest.raises(ValueError, match=naming(*values)):
         read_pose(pose, matrix, "T")
 
 
-def test_it_is_read_as_the_same_configuration():
+def test_a_written_configuration_is_read_back_unchanged():
     config = RunConfig.from_dict(
         {"object": {"path": 'a "b"\\é.stl'}, "grid": {"name": "face", "tilt_deg": 3.5}, "top": 4, "seed": 9}
     )
@@ -71,18 +71,18 @@ def test_it_is_read_as_the_same_configuration():
     ("value", "text"),
     [(True, "true"), (1.5, "1.5"), ([1, [2, "a"]], '[1, [2, "a"]]'), ({"a": 1, "b c": None}, "{ a = 1 }")],
 )
-def test_values_are_toml(value, text):
+def test_values_are_written_as_toml(value, text):
     assert format_toml({"key": value} if not isinstance(value, dict) else {"s": {"key": value}}).endswith(
         f"key = {text}\n"
     )
 
 
-def test_what_is_not_set_is_left_out():
+def test_values_that_are_not_set_are_omitted():
     assert format_toml({"touch": {"path": None, "noise": "none"}}) == '[touch]\nnoise = "none"\n'
 
 
 @pytest.mark.parametrize("text", [f"a = {'9' * 5000}", f"a = {'[' * 5000}"], ids=["digits", "nesting"])
-def test_endless_numbers_and_nesting(tmp_path, text):
+def test_endless_numbers_and_endless_nesting_are_refused(tmp_path, text):
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(ConfigError, match=naming("a.toml", "TOML")):
         read_toml(tmp_path / "a.toml")

@@ -1,4 +1,4 @@
-"""A list of touches: files and sensors beside it, poses in metres, and errors that name the touch."""
+"""A list of touches: files and sensors in the folder of the list, poses in metres, and errors that name the touch."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def written(folder: Path, *tables: str) -> Path:
     return path
 
 
-def test_all_keys_are_read(folder):
+def test_every_key_of_a_list_is_read(folder):
     (folder / "gel.toml").touch()
     rows = f"T_base_sensor = {T.tolist()}\n"
     first, second = read_touch_list(
@@ -59,14 +59,14 @@ def test_a_single_touch_needs_no_pose(folder):
     assert touch.T_base_sensor is None
 
 
-def test_a_touchs_own_file_may_have_the_pose_but_the_list_has_the_last_word(folder):
+def test_a_pose_in_the_list_overrides_the_pose_in_the_touch_file(folder):
     other = "xyz_mm = [0, 0, 0]\nquaternion_wxyz = [1, 0, 0, 0]\n"
     own, listed = read_touch_list(written(folder, 'path = "b.npz"\n', 'path = "b.npz"\n' + other))
     np.testing.assert_allclose(own.T_base_sensor, T)
     np.testing.assert_array_equal(listed.T_base_sensor, np.eye(4))
 
 
-def test_the_flanges_pose_and_the_mount_say_where_the_sensor_was(folder):
+def test_the_sensors_pose_follows_from_the_flanges_pose_and_the_mount(folder):
     (folder / "mount.toml").write_text(f"T_flange_sensor = {T.tolist()}\n")
     (folder / "other.toml").write_text("xyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n")
     flange = f"T_base_flange = {T.tolist()}\n"
@@ -81,7 +81,7 @@ def test_the_flanges_pose_and_the_mount_say_where_the_sensor_was(folder):
     np.testing.assert_array_equal([touch.T_base_flange for touch in of_flange], [T, T])
 
 
-def test_a_folder_of_touches_may_be_called_after_their_sensor(folder):
+def test_a_folder_of_touches_may_have_the_name_of_its_sensor(folder):
     (folder / "digit").mkdir()
     (folder / "mine").mkdir()
     (folder / "mine" / "calibration.json").touch()
@@ -110,7 +110,7 @@ def test_a_folder_of_touches_may_be_called_after_their_sensor(folder):
         ([f'path = "a.npz"\nmount = "no.toml"\nT_base_flange = {T.tolist()}\n'], ("no.toml",)),
     ],
 )
-def test_a_wrong_table_is_named_by_list_and_number(folder, tables, values):
+def test_a_wrong_table_is_refused_with_its_list_and_number(folder, tables, values):
     path = written(folder, *tables)
     with pytest.raises(TouchError, match=naming(*values)) as caught:
         read_touch_list(path)
@@ -118,7 +118,7 @@ def test_a_wrong_table_is_named_by_list_and_number(folder, tables, values):
     assert "\n" not in str(caught.value)
 
 
-def test_a_damaged_file_is_named_by_its_number(folder):
+def test_a_damaged_touch_is_refused_with_its_number(folder):
     (folder / "bad.npz").write_bytes(b"PK\x03\x04 nonsense")
     with pytest.raises(TouchError, match=naming("touch 2", "bad.npz")):
         read_touch_list(written(folder, 'path = "b.npz"\n', 'path = "bad.npz"\n'))
@@ -135,7 +135,7 @@ def test_a_damaged_file_is_named_by_its_number(folder):
         ('mount = 3\n[[touch]]\npath = "a.npz"', ("mount", 3)),
     ],
 )
-def test_a_file_that_is_no_list_is_refused(folder, text, values):
+def test_a_file_that_is_not_a_list_is_refused(folder, text, values):
     path = folder / "touches.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=naming("touches.toml", *values)):

@@ -24,7 +24,7 @@ T_BASE_SENSOR = make_transform(rotation_about([0, 1, 0], 2.0), [0.4, 0.1, 0.2])
 
 
 class Sensor(SensorModel):
-    """A sensor of 12 x 9 pixels; `calibrated` for images of one brightness a depth."""
+    """A sensor of 12 x 9 pixels; `calibrated` for images of one brightness per depth."""
 
     def __init__(self, calibrated: bool = False) -> None:
         super().__init__()
@@ -73,7 +73,7 @@ def save_npz(path: Path, **arrays: Any) -> Path:
     return path
 
 
-def test_a_written_touch_is_read_back_to_the_bit(tmp_path: Path, touch: Touch) -> None:
+def test_a_written_touch_is_read_back_bit_for_bit(tmp_path: Path, touch: Touch) -> None:
     back = read_touch(write_touch(tmp_path / "a.npz", touch), SENSOR)
     np.testing.assert_array_equal(back.contact_shape.depth_m, touch.contact_shape.depth_m)
     np.testing.assert_array_equal(back.contact_shape.contact, touch.contact_shape.contact)
@@ -83,14 +83,14 @@ def test_a_written_touch_is_read_back_to_the_bit(tmp_path: Path, touch: Touch) -
     assert back.name == "a.npz"
 
 
-def test_poses_are_absent_when_unknown(tmp_path: Path, touch: Touch) -> None:
+def test_unknown_poses_are_absent_from_the_file(tmp_path: Path, touch: Touch) -> None:
     bare = Touch(touch.contact_shape, touch.geometry)
     back = read_touch(write_touch(tmp_path / "a.npz", bare), SENSOR)
     assert back.T_sensor_object is None
     assert back.T_base_sensor is None
 
 
-def test_writing_the_same_touch_gives_the_same_bytes_and_nothing_else(tmp_path: Path, touch: Touch) -> None:
+def test_writing_the_same_touch_gives_the_same_bytes_in_one_file(tmp_path: Path, touch: Touch) -> None:
     one, other = (write_touch(tmp_path / name, touch) for name in ("a.npz", "b.npz"))
     write_touch(one, touch)
     assert one.read_bytes() == other.read_bytes()
@@ -113,7 +113,7 @@ def test_a_failed_write_keeps_the_old_touch(tmp_path: Path, touch: Touch, monkey
 
 
 @pytest.mark.parametrize("name", ["missing/a.npz", "a.txt", "file/a.npz", "folder.npz"])
-def test_places_that_cannot_be_written_are_refused(tmp_path: Path, touch: Touch, name: str) -> None:
+def test_unwritable_paths_are_refused(tmp_path: Path, touch: Touch, name: str) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "folder.npz").mkdir()
     with pytest.raises(OutputError, match=Path(name).name):
@@ -162,7 +162,7 @@ def test_the_largest_16_bit_number_is_no_contact_in_any_byte_order(tmp_path: Pat
     np.testing.assert_array_equal(shape.contact, [[True, False, False]])
 
 
-def test_a_lighter_press_can_be_asked_for(tmp_path: Path, touch: Touch) -> None:
+def test_a_touch_can_be_read_at_a_lighter_press(tmp_path: Path, touch: Touch) -> None:
     path = write_touch(tmp_path / "a.npz", touch)
     light = read_touch(path, SENSOR, press_depth_m=0.5 * MM)
     assert light.press_depth_m == 0.5 * MM
@@ -188,7 +188,7 @@ def test_a_calibrated_sensor_reads_colour_images(tmp_path: Path) -> None:
 
 
 def refused(path: Path, *words: str, unit: str | None = "mm") -> None:
-    """Both readers refuse the file in one sentence that names it."""
+    """Check that both readers refuse the file in one sentence that names it."""
     for read in (lambda: read_contact_shape(path, MAX_DEPTH_M, unit), lambda: read_touch(path, SENSOR, unit)):
         with pytest.raises(TouchError) as caught:
             read()
@@ -301,7 +301,7 @@ def test_negative_depths_and_wrong_units_are_refused(tmp_path: Path, depth_m: ND
         (np.linspace(0, 1, 12 * 9).reshape(12, 9), TouchError, "12 x 9"),
     ],
 )
-def test_touches_that_say_nothing_or_do_not_fit_are_refused(
+def test_touches_without_contact_or_of_another_size_are_refused(
     tmp_path: Path, values: NDArray[np.float64], error: type[TouchError], value: str
 ) -> None:
     path = save_npy(tmp_path / "a.npy", values)

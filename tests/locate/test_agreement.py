@@ -21,7 +21,7 @@ ELSEWHERE = make_transform(rotation_about([0, 0, 1], np.radians(30)), [0.006, 0.
 
 
 class Search:
-    """Return hypotheses whose best explains each touch as in `found`, by the numbers of the outliers."""
+    """Return hypotheses with the imprint IoU of each touch from `found`, whose keys are the outliers' numbers."""
 
     def __init__(self, found: dict[tuple[int, ...], tuple[float, ...]], alone: float = 0.9) -> None:
         self.found, self.alone = found, alone
@@ -41,7 +41,7 @@ class Search:
         return find_agreement(self.find, self.best_alone)
 
 
-def test_touches_that_one_pose_explains_agree_without_more_search():
+def test_touches_that_one_pose_explains_agree_without_another_search():
     search = Search({(): (0.9, 0.8, 0.7)})
     found, agreement = search.agree()
     assert (agreement.outliers, agreement.contradictory) == ((), False)
@@ -49,7 +49,7 @@ def test_touches_that_one_pose_explains_agree_without_more_search():
     assert search.asked == [()]
 
 
-def test_the_one_that_contradicts_the_others_is_named_and_has_no_say():
+def test_an_outlier_is_named_and_does_not_affect_the_pose():
     search = Search({(): (0.7, 0.2, 0.7, 0.6), (1,): (0.9, 0.0, 0.9, 0.8)})
     found, agreement = search.agree()
     assert (agreement.outliers, agreement.contradictory) == ((1,), True)
@@ -58,26 +58,30 @@ def test_the_one_that_contradicts_the_others_is_named_and_has_no_say():
     assert agreement.best_ious == (0.9, 0.9, 0.9, 0.9)
 
 
-def test_a_touch_that_no_pose_explains_any_better_contradicts_nothing():
+def test_a_touch_that_no_pose_explains_better_is_no_contradiction():
     assert not Search({(): (0.7, 0.2, 0.7)}, alone=0.3).agree()[1].contradictory
 
 
 @pytest.mark.parametrize(
     "found",
     [
-        {(): (0.9, 0.1)},  # of two nobody knows
-        {(): (0.5, 0.1, 0.5), (1,): (0.9, 0.0, 0.9), (0,): (0.0, 0.9, 0.9)},  # either of two could be the one
-        {(): (0.6, 0.1, 0.6, 0.5), (1,): (0.6, 0.0, 0.6, 0.6)},  # the others hardly agree: all are noisy
+        {(): (0.9, 0.1)},  # two touches never name an outlier
+        {
+            (): (0.5, 0.1, 0.5),
+            (1,): (0.9, 0.0, 0.9),
+            (0,): (0.0, 0.9, 0.9),
+        },  # either of two touches could be the outlier
+        {(): (0.6, 0.1, 0.6, 0.5), (1,): (0.6, 0.0, 0.6, 0.6)},  # the others hardly agree either: all are noisy
         {(): (0.9, 0.0, 0.9, 0.0), (1,): (0.9, 0.0, 0.9, 0.0)},  # two against two
     ],
 )
-def test_nobody_is_named_without_reason(found):
+def test_no_outlier_is_named_without_agreement_of_the_others(found):
     hypotheses, agreement = Search(found).agree()
     assert (agreement.outliers, agreement.contradictory) == ((), True)
     assert hypotheses[0].imprint_ious == found[()]
 
 
-def test_two_of_five_can_be_named():
+def test_two_outliers_of_five_touches_are_named():
     five = {(): (0.6, 0.1, 0.6, 0.2, 0.6), (3,): (0.8, 0.0, 0.8, 0.0, 0.8), (1, 3): (0.9, 0.0, 0.9, 0.0, 0.9)}
     found, agreement = Search(five).agree()
     assert agreement.outliers == (1, 3)
@@ -129,7 +133,7 @@ def test_touches_of_a_block_agree(block, touches):
     assert found.best.imprint_iou == pytest.approx(np.mean(found.best.imprint_ious))
 
 
-def test_a_touch_whose_sensor_was_elsewhere_is_named_and_does_not_drag_the_pose_along(block, touches):
+def test_a_touch_with_a_wrong_sensor_pose_is_named_and_does_not_shift_the_pose(block, touches):
     found = together(block, with_moved(touches, 1))
     assert [touch.name for touch in found.outliers] == [touches[1].name]
     assert found.best.imprint_ious[1] < 0.5 < found.agreement.best_ious[1]
@@ -138,13 +142,13 @@ def test_a_touch_whose_sensor_was_elsewhere_is_named_and_does_not_drag_the_pose_
     assert error_m(block, found) < 1e-3
 
 
-def test_of_two_touches_none_is_named(block, touches):
+def test_no_outlier_is_named_among_two_touches(block, touches):
     found = together(block, with_moved(touches, 1)[:2])
     assert found.outliers == ()
 
 
 @pytest.mark.parametrize("wrong", [0, 1])
-def test_left_out_is_as_never_given(block, touches, wrong):
+def test_leaving_out_an_outlier_gives_the_result_without_it(block, touches, wrong):
     given = with_moved(touches, wrong)
     rest = [touch for number, touch in enumerate(given) if number != wrong]
     found, alone = together(dropping(block), given), together(block, rest)
@@ -156,7 +160,7 @@ def test_left_out_is_as_never_given(block, touches, wrong):
     )
 
 
-def test_what_is_known_before_holds_in_the_frame_of_the_first_that_is_left(block, touches):
+def test_the_prior_stays_right_if_the_first_touch_is_left_out(block, touches):
     given = with_moved(touches, 0)
     of_second = GaussianPrior(np.asarray(touches[1].T_sensor_object), 2e-3, 0.1, block.object.symmetry)
     T_second_first = invert(given[1].T_base_sensor) @ given[0].T_base_sensor
@@ -166,7 +170,7 @@ def test_what_is_known_before_holds_in_the_frame_of_the_first_that_is_left(block
     np.testing.assert_allclose(found.posterior.log_p, alone.posterior.log_p, atol=1e-9)
 
 
-def test_a_sensor_that_is_out_of_reach_is_named(block, touches):
+def test_a_sensor_out_of_reach_is_named(block, touches):
     far = dataclasses.replace(touches[2], T_base_sensor=make_transform(np.eye(3), [5.0, 0.0, 0.0]), name="far away")
     given = [touches[0], touches[1], far]
     with pytest.raises(GridError, match=naming("far away", "--drop-outliers")):

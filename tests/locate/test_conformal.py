@@ -1,4 +1,4 @@
-"""Sets hold the truth with the coverage asked for, however wrong the probabilities are."""
+"""Sets hold the truth with the requested coverage, even for wrong probabilities."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def grid(box):
 
 
 def example(grid: PoseGrid, rng: np.random.Generator, sureness: float) -> tuple[PosePosterior, int]:
-    """Return a posterior that is `sureness` times as certain as it should be, and a truth."""
+    """Return a posterior whose logits are `sureness` times too large, and a truth."""
     logits = rng.normal(size=len(grid)) * rng.uniform(0.3, 3)
     truth = rng.choice(len(grid), p=np.exp(logits) / np.exp(logits).sum())
     return PosePosterior(grid, sureness * logits), int(truth)
@@ -34,7 +34,7 @@ def example(grid: PoseGrid, rng: np.random.Generator, sureness: float) -> tuple[
 
 @pytest.mark.parametrize("sureness", [0.3, 1.0, 4.0])
 @pytest.mark.parametrize("coverage", [0.5, 0.9])
-def test_the_truth_is_in_the_set_as_often_as_promised(grid, sureness, coverage):
+def test_the_set_holds_the_truth_with_the_requested_coverage(grid, sureness, coverage):
     rng, held = np.random.default_rng(0), []
     for _ in range(150):
         drawn = [example(grid, rng, sureness) for _ in range(76)]
@@ -49,7 +49,7 @@ def test_the_level_is_the_finite_sample_quantile():
     assert [sets.level(c, 1.0) for c in (0.2, 0.21, 0.4, 0.8)] == [0.1, 0.2, 0.2, 0.4]
 
 
-def test_the_most_uncertain_quarter_vouches_for_its_like():
+def test_uncertain_posteriors_use_the_levels_of_the_most_uncertain_quarter():
     sets = ConformalSets([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.9, 0.95], [1.0, 1, 1, 1, 1, 1, 5, 6])
     assert sets.find_alike(5.5).tolist() == [0.9, 0.95]
     assert sets.level(0.5, 1.5) == 0.4
@@ -57,26 +57,28 @@ def test_the_most_uncertain_quarter_vouches_for_its_like():
 
 
 @pytest.mark.parametrize("coverage", [0.81, 0.99, 1.0, 0.0, -1.0, math.nan])
-def test_what_so_few_examples_cannot_promise_is_refused(coverage):
+def test_a_coverage_that_too_few_examples_support_is_refused(coverage):
     with pytest.raises(ConfigError, match=naming(f"{coverage:g}", 4, 0.8)):
         ConformalSets([0.4, 0.1, 0.3, 0.2], [1.0] * 4).level(coverage, 1.0)
 
 
-def test_a_set_tells_what_vouches_for_it(grid):
+def test_a_set_reports_its_coverage_level_and_examples(grid):
     posterior = PosePosterior(grid, -np.arange(30.0))
     found = PoseSet.of(posterior, ConformalSets([0.0, 0.7, 0.2], [0.5] * 3), 0.75)
     assert (found.coverage, found.level, found.examples) == (0.75, 0.7, 3)
-    assert found.indices.tolist() == [0, 1], "0.63 is likelier than the second, 0.86 than the third"
+    assert found.indices.tolist() == [0, 1], "the first pose has a probability of 0.63, the first two 0.86"
 
 
-def test_what_a_search_may_not_have_found_is_in_a_set_that_needs_it(grid):
+def test_a_set_includes_elsewhere_if_its_coverage_needs_it(grid):
     missed = ConformalSets([0.0, 0.3, 1.0, 1.0], [0.5] * 4)
     posterior = PosePosterior(grid, -np.arange(30.0), elsewhere=0.4)
     few, all_found = (PoseSet.of(posterior, missed, coverage) for coverage in (0.4, 0.8))
     assert not few.elsewhere
     assert all_found.elsewhere
     assert len(all_found.indices) == 30
-    assert not PoseSet.of(PosePosterior(grid, -np.arange(30.0)), missed, 0.8).elsewhere, "a grid that lists all poses"
+    assert not PoseSet.of(PosePosterior(grid, -np.arange(30.0)), missed, 0.8).elsewhere, (
+        "a grid that lists all poses needs no elsewhere"
+    )
 
 
 def test_a_localisation_lists_all_modes_of_the_set(store):
@@ -95,7 +97,7 @@ def test_a_localisation_lists_all_modes_of_the_set(store):
     assert localizer.localize(touch).pose_set is None
 
 
-def test_examples_are_held_out_once_and_for_each_number_of_touches(tmp_path, monkeypatch):
+def test_examples_are_held_out_once_for_each_number_of_touches(tmp_path, monkeypatch):
     store = StageStore(tmp_path)
     monkeypatch.setattr(module, "EXAMPLES", 4)
     localizer = Localizer.create("pin", store=store, temperature=0.01, **COARSE)

@@ -31,13 +31,13 @@ def off_mm(localizer: Localizer, T: np.ndarray, touch: Touch) -> float:
     return 1e3 * float(PoseMetric(localizer.object).symmetric_distance(T[None], truth[None])[0])
 
 
-def test_three_touches_of_a_curved_gel_say_where_the_object_is(localizer, examples):
+def test_three_touches_of_a_curved_gel_locate_the_object(localizer, examples):
     found = [localize_together([(localizer, touch) for touch in some]).best.T_sensor_object for some in examples]
     errors_mm = [off_mm(localizer, T, some[0]) for T, some in zip(found, examples, strict=True)]
     assert np.median(errors_mm) < 0.1
 
 
-def test_from_the_truth_the_joint_refiner_stays_at_the_truth(localizer, examples):
+def test_the_joint_refiner_stays_at_the_truth(localizer, examples):
     refined = [
         localizer.refinement.refiner.refine(
             some[0], Candidate(np.asarray(some[0].T_sensor_object), 0, 0.0), scene
@@ -49,7 +49,7 @@ def test_from_the_truth_the_joint_refiner_stays_at_the_truth(localizer, examples
     assert np.median(errors_mm) < 0.02
 
 
-def test_taken_for_flat_the_true_poses_explain_their_touches_worse(localizer, examples):
+def test_true_poses_explain_touches_worse_if_the_gel_is_taken_for_flat(localizer, examples):
     flat = dataclasses.replace(localizer.scene.geometry, relief_m=None)
     for touch in (touch for some in examples for touch in some):
         truth = np.asarray(touch.T_sensor_object)[None]

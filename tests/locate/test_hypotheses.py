@@ -30,27 +30,29 @@ def metric() -> PoseMetric:
     return PoseMetric(ObjectModel("box", mesh, SymmetryGroup.parse("z2", np.zeros(3))))
 
 
-def test_what_ends_at_the_same_pose_is_one_explanation_however_many_started_towards_it(metric):
+def test_candidates_that_end_at_the_same_pose_are_merged(metric):
     near, far = make_translation([2e-4, 0, 0]), make_translation([2e-3, 0, 0])
     found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
-    assert [h.probability for h in found] == pytest.approx([0.625, 0.375])  # 5 to 3, of the same sum
+    assert [h.probability for h in found] == pytest.approx(
+        [0.625, 0.375]
+    )  # the ratio is 5 to 3, and the sum is unchanged
     assert [h.grid_poses for h in found] == [10, 5]
     np.testing.assert_array_equal(found[0].refined.T_sensor_object, np.eye(4))
 
 
-def test_poses_that_look_the_same_by_symmetry_are_one(metric):
+def test_poses_that_are_equal_by_symmetry_are_merged(metric):
     turned = np.eye(4)
     turned[:3, :3] = rotation_about([0, 0, 1], np.pi)
     assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), hypothesis(0.4, turned)], metric, 5e-4)) == 1
 
 
-def test_what_did_not_converge_is_merged_only_where_it_hardly_differs(metric):
+def test_an_unconverged_pose_is_merged_only_with_an_almost_equal_pose(metric):
     for off_m, left in ((0.0, 1), (2e-5, 1), (1e-4, 2)):
         stuck = hypothesis(0.4, make_translation([off_m, 0, 0]), converged=False)
         assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == left
 
 
-def test_what_explains_the_touch_best_is_the_most_probable_and_comes_first():
+def test_the_pose_that_explains_the_touch_best_comes_first():
     three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
     found = weigh(three, np.array([-2.0, 1.0, 0.5]))
     assert [h.imprint_iou for h in found] == [0.9, 0.8, 0.7]
@@ -61,18 +63,18 @@ def test_what_explains_the_touch_best_is_the_most_probable_and_comes_first():
     assert [h.probability for h in alike] == pytest.approx([0.45, 0.45])
 
 
-def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
+def test_a_strong_prior_outweighs_a_better_explanation():
     two, evidence = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)], np.array([0.0, 3.0])
     assert weigh(two, evidence, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
     assert weigh(two, evidence, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
     assert weigh(two, evidence, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
 
 
-def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(make_box, make_scene, flat_camera):
+def test_a_touch_is_compared_at_other_sensor_poses_at_a_cost(make_box, make_scene, flat_camera):
     scene = make_scene(make_box(0.012, 0.008, 0.006), flat_camera)
     true = scene.press(1e-3).bring_to_contact(np.eye(4)[None])[0]
     touch = Touch(scene.contact_shape(true[0], 1e-3), flat_camera)
-    beside = make_translation([1e-3, 0, 0]) @ true  # where it would be if the sensor were where it is said to be
+    beside = make_translation([1e-3, 0, 0]) @ true  # the object's pose for the reported sensor pose
     nominal, exact = (scene.match_touch(touch).compare_imprints(T, touch) for T in (beside, true))
     for std_m, first_m in ((1e-3, 0.0), (0.5e-3, 0.0), (0.1e-3, 0.0), (0.6e-3, 0.8e-3)):
         first, view = (View(touch, scene.match_touch(touch), np.eye(4), m, 0.01) for m in (first_m, std_m))
@@ -88,8 +90,8 @@ def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(m
     assert nominal.evidence < exact.evidence
 
 
-def test_modes_apart_have_the_poses_beside_them(metric):
-    """Five poses along a line give two modes; poses between the likelier one and the limit are its members."""
+def test_distant_modes_contain_the_poses_beside_them(metric):
+    """Five poses along a line give two modes; poses between the more probable mode and the limit are its members."""
     poses = np.concatenate([make_translation([x, 0, 0])[None] for x in (0.0, 0.4e-3, 0.9e-3, 3e-3, 3.2e-3)])
     p = np.array([0.4, 0.2, 0.1, 0.25, 0.05])
     first, second = choose_best_apart(PosePosterior(PoseGrid(poses, metric), np.log(p)), 0.5e-3, 2)

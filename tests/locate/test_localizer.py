@@ -21,7 +21,7 @@ from tactile_loc.locate.scoring import MOST_MATCHERS
 from tactile_loc.store.store import StageStore
 
 SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]}}
-AMPLE = {"name": "face", "min_contact_percent": 2.0}  # contact that shows where the object is
+AMPLE = {"name": "face", "min_contact_percent": 2.0}  # enough contact to locate the object
 FINE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 3.0}}
 COARSE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 7.0}}
 
@@ -47,13 +47,13 @@ def errors_mm(localizer: Localizer, touch: Touch, found: Localization) -> np.nda
     return 1e3 * PoseMetric(localizer.object).symmetric_distance(refined, true)
 
 
-def test_the_true_pose_is_among_the_hypotheses_and_refined_below_the_grid(pin, touches):
+def test_the_hypotheses_contain_the_true_pose_to_a_tenth_of_the_spacing(pin, touches):
     nearest = [errors_mm(pin, t, pin.localize(t)).min() for t in touches]
-    assert np.median(nearest) < 0.3, "a tenth of the grid's spacing"
+    assert np.median(nearest) < 0.3, "the error exceeds a tenth of the grid's spacing"
     assert np.mean(np.array(nearest) < 1.0) >= 0.8
 
 
-def test_a_certain_answer_is_right(pin, touches):
+def test_a_certain_result_is_right(pin, touches):
     found = [(pin.localize(t), t) for t in touches]
     best = [errors_mm(pin, t, f)[0] for f, t in found if f.normalised_entropy < 0.1]
     assert len(best) >= 3
@@ -61,14 +61,14 @@ def test_a_certain_answer_is_right(pin, touches):
     assert max(best) < 1.5
 
 
-def test_lighter_presses_are_located_too(pin):
+def test_lighter_presses_are_located(pin):
     for press_m in (0.001, 0.00113):
         touches = pin.simulate(10, seed=1, press_depth_m=press_m)
         nearest = [errors_mm(pin, t, pin.localize(t)).min() for t in touches]
         assert np.median(nearest) < 0.6
 
 
-def test_the_answer_is_in_order_and_complete(pin, touches):
+def test_a_result_is_sorted_and_complete(pin, touches):
     found = pin.localize(touches[0], top=4)
     assert found.touch is touches[0]
     assert found.posterior.probabilities.sum() == pytest.approx(1.0)
@@ -92,7 +92,7 @@ def test_best_pose_is_the_most_probable_refined(pin, touches):
     assert np.array_equal(pin.find_most_probable_pose(touch).T_sensor_object, expected.T_sensor_object)
 
 
-def test_many_touches_are_located_as_each_alone(pin, touches):
+def test_a_batch_of_touches_has_the_results_of_single_touches(pin, touches):
     lighter = pin.simulate(2, seed=3, press_depth_m=0.0012)
     mixed = [touches[0], lighter[0], touches[1], lighter[1]]
     together = pin.localize_many(mixed, top=3)
@@ -113,7 +113,7 @@ def test_a_touch_at_a_grid_pose_is_matched_to_it(pin):
         assert posterior.probabilities[index] >= 0.3 * posterior.probabilities.max()
 
 
-def test_a_prior_on_a_region_keeps_the_answer_there(pin, touches):
+def test_a_region_prior_keeps_the_poses_in_the_region(pin, touches):
     metric, touch = pin.model.grid.metric, touches[0]
     wrong = pin.model.grid.T_sensor_object[int(pin.posterior(touch).log_p.argmin())]
 
@@ -134,7 +134,7 @@ def test_a_prior_that_excludes_everything_is_refused(pin, touches):
         pin.localize(touches[0], prior=lambda T: np.full(len(T), -np.inf))
 
 
-def test_a_prior_for_the_truth_decides_between_alike_poses(pin):
+def test_a_prior_on_the_truth_decides_between_similar_poses(pin):
     touches = pin.simulate(30, seed=5)
     doubtful = [t for t in touches if pin.localize(t).best.probability < 0.95]
     assert doubtful
@@ -181,15 +181,17 @@ def test_metres_and_millimetres_give_the_same_poses(pin_files, store):
     )
     np.testing.assert_allclose(metres.model.grid.T_sensor_object, milli.model.grid.T_sensor_object, atol=1e-8)
     (touch,) = metres.simulate(1, seed=6)
-    assert touch.contact_shape.contact.mean() > 0.1, "a wide one: of a narrow one rounding decides the pin's turn"
+    assert touch.contact_shape.contact.mean() > 0.1, (
+        "the contact is narrow, so rounding decides the rotation of the pin"
+    )
     a, b = metres.localize(touch), milli.localize(touch)
     np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-3)
     assert a.best.grid_index == b.best.grid_index
     np.testing.assert_allclose(a.best.T_sensor_object, b.best.T_sensor_object, atol=1e-4)
 
 
-def test_the_meshs_own_frame_does_not_matter(pin_files, store):
-    """The same touch: another drawing of the part is found in the same place."""
+def test_the_frame_of_the_mesh_does_not_matter(pin_files, store):
+    """A mesh of the part in another frame gives the same pose of the part."""
     folder, X = pin_files
     here, there = (
         Localizer.create(folder / f"{name}.off", units="m", symmetry="none", store=store, temperature=0.01, **FINE)
@@ -205,26 +207,26 @@ def test_the_meshs_own_frame_does_not_matter(pin_files, store):
         assert np.median(gaps_mm) < 0.1
 
 
-def test_a_touch_from_a_file_is_the_same_touch(pin, touches, tmp_path):
+def test_a_touch_read_from_a_file_has_the_same_result(pin, touches, tmp_path):
     again = pin.read_touch(write_touch(tmp_path / "touch.npz", touches[2]))
     np.testing.assert_allclose(pin.posterior(again).log_p, pin.posterior(touches[2]).log_p, atol=1e-3)
 
 
 def test_banks_are_kept_by_press_depth(coarse):
-    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.00109), "in steps of 0.1 mm"
-    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.001 - 1e-12), "rounding does not count"
+    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.00109), "banks have steps of 0.1 mm"
+    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.001 - 1e-12), "a rounding error changed the bank"
     assert coarse.listed.matcher(0.001) is not coarse.listed.matcher(0.00112)
 
 
-def test_touch_and_bank_are_cut_at_the_same_press(coarse):
-    """A press between two of the banks' is compared at the lighter one."""
+def test_touch_and_bank_are_cut_at_the_same_press_depth(coarse):
+    """A press between the depths of two banks is compared at the lighter depth."""
     (touch,) = coarse.simulate(1, seed=6, press_depth_m=0.00114)
     lighter = Touch(touch.contact_shape.press_to(0.0011), touch.geometry)
     np.testing.assert_array_equal(coarse.posterior(touch).log_p, coarse.posterior(lighter).log_p)
 
 
-def test_a_press_a_rounding_error_below_a_step_is_as_good(coarse):
-    """Pixels without contact lie at the press depth exactly; the bank's must not make contact of them."""
+def test_a_press_just_below_a_step_has_the_same_result(coarse):
+    """Pixels without contact lie at the press depth exactly; the bank must not count them as contact."""
     exact = coarse.simulate(1, seed=6, press_depth_m=0.0005)[0]
     below_m = 0.0005 * (1 - 9e-8)
     shape = ContactShape(np.minimum(exact.contact_shape.depth_m, np.float32(below_m)), below_m)
@@ -233,7 +235,7 @@ def test_a_press_a_rounding_error_below_a_step_is_as_good(coarse):
     np.testing.assert_allclose(coarse.posterior(touch).log_p, coarse.posterior(exact).log_p, atol=1e-2)
 
 
-def test_an_encoder_that_does_not_follow_the_press_is_told_what_it_gets(coarse, store):
+def test_an_encoder_with_one_bank_gets_the_press_depth_of_the_touch(coarse, store):
     localizer = Localizer.create("pin", store=store, temperature=1e-3, **COARSE)
     told: list[float] = []
 
@@ -247,13 +249,13 @@ def test_an_encoder_that_does_not_follow_the_press_is_told_what_it_gets(coarse, 
     localizer.encoder = Fixed(localizer.encoder.options)
     (touch,) = localizer.simulate(1, seed=7, press_depth_m=0.001)
     localizer.posterior(touch)
-    assert localizer.listed.matcher(0.001) is localizer.listed.matcher(0.002), "one bank for all presses"
+    assert localizer.listed.matcher(0.001) is localizer.listed.matcher(0.002), "the encoder has more than one bank"
     assert told[-1] == pytest.approx(0.001)
     assert set(told[:-1]) <= {0.002}
 
 
-def test_a_touch_of_another_sensors_size_still_has_its_own_geometry(pin, touches):
-    """The touch carries its geometry: half the pixels are the same touch."""
+def test_a_touch_with_half_the_pixels_has_the_same_result(pin, touches):
+    """The touch carries its geometry, so half the pixels describe the same touch."""
     touch = touches[3]
     half = Touch(touch.contact_shape.subsample(2), touch.geometry.subsample(2), T_sensor_object=touch.T_sensor_object)
     a, b = pin.posterior(touch), pin.posterior(half)
@@ -268,7 +270,7 @@ def test_a_touch_of_another_sensor_is_refused(pin, touches):
 
 
 @pytest.mark.parametrize("cells", [10, 100])
-def test_more_cells_than_the_banks_pixels_are_possible(store, cells):
+def test_an_encoder_may_have_more_cells_than_the_bank_has_pixels(store, cells):
     localizer = Localizer.create("pin", store=store, **COARSE, encoder={"name": "pixel", "cells": cells})
     index = localizer.model.size // 3
     T = localizer.model.grid.T_sensor_object[index]
@@ -277,7 +279,7 @@ def test_more_cells_than_the_banks_pixels_are_possible(store, cells):
     assert posterior.entropy < 0.8 * np.log(localizer.model.size)
 
 
-def test_changing_refiner_or_matcher_builds_nothing(coarse, store):
+def test_a_change_of_refiner_or_matcher_rebuilds_nothing(coarse, store):
     coarse.localize(coarse.simulate(1, seed=9)[0])
     before = len(store.built)
     for change in (
@@ -292,14 +294,14 @@ def test_changing_refiner_or_matcher_builds_nothing(coarse, store):
     assert len(store.built) == before
 
 
-def test_a_touch_without_contact_cannot_be_made(pin):
+def test_a_touch_without_contact_is_refused(pin):
     g = pin.scene.geometry
     shape = ContactShape(np.full(g.shape, 0.002, np.float32), 0.002)
     with pytest.raises(NoContactError, match=naming("2 mm")):
         Touch(shape, g)
 
 
-def test_what_is_no_touch_prior_or_number_is_refused(coarse, tmp_path):
+def test_invalid_touches_priors_and_numbers_are_refused(coarse, tmp_path):
     with pytest.raises(TouchError, match=naming("'touch.npz'", "Localizer.read_touch")):
         coarse.localize("touch.npz")
     (touch,) = coarse.simulate(1, seed=10)
@@ -345,7 +347,7 @@ def test_a_hotter_temperature_is_less_certain(store, coarse):
     assert entropies[0] < entropies[-1]
 
 
-def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
+def test_only_the_most_recent_matchers_stay_in_memory(coarse):
     kept = coarse.listed.matcher(0.002)
     for step in range(1, MOST_MATCHERS + 3):
         coarse.listed.matcher(step * 1e-4)
@@ -353,8 +355,8 @@ def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
     assert len(coarse.listed.banks._matchers) == MOST_MATCHERS
 
 
-def test_what_was_refined_has_a_covariance(pin, touches):
-    """Every refiner's poses: in half of the touches the true pose is within a few of its standard deviations."""
+def test_a_refined_pose_has_a_covariance(pin, touches):
+    """For each refiner, the true pose of half of the touches lies within a few standard deviations."""
     found = [pin.localize(touch) for touch in touches[:6]]
     for one in found:
         for h in one.hypotheses:
@@ -370,7 +372,7 @@ def test_what_was_refined_has_a_covariance(pin, touches):
     assert np.median(squared) < 40
 
 
-def test_what_was_not_refined_has_none(store):
+def test_an_unrefined_pose_has_no_covariance(store):
     localizer = Localizer.create("pin", store=store, refiner="none", **COARSE)
     found = localizer.localize(localizer.simulate(1, seed=0)[0])
     assert all(h.refined.covariance is None for h in found.hypotheses)

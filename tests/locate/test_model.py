@@ -22,7 +22,7 @@ SHARD = 64
 
 
 class Counting(RaycastRenderer):
-    """Remembers how many poses each call rendered, may break off at one, and may have another version."""
+    """Records how many poses each call rendered, can fail at one call, and can have another version."""
 
     def __init__(self, stop_at: int | None = None, make: str = "counting") -> None:
         super().__init__()
@@ -68,7 +68,7 @@ def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel
     return build_model(scene, sampler, store, Progress())
 
 
-def test_shapes_decode_to_what_was_rendered(make_pin_scene, sampler, own_store):
+def test_stored_shapes_decode_to_the_rendered_shapes(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
     rendered = scene.render_grid_depths(model.grid.T_sensor_object)
@@ -76,14 +76,16 @@ def test_shapes_decode_to_what_was_rendered(make_pin_scene, sampler, own_store):
     assert decoded.dtype == np.float32
     assert decoded.shape == (model.size, *scene.geometry.shape)
     max_depth_m = scene.geometry.max_depth_m
-    assert np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9  # of which float32 depths are
+    assert (
+        np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9
+    )  # half a step of the storage, plus float32 rounding
     touching = rendered < np.float32(max_depth_m)
     assert np.array_equal(decoded < np.float32(max_depth_m), touching)
     for index in (0, 1, SHARD - 1, SHARD, model.size - 1):
         assert np.array_equal(model.shapes.shape(index, max_depth_m), decoded[index])
 
 
-def test_a_pixel_that_just_touches_still_touches_when_stored():
+def test_a_barely_touching_pixel_still_touches_after_storage():
     max_depth_m = 0.002
     depths = np.array([[[0.0, np.nextafter(np.float32(max_depth_m), np.float32(0)), max_depth_m, 0.00123]]], np.float32)
     codes = module._encode(depths, max_depth_m)
@@ -97,7 +99,7 @@ def test_a_pixel_that_just_touches_still_touches_when_stored():
     )
 
 
-def test_lighter_presses_are_cuts_of_the_full_one(make_pin_scene, sampler, own_store):
+def test_lighter_presses_are_cut_from_the_full_press(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
     press_m = 0.0007
@@ -119,12 +121,12 @@ def test_poses_with_too_little_contact_are_pruned(make_pin_scene, sampler, own_s
 
 
 def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
-    """Even where whole shards are pruned."""
+    """This also holds if whole shards are pruned."""
     scene = make_pin_scene()
     module.SHARD = 8
     model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
     assert 0 in model.shapes.artifact.load_json("sizes")
-    assert all(len(depths) for depths in model.shapes.shards()), "an encoder is not asked about nothing"
+    assert all(len(depths) for depths in model.shapes.shards()), "the encoder got an empty batch"
     rendered = scene.render_grid_depths(model.grid.T_sensor_object)
     np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)
     for index in range(0, model.size, 7):
@@ -133,12 +135,12 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
     np.testing.assert_allclose(bank, PixelEncoder().encode(rendered, 0.002, scene.geometry), atol=1e-6)
 
 
-def test_nothing_left_is_refused(make_pin_scene, own_store):
+def test_a_grid_without_remaining_poses_is_refused(make_pin_scene, own_store):
     with pytest.raises(GridError, match=naming("pin", "95 %", "grid.min_contact_percent")):
         build(make_pin_scene(), FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=95.0)), own_store)
 
 
-def test_building_again_builds_nothing(make_pin_scene, sampler, own_store):
+def test_a_second_build_renders_nothing(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     first = build(scene, sampler, own_store)
     renders = len(scene.renderer.calls)
@@ -151,7 +153,7 @@ def test_building_again_builds_nothing(make_pin_scene, sampler, own_store):
     assert np.array_equal(first.grid.T_sensor_object, second.grid.T_sensor_object)
 
 
-def test_what_is_built_again_depends_on_what_changed(make_pin_scene, sampler, own_store):
+def test_a_change_rebuilds_only_the_stages_that_depend_on_it(make_pin_scene, sampler, own_store):
     def built(
         scene: Scene, sampler: FaceGrid = sampler, encoder: PixelEncoder | None = None, press_m: float = 0.002
     ) -> list[str]:
@@ -172,11 +174,11 @@ def test_what_is_built_again_depends_on_what_changed(make_pin_scene, sampler, ow
     other = load_object("pin", symmetry="none")
     assert built(Scene(other, make_pin_scene().geometry, Counting())) == ["grid", "shapes", "bank"]
     assert built(dataclasses.replace(make_pin_scene(), drawing="paper")) == ["shapes", "bank"]
-    assert built(make_pin_scene()) == [], "all of it is kept"
+    assert built(make_pin_scene()) == [], "the store kept less than the whole build"
 
 
 @pytest.mark.parametrize("drawing", ["pressed", "paper"])
-def test_a_bank_of_a_lighter_press_is_drawn_as_the_scene_draws(make_pin_scene, sampler, own_store, drawing):
+def test_a_bank_of_a_lighter_press_equals_the_rendered_shapes(make_pin_scene, sampler, own_store, drawing):
     scene = make_pin_scene()
     scene = dataclasses.replace(scene, geometry=scene.geometry.press(scene.geometry.max_depth_m), drawing=drawing)
     model, press_m = build(scene, sampler, own_store), 0.0007
@@ -184,33 +186,33 @@ def test_a_bank_of_a_lighter_press_is_drawn_as_the_scene_draws(make_pin_scene, s
     light = scene.press(press_m)
     depths = light.render_grid_depths(model.grid.raise_level(scene.geometry.max_depth_m - press_m).T_sensor_object)
     wrong = np.abs(bank - PixelEncoder().encode(depths, press_m, light.geometry)) > 1e-4
-    assert wrong.mean() < 1e-4, "but for a depth that is the press depth to the last digit"
+    assert wrong.mean() < 1e-4, "only depths equal to the press depth up to rounding may differ"
 
 
-def test_an_interrupted_build_goes_on_where_it_stopped(make_pin_scene, sampler, own_store, tmp_path):
+def test_an_interrupted_build_resumes_where_it_stopped(make_pin_scene, sampler, own_store, tmp_path):
     whole = build(make_pin_scene(uninterrupted := Counting()), sampler, StageStore(tmp_path / "other"))
-    assert len(uninterrupted.calls) >= 4, "several shards"
+    assert len(uninterrupted.calls) >= 4, "the build has only one shard"
     with pytest.raises(KeyboardInterrupt):
         build(make_pin_scene(stopped := Counting(stop_at=2)), sampler, own_store)
     assert stages(own_store) == ["grid"]
     resumed = build(make_pin_scene(going_on := Counting()), sampler, own_store)
-    assert stopped.calls + going_on.calls == uninterrupted.calls, "no shard was rendered twice"
+    assert stopped.calls + going_on.calls == uninterrupted.calls, "a shard was rendered twice"
     assert np.array_equal(resumed.grid.T_sensor_object, whole.grid.T_sensor_object)
     assert np.array_equal(np.concatenate(list(resumed.shapes.shards())), np.concatenate(list(whole.shapes.shards())))
     assert resumed.shapes.artifact.names == whole.shapes.artifact.names
     assert all(resumed.shapes.artifact.files[n] == whole.shapes.artifact.files[n] for n in whole.shapes.artifact.names)
 
 
-def test_a_bank_has_a_row_a_pose_in_the_grids_order(make_pin_scene, sampler, own_store):
+def test_a_bank_has_one_row_per_pose_in_the_order_of_the_grid(make_pin_scene, sampler, own_store):
     scene = make_pin_scene().press(0.002)
     model = build(scene, sampler, own_store)
     bank = build_bank(model, scene, PixelEncoder(), 0.001, own_store, Progress())
-    pressed = scene.press(0.001)  # half as deep: seen by a pinhole, it is a little smaller
+    pressed = scene.press(0.001)  # at half the depth, the contact is slightly smaller in a pinhole camera
     rendered = pressed.render_contact_depths(model.grid.raise_level(0.001).T_sensor_object)
     np.testing.assert_allclose(bank, PixelEncoder().encode(rendered, 0.001, pressed.geometry), atol=1e-6)
 
 
-def test_progress_counts_every_pose(make_pin_scene, sampler, own_store):
+def test_progress_reports_every_pose(make_pin_scene, sampler, own_store):
     from contextlib import contextmanager
 
     done: dict[str, list[int]] = {}

@@ -1,4 +1,4 @@
-"""Probabilities from scores: known parameters are found again, and probabilities are true."""
+"""Probabilities from scores: fits recover known parameters, and probabilities are calibrated."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCORES = np.array([0.1, 0.5, 0.2, 0.0, -3.0, 0.5], np.float32)
 
 
 def drawn(scaling: TemperatureScaling, touches: int, rng: np.random.Generator, poses: int = 60):
-    """Return scores of touches, with true poses that are as probable as the scaling says."""
+    """Return scores of touches, with true poses drawn from the probabilities of the scaling."""
     scores = rng.normal(size=(touches, poses))
     p = np.exp(scaling.log_p(scores))
     return list(scores), np.array([rng.choice(poses, p=row) for row in p])
@@ -42,20 +42,20 @@ def test_scores_become_a_softmax():
     np.testing.assert_allclose(np.exp(TemperatureScaling(0.05).log_p(SCORES)), expected / expected.sum(), rtol=1e-5)
 
 
-def test_a_tail_is_a_share_of_a_hotter_softmax():
+def test_the_tail_mixes_in_a_share_of_a_hotter_softmax():
     sharp, wide = (np.exp(TemperatureScaling(t).log_p(SCORES)) for t in (0.05, TAIL_HEAT * 0.05))
     np.testing.assert_allclose(np.exp(TemperatureScaling(0.05, 0.3).log_p(SCORES)), 0.7 * sharp + 0.3 * wide, rtol=1e-9)
 
 
-def test_probabilities_sum_to_one_and_excluded_poses_stay_so():
+def test_probabilities_sum_to_one_and_excluded_poses_stay_excluded():
     with_gap = np.where(np.arange(6) == 2, -np.inf, SCORES)
     log_p = TemperatureScaling(0.01, 0.1).log_p(np.stack([with_gap, with_gap + 7]))
     np.testing.assert_allclose(np.exp(log_p).sum(axis=1), 1)
-    np.testing.assert_allclose(log_p[0], log_p[1], atol=1e-5)  # what all scores have in common says nothing
+    np.testing.assert_allclose(log_p[0], log_p[1], atol=1e-5)  # a constant added to all scores changes nothing
     assert (log_p[:, 2] == -np.inf).all()
 
 
-def test_a_posterior_is_over_the_grid(make_object):
+def test_the_posterior_covers_the_grid(make_object):
     part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)))
     poses = make_transform(np.eye(3), np.column_stack([np.arange(6) * 1e-3, np.zeros((6, 2))]))
     grid = PoseGrid(poses, PoseMetric(part))
@@ -67,14 +67,14 @@ def test_a_posterior_is_over_the_grid(make_object):
 
 
 @pytest.mark.parametrize("temperature", [0.15, 0.6])
-def test_the_temperature_that_made_the_truth_is_found(temperature):
+def test_the_fit_finds_the_true_temperature(temperature):
     made = TemperatureScaling(temperature, 0.1)
     found = fit_temperature_scaling(*drawn(made, 3000, np.random.default_rng(1)))
     assert found.temperature == pytest.approx(temperature, rel=0.3)
     assert found.tail in (0.05, 0.1, 0.2)
 
 
-def test_touches_that_look_like_another_pose_widen_the_tail():
+def test_misleading_touches_widen_the_tail():
     rng = np.random.default_rng(2)
     scores, truth = drawn(TemperatureScaling(0.15), 1000, rng)
     lost = rng.random(1000) < 0.25
@@ -85,20 +85,20 @@ def test_touches_that_look_like_another_pose_widen_the_tail():
     assert fit_temperature_scaling(scores, truth).tail > clean.tail
 
 
-def test_what_is_said_to_be_95_percent_sure_is_true_as_often():
+def test_fitted_credible_sets_hold_the_truth_at_their_level():
     rng = np.random.default_rng(3)
     made = TemperatureScaling(0.25, 0.1)
     fitted = fit_temperature_scaling(*drawn(made, 150, rng))
     scores, truth = drawn(made, 4000, rng)
     p = np.exp(fitted.log_p(np.array(scores)))
-    rank = np.where(p > p[np.arange(4000), truth][:, None], p, 0).sum(axis=1)  # mass of what is more probable
+    rank = np.where(p > p[np.arange(4000), truth][:, None], p, 0).sum(axis=1)  # mass of the more probable poses
     assert 0.92 < (rank < 0.95).mean() <= 1
     assert 0.4 < (rank < 0.5).mean() < 0.75
 
 
 @pytest.mark.parametrize(("alike", "exponent"), [(False, 0.0), (True, 1.0)])
-def test_what_errs_alike_adds_nothing_and_what_errs_apart_all(alike, exponent):
-    """Touches that all repeat the first one's scores, or whose scores are each their own."""
+def test_equal_errors_add_no_evidence_and_independent_errors_add_all(alike, exponent):
+    """All touches repeat the scores of the first touch, or each touch has independent scores."""
     rng, made, fused = np.random.default_rng(5), TemperatureScaling(1.0), []
     for touches in (2, 5):
         for _ in range(400):
@@ -110,7 +110,7 @@ def test_what_errs_alike_adds_nothing_and_what_errs_apart_all(alike, exponent):
     assert fit_fused_scaling(fused).exponent == pytest.approx(exponent, abs=0.12)
 
 
-def test_what_the_best_pose_explains_tells_how_probably_the_truth_was_found():
+def test_the_fit_finds_the_probability_of_elsewhere_from_the_best_score():
     """The probability that examples are found grows with their score: the fit recovers it."""
     rng = np.random.default_rng(8)
     explained = rng.random(3000)
@@ -120,19 +120,19 @@ def test_what_the_best_pose_explains_tells_how_probably_the_truth_was_found():
     for best in (0.1, 0.5, 0.9):
         assert fitted.elsewhere(best) == pytest.approx(1 / (1 + np.exp(8 * best - 4)), abs=0.04)
     always = [example for example in fused if example.truth >= 0]
-    assert fit_fused_scaling(always).elsewhere(0.0) == 0, "a grid that lists all poses"
+    assert fit_fused_scaling(always).elsewhere(0.0) == 0, "a grid that lists all poses has no elsewhere"
     few = fit_fused_scaling([FusedExample(3, np.log([0.7, 0.3]), 0, 0.9)] * 5, searched=True)
     assert few.elsewhere(0.95) < 0.15
-    assert few.elsewhere(0.0) > 0.4, "touches that nothing explains were not found, though none of these was missed"
+    assert few.elsewhere(0.0) > 0.4, "a low score means elsewhere, although no example was missed"
 
 
-def test_a_power_of_one_touch_is_one():
+def test_the_power_of_one_touch_is_one():
     assert FusedScaling(0.8).power(1) == 1
     assert FusedScaling(0.5).power(4) == pytest.approx(0.5)
     assert FusedScaling().power(7) == 1
 
 
-def test_several_touches_are_fused_as_surely_as_was_fitted(tmp_path, monkeypatch):
+def test_several_touches_are_fused_with_the_fitted_power(tmp_path, monkeypatch):
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     touches = [
         dataclasses.replace(t, T_base_sensor=np.linalg.inv(t.T_sensor_object)) for t in localizer.simulate(3, seed=2)
@@ -147,8 +147,8 @@ def test_several_touches_are_fused_as_surely_as_was_fitted(tmp_path, monkeypatch
     assert plain.probabilities.fused_scaling == FusedScaling(0.0)
 
 
-def test_an_earlier_posterior_is_as_sure_as_all_touches_make(tmp_path, monkeypatch):
-    """Two touches one after the other leave as much certainty as both together."""
+def test_a_posterior_as_prior_gives_the_certainty_of_all_touches(tmp_path, monkeypatch):
+    """Two touches in sequence give the same certainty as both together."""
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     monkeypatch.setattr(localizer.probabilities, "fused_scaling", FusedScaling(0.75))
     first, second = localizer.simulate(2, seed=2)
@@ -161,19 +161,19 @@ def test_an_earlier_posterior_is_as_sure_as_all_touches_make(tmp_path, monkeypat
     np.testing.assert_allclose(np.diff(found.log_p), np.diff(weights), atol=1e-6)
 
 
-def test_one_impossible_truth_does_not_decide_alone():
+def test_one_impossible_truth_does_not_dominate_the_fit():
     scores, truth = drawn(TemperatureScaling(0.1), 500, np.random.default_rng(4))
     scores[0] = np.where(np.arange(60) == truth[0], -np.inf, scores[0])
     assert fit_temperature_scaling(scores, truth).temperature == pytest.approx(0.1, rel=0.5)
 
 
 @pytest.mark.parametrize("values", [(0.0,), (-1.0,), (np.inf,), (np.nan,), (1.0, 1.0), (1.0, -0.1)])
-def test_what_gives_no_probabilities_is_refused(values):
+def test_invalid_scaling_parameters_are_refused(values):
     with pytest.raises(ConfigError, match=naming(*values)):
         TemperatureScaling(*values)
 
 
-def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeypatch):
+def test_a_localizer_fits_once_per_encoder(tmp_path, monkeypatch):
     store = StageStore(tmp_path)
     first = Localizer.create("pin", store=store, **COARSE).probabilities.temperature_scaling
     assert first.tail in TAILS
@@ -187,7 +187,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
     assert len({*keys, again.probabilities.temperature_key().digest}) == 3
 
 
-def test_a_temperature_that_is_asked_for_is_taken(tmp_path, monkeypatch):
+def test_a_configured_temperature_is_used(tmp_path, monkeypatch):
     monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", None)
     assert Localizer.create(
         "pin", store=StageStore(tmp_path), temperature=0.5, **COARSE
@@ -195,7 +195,7 @@ def test_a_temperature_that_is_asked_for_is_taken(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monkeypatch, shipped_touches):
+def test_the_default_scaling_is_fitted_to_the_stated_number_of_touches(tmp_path, monkeypatch, shipped_touches):
     """The one localizer of the suite that simulates all touches."""
     monkeypatch.setattr(module, "TOUCHES", shipped_touches)
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
@@ -209,7 +209,7 @@ def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monke
     scaling = localizer.probabilities.temperature_scaling
     assert fitted_to == [shipped_touches]
     held = 0
-    for touch in localizer.simulate(60, seed=99, noise="strong"):  # a seed that was not fitted to
+    for touch in localizer.simulate(60, seed=99, noise="strong"):  # the fit did not use this seed
         posterior = localizer.posterior(touch)
         p, truth = posterior.probabilities, localizer.model.grid.nearest(touch.T_sensor_object[None])[1][0]
         held += p[p > p[truth]].sum() < 0.95

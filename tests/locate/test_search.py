@@ -51,7 +51,7 @@ def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
     return 1e3 * PoseMetric(localizer.object).symmetric_distance(poses, truth)
 
 
-def test_the_whole_object_is_searched_unless_told_otherwise():
+def test_the_whole_object_is_searched_by_default():
     config = RunConfig()
     assert config.grid.name == "whole"
     assert config.encoder.options == {"signal": "depth", "cells": 16}
@@ -63,13 +63,13 @@ def test_the_whole_object_is_searched_unless_told_otherwise():
     assert RunConfig(encoder={"name": "pixel", "cells": 9}).encoder.options == {"cells": 9}
 
 
-def test_the_true_pose_is_among_what_is_found(localizer, search, examples):
+def test_the_search_finds_the_true_pose(localizer, search, examples):
     touches = [touch for example in examples for touch in example]
     nearest = [off_mm(localizer, search.score(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]
     assert np.mean(np.array(nearest) < 1.0) > 0.8
 
 
-def test_three_touches_from_anywhere_say_where_the_object_is(localizer, examples):
+def test_three_touches_from_any_side_locate_the_object(localizer, examples):
     errors = [
         off_mm(
             localizer, localize_together([(localizer, t) for t in some]).best.T_sensor_object[None], some[0]
@@ -80,17 +80,17 @@ def test_three_touches_from_anywhere_say_where_the_object_is(localizer, examples
     assert np.mean(np.array(errors) < 0.5) >= 0.75
 
 
-def test_what_is_found_explains_the_touch_and_is_listed_once(localizer, search, examples):
+def test_found_poses_explain_the_touch_and_are_listed_once(localizer, search, examples):
     touch = examples[0][0]
     grid, ious = search.score(touch, StageTimes())
     exact = View(touch, localizer.scene.match_touch(touch)).imprint_ious(grid.T_sensor_object)
-    assert np.abs(exact - ious).max() < 0.2  # drawn coarsely
+    assert np.abs(exact - ious).max() < 0.2  # the search renders coarsely
     assert ious.max() > 0.9
     apart_m = grid.neighbour_spacing()
     assert apart_m.min() >= 0.5e-3 - 1e-9
 
 
-def test_the_same_touch_is_found_again_alike(localizer, search, examples):
+def test_a_repeated_search_gives_the_same_poses(localizer, search, examples):
     first, second = (search.score(examples[1][0], StageTimes())[0].T_sensor_object for _ in range(2))
     assert np.array_equal(first, second)
 
@@ -101,14 +101,14 @@ def test_places_are_built_once(tmp_path, monkeypatch):
     few = {**WHOLE, "grid": {"name": "whole", "directions": 100}}
     first = Localizer.create("pin", store=StageStore(tmp_path), **few)
     assert first.search is not None
-    monkeypatch.setattr(WholeGrid, "places", None)  # is not asked again
+    monkeypatch.setattr(WholeGrid, "places", None)  # the sampler is not used again
     again = Localizer.create("pin", store=StageStore(tmp_path), **{**few, "sensor": "gelslim"})
     assert again.search is not None
     assert np.array_equal(first.search.places.patches, again.search.places.patches)
     assert again.search.key.digest == first.search.key.digest
 
 
-def test_a_touch_that_nothing_explains_is_said_to_be_elsewhere(localizer, examples):
+def test_a_touch_that_no_pose_explains_is_elsewhere(localizer, examples):
     from tactile_loc.locate.probabilities import TemperatureScaling
 
     scaling = TemperatureScaling(0.02, 0.1, (-6.0, 10.0))
@@ -138,10 +138,12 @@ def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
     found = localize_together([(localizer, touch) for touch in some]).posterior
     assert found.touches == 2
     assert first.elsewhere == second.elsewhere
-    assert found.elsewhere == pytest.approx(first.elsewhere, abs=0.02)  # sensor poses are free there, within reason
+    assert found.elsewhere == pytest.approx(
+        first.elsewhere, abs=0.02
+    )  # the refiner may also shift the sensor poses slightly
 
 
-def test_what_several_touches_show_together_is_found(localizer, examples):
+def test_the_search_finds_the_common_pose_of_several_touches(localizer, examples):
     nearest = [off_mm(localizer, together(localizer, some)[0].grid.T_sensor_object, some[0]).min() for some in examples]
     assert np.mean(np.array(nearest) < 1.0) >= 0.85
 
@@ -163,13 +165,13 @@ def test_the_deepest_point_is_the_anchor(examples):
     assert (x, y) == pytest.approx(deepest[:2], abs=1e-4)
 
 
-def test_searched_and_listed_touches_are_not_mixed(localizer, examples, store):
+def test_mixing_searched_and_listed_touches_is_refused(localizer, examples, store):
     listed = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 8})
     with pytest.raises(ConfigError, match="whole"):
         localize_together([(localizer, examples[0][0]), (listed, examples[0][1])])
 
 
-def test_an_encoder_that_learns_does_so_once_and_keeps_its_banks(tmp_path, monkeypatch):
+def test_a_trainable_encoder_trains_once_and_keeps_its_banks(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     from tactile_loc.plugins.encoders.moco import training
 
@@ -190,18 +192,18 @@ def test_an_encoder_that_learns_does_so_once_and_keeps_its_banks(tmp_path, monke
 
 
 @pytest.mark.parametrize("options", [{}, {"kind": "ivf"}, {"kind": "hnsw"}], ids=str)
-def test_faiss_finds_the_turned_places_that_dense_finds(localizer, search, examples, options):
+def test_faiss_finds_the_rotated_places_that_dense_finds(localizer, search, examples, options):
     pytest.importorskip("faiss")
     other = Localizer(with_faiss(localizer.config, **options), localizer.object, localizer.store).search
     assert other is not None
     for touch in examples[0]:
         exact, found = (one.alike(touch, 1000) for one in (search, other))
         missed = len(exact[1]) - len(common(exact[0], found[0]))
-        assert missed <= (2 if not options else 30)  # of 1000; equally alike ones may be exchanged
+        assert missed <= (2 if not options else 30)  # of 1000; places with equal scores may be exchanged
         assert found[1].max() == pytest.approx(exact[1].max(), abs=1e-5)
 
 
-def test_faiss_locates_what_dense_locates(localizer, examples):
+def test_faiss_locates_the_touches_that_dense_locates(localizer, examples):
     pytest.importorskip("faiss")
     other = Localizer(with_faiss(localizer.config), localizer.object, localizer.store)
     for touch in examples[1][:2]:
@@ -209,7 +211,7 @@ def test_faiss_locates_what_dense_locates(localizer, examples):
         assert found == pytest.approx(exact, abs=1e-6)
 
 
-def test_a_matcher_that_looks_at_few_poses_proposes_only_those(localizer, examples):
+def test_a_top_k_matcher_proposes_only_the_poses_that_it_scores(localizer, examples):
     pytest.importorskip("faiss")
     few = Localizer(with_faiss(localizer.config, top_k=3), localizer.object, localizer.store).search
     assert few is not None
@@ -225,7 +227,7 @@ def with_faiss(config: RunConfig, **options: object) -> RunConfig:
 
 
 def common(first: np.ndarray, second: np.ndarray) -> set:
-    """Poses that are in both."""
+    """Return the poses that are in both lists."""
     one, other = ({tuple(T.ravel().round(9)) for T in poses} for poses in (first, second))
     return one & other
 
@@ -256,7 +258,7 @@ def test_a_prior_guides_the_search(localizer, search, noisy):
     assert np.mean(found["guided"]) < 0.75 * np.mean(found["alone"])
 
 
-def test_a_prior_of_several_touches_is_over_poses_in_the_first_ones_frame(localizer, search, examples):
+def test_a_prior_of_several_touches_applies_in_the_frame_of_the_first_sensor(localizer, search, examples):
     touches = examples[2]
     T_base = [np.asarray(touch.T_base_sensor) for touch in touches]
     views = [
@@ -267,14 +269,14 @@ def test_a_prior_of_several_touches_is_over_poses_in_the_first_ones_frame(locali
     for view in views:
         _, (poses, _) = search.propose(view.touch, 200, SeenFrom(prior, invert(view.T_sensor_first)))
         likely = prior(invert(view.T_sensor_first) @ poses)
-        assert (np.diff(likely) <= 1e-9).all()  # the likeliest first
+        assert (np.diff(likely) <= 1e-9).all()  # the most probable pose comes first
         others = prior(invert(view.T_sensor_first) @ search.propose(view.touch, 200)[0][0])
         assert np.median(likely) > np.median(others)
     found = search_together(views, [search] * 3, StageTimes(), prior)
     assert off_mm(localizer, found.T_first_object, touches[0]).min() < 1.0
 
 
-def test_a_prior_that_excludes_everything_adds_nothing_and_a_wrong_one_is_refused(search, examples):
+def test_an_all_excluding_prior_is_ignored_and_an_invalid_prior_is_refused(search, examples):
     touch = examples[0][0]
     (alone,) = search.propose(touch, 100, lambda poses: np.full(len(poses), -np.inf))
     assert len(alone[0]) == 100

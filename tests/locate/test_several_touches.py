@@ -17,7 +17,7 @@ T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
 
 
 def placed(touch, T_base_object=T_BASE_OBJECT):
-    """The touch, with its sensor where it must have been for the object to lie at a pose in the base frame."""
+    """Return the touch with the sensor pose that puts the object at the given pose in the base frame."""
     return dataclasses.replace(touch, T_base_sensor=T_base_object @ invert(touch.T_sensor_object))
 
 
@@ -40,7 +40,7 @@ def error_m(localizer, found) -> float:
     return float(metric.symmetric_distance(T, found.touch.T_sensor_object[None])[0])
 
 
-def test_one_touch_is_localised_as_alone(localizer, touches):
+def test_one_touch_has_the_result_of_a_single_localisation(localizer, touches):
     alone, one = localizer.localize(touches[0]), together(localizer, touches[:1])
     np.testing.assert_allclose(one.posterior.log_p, alone.posterior.log_p)
     assert one.best.grid_index == alone.best.grid_index
@@ -48,7 +48,7 @@ def test_one_touch_is_localised_as_alone(localizer, touches):
     assert one.others == ()
 
 
-def test_more_touches_know_more(localizer, touches):
+def test_more_touches_lower_the_entropy(localizer, touches):
     one, three = together(localizer, touches[:1]), together(localizer, touches)
     assert three.posterior.entropy < one.posterior.entropy
     assert three.others == tuple(touches[1:])
@@ -57,16 +57,18 @@ def test_more_touches_know_more(localizer, touches):
     assert three.posterior.probabilities[truth] > 0.05
 
 
-def test_where_the_base_is_does_not_matter(localizer, touches):
+def test_the_position_of_the_base_does_not_matter(localizer, touches):
     elsewhere = make_transform(rotation_about([0, 1, 0], 2.0), [1.0, 2.0, -3.0])
     moved = [dataclasses.replace(t, T_base_sensor=elsewhere @ t.T_base_sensor) for t in touches]
     a, b = together(localizer, touches), together(localizer, moved)
     np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-9)
     poses = (found.best.T_sensor_object[None] for found in (a, b))
-    assert localizer.model.grid.metric.symmetric_distance(*poses)[0] < 5e-5  # of what ends at one pose any may be taken
+    assert (
+        localizer.model.grid.metric.symmetric_distance(*poses)[0] < 5e-5
+    )  # among equal end poses, any candidate may be chosen
 
 
-def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touches):
+def test_the_refined_pose_fits_all_touches_best(localizer, touches):
     found = together(localizer, touches, top=1).best
     grid, refined = (
         np.mean([
@@ -76,10 +78,10 @@ def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touch
         for T in (found.T_sensor_object_grid, found.T_sensor_object)
     )  # fmt: skip
     assert refined >= grid
-    assert refined - 1e-6 <= found.imprint_iou <= refined + 0.05  # sensors may be a little elsewhere
+    assert refined - 1e-6 <= found.imprint_iou <= refined + 0.05  # sensor poses may have small errors
 
 
-def test_sensors_of_different_kinds_go_together(localizer, touches, store):
+def test_sensors_of_different_kinds_can_be_combined(localizer, touches, store):
     other = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 6})
     small = placed(other.simulate(1, seed=6)[0])
     found = localize_together([(localizer, touches[0]), (other, small)])
@@ -89,7 +91,7 @@ def test_sensors_of_different_kinds_go_together(localizer, touches, store):
     assert np.isfinite(found.posterior.log_p).any()
 
 
-def test_what_cannot_be_fused_is_refused(localizer, touches, store):
+def test_touches_that_cannot_be_fused_are_refused(localizer, touches, store):
     with pytest.raises(TouchError):
         localize_together([])
     nowhere = dataclasses.replace(touches[1], T_base_sensor=None)
@@ -103,7 +105,7 @@ def test_what_cannot_be_fused_is_refused(localizer, touches, store):
         together(localizer, [touches[0], far])
 
 
-def test_touches_are_near_enough_if_two_of_them_are(localizer, touches):
+def test_touches_are_within_reach_if_two_of_them_are(localizer, touches):
     size_m = float(np.linalg.norm(localizer.object.mesh.extents_m))
     x0, x1, y0, y1 = touches[0].geometry.rectangle
     reach_m = size_m + float(np.hypot(x1 - x0, y1 - y0))

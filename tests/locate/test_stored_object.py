@@ -14,7 +14,7 @@ from tactile_loc.locate import stored_object as module
 from tactile_loc.store.store import StageStore
 
 
-def test_a_surface_is_read_once_and_again_when_the_file_changes(tmp_path, monkeypatch):
+def test_a_surface_is_read_again_only_if_the_file_changes(tmp_path, monkeypatch):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     read: list[Path] = []
     monkeypatch.setattr(module, "read_surface", lambda file: read.append(file) or meshes.read_surface(file))
@@ -30,7 +30,7 @@ def test_a_surface_is_read_once_and_again_when_the_file_changes(tmp_path, monkey
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no mesh at all"])
-def test_what_is_no_mesh_is_refused_as_without_a_store_and_leaves_nothing(tmp_path, content):
+def test_an_invalid_mesh_gives_the_usual_error_and_leaves_no_entry(tmp_path, content):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     if content is not None:
         path.write_bytes(content)
@@ -42,7 +42,7 @@ def test_what_is_no_mesh_is_refused_as_without_a_store_and_leaves_nothing(tmp_pa
     assert not store.entries()
 
 
-def test_a_surface_that_cannot_be_kept_is_read_all_the_same(tmp_path, monkeypatch):
+def test_a_surface_that_cannot_be_stored_is_still_read(tmp_path, monkeypatch):
     path = tmp_path / "part.stl"
     trimesh.creation.box((0.02, 0.01, 0.01)).export(path)
     store = StageStore(tmp_path / "store")
@@ -55,12 +55,12 @@ def test_a_surface_that_cannot_be_kept_is_read_all_the_same(tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize("declared", ["auto", "none", "z2", "x2*y2", "axis(0,0,1)2"])
-def test_a_symmetry_is_found_once_and_is_the_same_from_the_store(tmp_path, monkeypatch, declared):
+def test_a_symmetry_is_found_once_and_read_back_from_the_store(tmp_path, monkeypatch, declared):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     trimesh.creation.box((0.03, 0.02, 0.01)).export(path)
     plain = meshes.load_object(path, "m", declared)
     first = module.load_stored_object(path, "m", declared, store)
-    monkeypatch.setattr(module, "find_symmetry", lambda *_: pytest.fail("it is judged again"))
+    monkeypatch.setattr(module, "find_symmetry", lambda *_: pytest.fail("the symmetry was searched again"))
     again = module.load_stored_object(path, "m", declared, store)
     for found in (first, again):
         assert found.symmetry.terms == plain.symmetry.terms
@@ -70,7 +70,7 @@ def test_a_symmetry_is_found_once_and_is_the_same_from_the_store(tmp_path, monke
         assert found.describe() == plain.describe()
 
 
-def test_a_continuous_axis_comes_back_from_the_store(tmp_path):
+def test_a_continuous_axis_is_read_back_from_the_store(tmp_path):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     trimesh.creation.cylinder(0.01, 0.03, sections=64).export(path)
     first, again = (module.load_stored_object(path, "m", "zinf", store) for _ in range(2))
@@ -78,7 +78,7 @@ def test_a_continuous_axis_comes_back_from_the_store(tmp_path):
     assert str(again.symmetry) == "zinf"
 
 
-def test_a_symmetry_that_the_surface_has_not_is_refused_each_time(tmp_path):
+def test_a_wrong_symmetry_is_refused_each_time(tmp_path):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     trimesh.creation.box((0.03, 0.02, 0.01)).export(path)
     for _ in range(2):

@@ -31,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_folder_or_pattern_means_many_and_a_toml_file_a_list(folder):
+def test_a_folder_or_pattern_means_many_touches_and_a_toml_file_a_list(folder):
     assert [is_folder(folder), is_folder(folder / "*.npz"), is_folder(folder / "b.npz")] == [True, True, False]
     (folder / "odd*name.npz").touch()
     assert not is_folder(folder / "odd*name.npz")
@@ -39,21 +39,24 @@ def test_a_folder_or_pattern_means_many_and_a_toml_file_a_list(folder):
     assert not is_list(folder / "b.npz")
 
 
-def test_touches_are_found_by_their_suffix_in_the_order_of_names(folder):
+def test_touches_are_found_by_suffix_in_the_order_of_names(folder):
     assert [path.name for path in find_touches(folder)] == ["a.PNG", "b.npz", "c.npy"]
     assert [path.name for path in find_touches(folder / "*.npz")] == ["b.npz"]
     with pytest.raises(TouchError, match=naming("*.txt", ".npz")):
         find_touches(folder / "*.txt")
 
 
-def test_of_simulated_touches_the_contact_shapes_are_taken(folder):
+def test_the_contact_shapes_of_simulated_touches_are_chosen(folder):
     (folder / "poses.json").touch()
     assert [path.name for path in find_touches(folder)] == ["b.npz"]
     (folder / "b.npz").unlink()
-    assert [path.name for path in find_touches(folder)] == ["a.PNG", "c.npy"]  # another file of that name
+    assert [path.name for path in find_touches(folder)] == [
+        "a.PNG",
+        "c.npy",
+    ]  # an array file has the same name as the image
 
 
-def test_each_file_is_located_or_says_why_not(localizer: Localizer, tmp_path):
+def test_each_file_is_located_or_gets_a_reason(localizer: Localizer, tmp_path):
     (touch,) = localizer.simulate(1, seed=0)
     write_touch(tmp_path / "good.npz", touch)
     (tmp_path / "bad.npz").write_text("no touch")
@@ -72,7 +75,7 @@ def test_each_file_is_located_or_says_why_not(localizer: Localizer, tmp_path):
     assert set(rows[0]) == set(COLUMNS)
 
 
-def test_a_touch_is_known_no_better_than_its_sensors_mount(localizer: Localizer, tmp_path):
+def test_the_error_of_the_mount_adds_to_the_error_of_the_sensor_pose(localizer: Localizer, tmp_path):
     (touch,) = localizer.simulate(1, seed=0)
     write_touch(tmp_path / "touch.npz", touch)
     covariance = np.diag([1e-6] * 3 + [0.0] * 3).tolist()
@@ -86,6 +89,6 @@ def test_a_touch_is_known_no_better_than_its_sensors_mount(localizer: Localizer,
     np.testing.assert_array_equal(read.T_base_sensor, np.eye(4))
 
 
-def test_a_file_that_cannot_be_located_has_a_name_and_a_reason():
+def test_a_file_that_cannot_be_located_gets_a_row_with_name_and_reason():
     row = LocatedFile(Path("a/b.npz"), problem="empty").make_row()
     assert row == {"touch": "b.npz", "verdict": "", "says": "empty"}

@@ -32,7 +32,7 @@ each = pytest.mark.parametrize("name", DISTRIBUTIONS)
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with all of them installed, offline, without changes of the sources."""
+    """A folder in which all plugins are installed offline, with unchanged sources."""
     folder = tmp_path_factory.mktemp("contributed")
     sources = [shutil.copytree(CONTRIBUTED / name, folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
     subprocess.run([*INSTALL, str(folder / "site"), *map(str, sources)], check=True)
@@ -47,7 +47,7 @@ def python(site: Path, folder: Path, *words: str) -> subprocess.CompletedProcess
 
 
 def has_components(name: str) -> bool:
-    """Whether a distribution offers components; else it offers a command."""
+    """Return whether a distribution provides components; otherwise it provides a command."""
     return "tactile_loc" in project(name).get("entry-points", {})
 
 
@@ -56,7 +56,7 @@ def project(name: str) -> dict:
 
 
 def require_libraries(name: str) -> None:
-    """Skip where a library that a distribution needs beside tactile-loc is not installed."""
+    """Skip the test if a library that a distribution needs besides tactile-loc is not installed."""
     for needed in project(name)["dependencies"]:
         library = re.split(r"[<>=!~ \[;]", needed)[0]
         try:
@@ -84,7 +84,7 @@ def private(text: str) -> list[str]:
     return [name for name in of_ours if name not in allowed and not name.startswith(tuple(f"{p}." for p in PUBLIC))]
 
 
-def test_there_are_some():
+def test_contributed_plugins_exist():
     assert len(DISTRIBUTIONS) >= 3
 
 
@@ -111,7 +111,7 @@ def test_a_private_import_is_noticed(text):
     assert not private("from tactile_loc import Localizer\nfrom tactile_loc.plugin import Scene\nimport numpy")
 
 
-def test_the_example_and_what_new_plugin_writes_import_the_same_alone():
+def test_the_example_and_generated_plugins_import_only_the_public_api():
     written = [(path, text) for slot in SLOTS for path, text in render(Naming(slot, f"my-{slot}")).items()]
     sources = [path.read_text() for path in EXAMPLE.rglob("*.py")] + [t for path, t in written if path.endswith(".py")]
     assert len(sources) >= 3 + 3 * len(SLOTS)
@@ -119,7 +119,7 @@ def test_the_example_and_what_new_plugin_writes_import_the_same_alone():
 
 
 @each
-def test_it_says_what_it_is_and_how_to_install_it(name):
+def test_each_readme_describes_the_plugin_and_its_installation(name):
     readme = (CONTRIBUTED / name / "README.md").read_text()
     assert f"pip install -e plugins_contrib/{name}" in readme
     assert project(name)["name"] == name
@@ -137,7 +137,7 @@ def test_all_are_listed_with_their_distribution(site, tmp_path):
 
 @pytest.fixture(scope="module")
 def own_tests(site, tmp_path_factory) -> str:
-    """Return the output of one run of all their own tests."""
+    """Run the tests of all plugins once, and return the output."""
     folder = tmp_path_factory.mktemp("own")
     tests = [shutil.copytree(CONTRIBUTED / name / "tests", folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
     quiet = ["-rA", "-p", "no:cacheprovider", "-p", "no:dash", "--import-mode=importlib", "--rootdir", str(folder)]

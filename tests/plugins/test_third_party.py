@@ -1,4 +1,4 @@
-"""A third-party plugin, built and installed as by a user: found, chosen, used, left out, and equal to the docs."""
+"""A third-party plugin is built and installed as a user does it; it is found, used, excluded and documented."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ RUN = [
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the example installed in it, offline, without changes of the sources."""
+    """A folder in which the example is installed offline, with unchanged sources."""
     folder = tmp_path_factory.mktemp("third-party")
     source = shutil.copytree(EXAMPLE, folder / "source", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
     offline = ["--no-index", "--no-deps", "--no-build-isolation"]
@@ -57,15 +57,15 @@ def tactile_loc(site, tmp_path):
     return command
 
 
-def test_installed_plugin_is_listed_with_its_distribution_and_options(tactile_loc):
+def test_an_installed_plugin_is_listed_with_its_distribution_and_options(tactile_loc):
     listed = tactile_loc("plugins", "refiner").stdout
     assert re.search(r"refiner +centroid +tactile-loc-centroid +\w", listed)
     assert re.search(r"refiner\.steps +int +4 +\w", tactile_loc("plugins", "refiner", "centroid").stdout)
 
 
 @pytest.mark.slow
-def test_plugin_refines_what_was_found(tactile_loc, tmp_path):
-    (tmp_path / "sure.toml").write_text("temperature = 0.1")  # none is to be fitted
+def test_the_plugin_refines_the_found_poses(tactile_loc, tmp_path):
+    (tmp_path / "sure.toml").write_text("temperature = 0.1")  # the test needs no fitted temperature
     done = tactile_loc(*RUN, "-o", "refiner.steps=2", "--config", "sure.toml", "--out", "out", "--store", "store")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "result.json").read_text())
@@ -73,11 +73,11 @@ def test_plugin_refines_what_was_found(tactile_loc, tmp_path):
     assert result["distributions"]["refiner"] == "tactile-loc-centroid"
     found = result["hypotheses"]
     grid_poses, refined = (np.array([h[k] for h in found]) for k in ("T_sensor_object_grid", "T_sensor_object"))
-    assert np.abs(grid_poses[:, :2, 3] - refined[:, :2, 3]).max() > 1e-5, "the refiner slid a pose"
-    np.testing.assert_array_equal(grid_poses[:, :3, :3], refined[:, :3, :3], err_msg="and only slid it")
+    assert np.abs(grid_poses[:, :2, 3] - refined[:, :2, 3]).max() > 1e-5, "the refiner did not shift a pose"
+    np.testing.assert_array_equal(grid_poses[:, :3, :3], refined[:, :3, :3], err_msg="the refiner changed the rotation")
 
 
-def test_environment_variable_leaves_the_plugin_out_or_in(tactile_loc):
+def test_an_environment_variable_excludes_or_includes_the_plugin(tactile_loc):
     refused = tactile_loc(*RUN, TACTILE_LOC_PLUGINS="")
     assert refused.returncode == 2
     assert refused.stderr.startswith("error: ")
@@ -87,14 +87,14 @@ def test_environment_variable_leaves_the_plugin_out_or_in(tactile_loc):
     assert "centroid" not in tactile_loc("plugins", "refiner", TACTILE_LOC_PLUGINS="another").stdout
 
 
-def test_misspelt_option_of_the_plugin_is_one_sentence(tactile_loc):
+def test_a_misspelt_option_of_the_plugin_gives_a_one_sentence_error(tactile_loc):
     refused = tactile_loc(*RUN, "-o", "refiner.step=2")
     assert refused.returncode == 2
     assert not missing(refused.stderr, "refiner 'centroid'", "'step'", "'steps'")
     assert "Traceback" not in refused.stderr
 
 
-def test_plugin_that_cannot_be_loaded_is_a_row_and_hurts_nobody(tactile_loc, site):
+def test_a_broken_plugin_is_listed_and_does_not_affect_others(tactile_loc, site):
     package = site / "tactile_loc_centroid" / "__init__.py"
     text = package.read_text()
     package.write_text("import a_library_that_is_not_there\n")
@@ -107,7 +107,7 @@ def test_plugin_that_cannot_be_loaded_is_a_row_and_hurts_nobody(tactile_loc, sit
         package.write_text(text)
 
 
-def test_plugins_own_tests_pass(site, tmp_path):
+def test_the_plugins_own_tests_pass(site, tmp_path):
     tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__"))
     call = [
         sys.executable,

@@ -24,7 +24,7 @@ def page(evaluation_folder) -> Elements:
     return Elements(html_of(evaluation_folder))
 
 
-def test_medians_are_those_of_the_file(document, page):
+def test_the_page_shows_the_medians_of_the_file(document, page):
     header = next(row for row in page.rows if row[:2] == ["object", "grid poses"])
     assert header[2:] == list(SHOWN)
     for run in document["runs"]:
@@ -33,7 +33,7 @@ def test_medians_are_those_of_the_file(document, page):
         assert shares[2:] == [f"{run['lines'][line]['add']['normalised']['median']:.3f}" for line in SHOWN]
 
 
-def test_trust_and_times_are_those_of_the_file(document, page):
+def test_the_page_shows_the_posterior_metrics_and_times_of_the_file(document, page):
     run = document["runs"][0]
     rows = [row for row in page.rows if row and row[0] == run["object"]]
     held = [f"{100 * share:.0f} %" for share in run["posterior"]["coverage"]]
@@ -52,14 +52,14 @@ def test_scripts_draw_every_touch_s_errors_in_mm(document, evaluation_folder):
         assert drawn["random_mm"]["add"] == pytest.approx(1e3 * run["random_mean_m"]["add"])
 
 
-def test_galleries_are_in_the_page_not_too_large(page):
+def test_the_page_contains_the_gallery_as_a_small_image(page):
     (image,) = page.named("img")
     assert str(image["src"]).startswith("data:image/png;base64,")
     assert len(str(image["src"])) < 20_000
     assert "pin" in str(image["alt"])
 
 
-def test_several_encoders_are_told_apart(tmp_path):
+def test_runs_of_several_encoders_have_different_names(tmp_path):
     write_evaluation(tmp_path)
     document = json.loads((tmp_path / "results.json").read_text())
     document["runs"].append({**document["runs"][0], "encoder": "moco"})
@@ -67,7 +67,7 @@ def test_several_encoders_are_told_apart(tmp_path):
     assert [run["name"] for run in page_in(tmp_path).data["runs"]] == ["pin, pixel", "hook, pixel", "pin, moco"]
 
 
-def test_contacts_are_those_of_the_file(contacts_folder):
+def test_the_page_shows_the_contacts_of_the_file(contacts_folder):
     document = json.loads((contacts_folder / "contacts.json").read_text())
     page = Elements(html_of(contacts_folder))
     (run,) = document["runs"]
@@ -82,7 +82,7 @@ def test_contacts_are_those_of_the_file(contacts_folder):
 
 
 @pytest.mark.parametrize("fixture", ["evaluation_folder", "contacts_folder"])
-def test_what_is_wrong_with_a_file_is_one_sentence(fixture, request, tmp_path):
+def test_a_wrong_file_gives_a_one_sentence_error(fixture, request, tmp_path):
     folder = shutil.copytree(request.getfixturevalue(fixture), tmp_path / "copy")
     (path,) = (path for path in folder.glob("*.json"))
     document = json.loads(path.read_text())
@@ -95,7 +95,7 @@ def test_what_is_wrong_with_a_file_is_one_sentence(fixture, request, tmp_path):
             page_in(folder)
 
 
-def test_numbers_that_are_none_are_one_sentence(evaluation_folder, tmp_path):
+def test_nan_in_a_file_gives_a_one_sentence_error(evaluation_folder, tmp_path):
     folder = shutil.copytree(evaluation_folder, tmp_path / "copy")
     text = (folder / "results.json").read_text()
     (folder / "results.json").write_text(re.sub(r'("entropy": \[\s*)[\d.e-]+', r"\1NaN", text, count=1))
@@ -103,7 +103,7 @@ def test_numbers_that_are_none_are_one_sentence(evaluation_folder, tmp_path):
         page_in(folder)
 
 
-def test_a_damaged_gallery_is_left_out(evaluation_folder, tmp_path):
+def test_a_damaged_gallery_is_omitted(evaluation_folder, tmp_path):
     folder = shutil.copytree(evaluation_folder, tmp_path / "copy")
     (picture,) = folder.glob("gallery-*.png")
     content = picture.read_bytes()

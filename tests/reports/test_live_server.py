@@ -33,7 +33,7 @@ def events(response: HTTPResponse) -> list[str]:
     return response.read().decode().strip().split("\n\n")
 
 
-def test_the_page_comes_from_this_machine_alone_and_asks_only_its_own_server(localizer):
+def test_the_page_is_served_locally_and_requests_only_its_own_server(localizer):
     with LiveServer(render(make_live_page(localizer, "<b>camera</b> 0")), 0) as server:
         assert server.url.startswith("http://127.0.0.1:")
         answer = ask(server, "/")
@@ -50,7 +50,7 @@ def test_the_page_comes_from_this_machine_alone_and_asks_only_its_own_server(loc
         assert ask(server, "/", server.url[7:-1].replace("127.0.0.1", "localhost")).status == 200
 
 
-def test_a_browser_gets_the_newest_and_hears_of_the_end():
+def test_a_browser_gets_the_newest_frame_and_the_end_of_the_run():
     with LiveServer("", 0) as server:
         for number in range(3):
             server.board.show(lambda number=number: {"number": number})
@@ -62,7 +62,7 @@ def test_a_browser_gets_the_newest_and_hears_of_the_end():
         assert events(answer) == ['data: {"number":3}', "event: end\ndata: {}"]
 
 
-def test_what_nobody_asks_for_is_not_made_and_what_two_ask_for_is_made_once():
+def test_a_state_is_made_only_on_request_and_only_once():
     board, made = Board(), []
 
     def make() -> dict[str, int]:
@@ -80,7 +80,7 @@ def test_what_nobody_asks_for_is_not_made_and_what_two_ask_for_is_made_once():
     assert board.wait_for_newer(1, 0.01) == (1, "")
 
 
-def test_a_port_that_is_taken_is_told():
+def test_an_occupied_port_gives_an_error():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -117,7 +117,7 @@ def test_numbers_are_in_millimetres_and_degrees(localizer):
     assert (texts["verdict"], texts["verdict-more"]) == ("refused", explain_verdict(None))
 
 
-def test_a_frame_is_shown_with_its_outline_and_the_one_that_the_true_pose_makes(localizer):
+def test_a_frame_shows_its_outline_and_that_of_the_true_pose(localizer):
     touch = localizer.simulate(1, seed=1)[0]
     located = LocatedFrame(Verdict.CERTAIN, touch.T_sensor_object[None], np.ones(1), None, 1.0, 0.1)
     result = LiveResult(SourceFrame(0, 0.0, "0"), located, touch, 0, 0.0)

@@ -1,6 +1,6 @@
-"""The pages in a browser without any network: they draw, they answer, and nothing goes wrong or out.
+"""The pages in a browser without a network draw, respond, and cause no error and no request.
 
-That of a live run has its own server, and asks no other.
+The page of a live run requests only its own server.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def show(browser: Any, tmp_path: Path) -> Iterator[Callable[[Path], Any]]:
-    """Open the report of a result; afterwards the console has no error, and nothing was asked of any server."""
+    """Open the report of a result; afterwards, check that there was no console error and no request to a server."""
     for kind in ("browser", "performance"):
         browser.get_log(kind)
 
@@ -79,7 +79,7 @@ def show(browser: Any, tmp_path: Path) -> Iterator[Callable[[Path], Any]]:
 
 
 def plots(browser: Any) -> dict[str, int]:
-    """The number of traces of every plot's place."""
+    """The number of traces of each plot, by the name of its element."""
     script = "return [...document.querySelectorAll('.plotly')].map(e => [e.id, (e.data || []).length])"
     return {name: count for name, count in browser.execute_script(script) if name}
 
@@ -103,7 +103,7 @@ def object_points(browser: Any) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_run_is_drawn_and_another_candidate_moves_the_object(show, run_folder):
+def test_the_page_of_a_run_moves_the_object_to_the_chosen_candidate(show, run_folder):
     browser = show(run_folder)
     assert set(plots(browser)) == {"scene", "surface", "yaw", "modes", "times"}
     assert min(plots(browser).values()) > 0
@@ -132,7 +132,7 @@ def test_a_run_is_drawn_and_another_candidate_moves_the_object(show, run_folder)
     assert [card.get_attribute("aria-selected") for card in cards[:2]] == ["false", "true"]
 
 
-def test_names_are_text_and_the_page_of_a_run_answers(show, unfriendly_run):
+def test_names_are_shown_as_text_and_the_page_of_a_run_responds(show, unfriendly_run):
     browser = show(unfriendly_run)
     assert UNFRIENDLY.strip() in find(browser, "h1").get_attribute("textContent")
     assert browser.execute_script("return document.scripts.length") == 5  # the data, plotly, and three of ours
@@ -143,7 +143,7 @@ def test_names_are_text_and_the_page_of_a_run_answers(show, unfriendly_run):
 
 
 def assert_to_scale(browser: Any) -> None:
-    """One millimetre is as long along all axes, whatever the ranges are."""
+    """Check that one millimetre has the same length along all axes, for any ranges."""
     for name in ("scene", "surface"):
         scene = browser.execute_script(
             "const s = document.getElementById(arguments[0])._fullLayout.scene;"
@@ -174,7 +174,7 @@ def assert_dark_theme_draws_anew(browser: Any) -> None:
     assert all(a != b for a, b in zip(before, after, strict=True))
 
 
-def test_an_evaluation_is_drawn_and_its_choices_work(show, evaluation_folder):
+def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_folder):
     browser = show(evaluation_folder)
     assert set(plots(browser)) == {"errors", "curves", "coverage", "entropy", "times"}
     assert min(plots(browser).values()) > 0
@@ -195,7 +195,7 @@ def test_an_evaluation_is_drawn_and_its_choices_work(show, evaluation_folder):
     assert x == pytest.approx(expected, rel=1e-4)
 
 
-def test_several_contacts_are_drawn(show, contacts_folder):
+def test_the_page_of_several_contacts_is_drawn(show, contacts_folder):
     browser = show(contacts_folder)
     medians = "return document.getElementById('curves').data.filter(t => t.mode === 'lines+markers').length"
     assert browser.execute_script(medians) == 3
@@ -208,7 +208,7 @@ def visible_rows(browser: Any) -> list[list[str]]:
     return [[cell.get_attribute("textContent") for cell in row.find_elements("css selector", "td")] for row in rows]
 
 
-def test_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
+def test_the_page_of_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
     browser = show(sweep_folder)
     assert set(plots(browser)) == {"scatter", "effect-0", "effect-1"}
     effect = "return document.getElementById('effect-0').data.map(t => [t.name, Array.from(t.y)])"
@@ -230,7 +230,7 @@ def test_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
     assert all("refiner: icp" in text for text in texts)
 
 
-def test_a_sweep_with_few_columns_is_drawn_too(show, tmp_path):
+def test_a_sweep_with_few_columns_is_drawn(show, tmp_path):
     rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": value} for name, value in (("a", 1), ("b", 2))]
     browser = show(write_sweep(tmp_path, rows))
     assert plots(browser) == {"effect-0": 2}
@@ -248,7 +248,7 @@ def live_result(number: int, touch: Touch | None) -> LiveResult:
     return LiveResult(frame, located, touch, 2, 4.0)
 
 
-def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
+def test_the_page_of_a_live_run_is_drawn_during_the_run(browser, localizer: Localizer):
     from selenium.webdriver.support.ui import WebDriverWait
 
     first, second = localizer.simulate(2, seed=1)

@@ -33,29 +33,29 @@ def rod() -> TriangleMesh:
     return surface(trimesh.creation.cylinder(0.004, 0.060, sections=48))
 
 
-def test_a_refined_surface_is_the_same_surface_closed_and_without_long_edges(rod):
+def test_a_refined_surface_has_the_same_shape_and_no_long_edges(rod):
     fine = split_long_edges(rod, 0.002)
     a, b, c = np.moveaxis(fine.triangles_m, 1, 0)
     assert max(np.linalg.norm(u - v, axis=1).max() for u, v in ((a, b), (b, c), (c, a))) <= 0.002
     assert fine.face_areas.sum() == pytest.approx(rod.face_areas.sum(), rel=1e-9)
     assert trimesh.Trimesh(fine.vertices_m, fine.faces, process=False).is_watertight
-    assert len(fine.faces) < 40_000  # cutting each in four would make 98 000
+    assert len(fine.faces) < 40_000  # a split of each triangle into four would make 98 000
 
 
-def test_a_surface_of_short_edges_stays_as_it_is(rod):
+def test_a_surface_with_short_edges_stays_unchanged(rod):
     fine = split_long_edges(rod, 1.0)
     assert (fine.vertices_m.shape, fine.faces.shape) == (rod.vertices_m.shape, rod.faces.shape)
 
 
-def test_areas_and_normals_of_vertices_are_those_of_a_ball():
+def test_vertices_of_a_ball_have_its_areas_and_normals():
     ball = surface(trimesh.creation.icosphere(3, 0.01))
     assert compute_vertex_areas(ball).sum() == pytest.approx(ball.face_areas.sum())
     outwards = ball.vertices_m / 0.01
     assert (compute_vertex_normals(ball) * outwards).sum(axis=1).min() > 0.999
 
 
-def test_it_sums_to_one_and_lies_where_the_sensor_is(rod, flat_camera):
-    """Poses with one and the same point of the rod above the sensor's centre."""
+def test_the_probability_sums_to_one_and_lies_under_the_sensor(rod, flat_camera):
+    """In all poses, the same point of the rod is above the sensor's centre."""
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     touched = np.array([0.004, 0.0, 0.013])
@@ -70,7 +70,7 @@ def test_it_sums_to_one_and_lies_where_the_sensor_is(rod, flat_camera):
     assert away[found.density.argmax()] < 0.002
 
 
-def test_two_places_share_the_probability_as_their_weights_say(rod, flat_camera):
+def test_two_places_share_the_probability_by_their_weights(rod, flat_camera):
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     places = np.array([[0.004, 0.0, 0.02], [0.004, 0.0, -0.02]])
@@ -79,7 +79,7 @@ def test_two_places_share_the_probability_as_their_weights_say(rod, flat_camera)
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.8)
 
 
-def test_the_back_of_a_thin_wall_gets_nothing(flat_camera):
+def test_the_back_of_a_thin_wall_gets_no_probability(flat_camera):
     plate = surface(trimesh.creation.box((0.03, 0.03, 0.0005)))
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
@@ -89,7 +89,7 @@ def test_the_back_of_a_thin_wall_gets_nothing(flat_camera):
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_density_is_even_where_the_weights_are(flat_camera):
+def test_uniform_weights_give_a_uniform_density(flat_camera):
     plate = surface(trimesh.creation.box((0.04, 0.04, 0.01)))
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
@@ -100,7 +100,7 @@ def test_the_density_is_even_where_the_weights_are(flat_camera):
     assert found.density[inside] == pytest.approx(1 / 0.04**2, rel=0.25)
 
 
-def test_the_nearest_point_is_looked_for_in_the_object_s_frame(rod, flat_camera):
+def test_the_nearest_point_is_searched_in_the_object_frame(rod, flat_camera):
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     (R,) = draw_rotations(1, np.random.default_rng(5))
@@ -110,13 +110,13 @@ def test_the_nearest_point_is_looked_for_in_the_object_s_frame(rod, flat_camera)
 
 
 @pytest.mark.parametrize("normal", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.3, -0.5, 0.2]])
-def test_yaw_is_the_turn_of_a_face_that_lies_on_the_sensor(normal):
+def test_the_yaw_is_the_rotation_of_a_face_on_the_sensor(normal):
     yaw = np.linspace(-3, 3, 25)
     R = rotation_about(Z, yaw) @ align_to_z(-np.array(normal, float))
     assert compute_yaw_rad(R) == pytest.approx(yaw)
 
 
-def test_yaw_and_side_make_the_rotation():
+def test_yaw_and_side_determine_the_rotation():
     R = draw_rotations(40, np.random.default_rng(0))
     again = np.stack([rotation_about(Z, yaw) @ align_to_z(r[2]) for yaw, r in zip(compute_yaw_rad(R), R, strict=True)])
     assert again == pytest.approx(R)
@@ -131,21 +131,21 @@ def test_a_lattice_has_a_bar_for_each_yaw():
     assert found.width_deg == pytest.approx(15.0)
 
 
-def test_scattered_yaws_are_counted_in_bins():
+def test_irregular_yaws_are_counted_in_bins():
     weights = np.full(500, 1 / 500)
     found = count_yaws(draw_rotations(500, np.random.default_rng(0)), weights)
     assert len(found.mass) == 36
     assert found.mass.sum() == pytest.approx(1.0)
 
 
-def test_one_face_is_one_side():
+def test_poses_on_one_face_have_one_side():
     R = rotation_about(Z, np.linspace(0, 6, 20)) @ align_to_z([0, -1, 0])
     found = map_sides(R, np.full(20, 0.05))
     assert found.kind == "one"
     assert found.normal == pytest.approx([0, 1, 0])
 
 
-def test_small_tilts_are_leans_in_the_sensor_s_frame():
+def test_small_tilts_are_mapped_in_the_sensor_frame():
     tilt = np.radians([-10.0, 0.0, 10.0])
     R = rotation_about([1, 0, 0], tilt) @ rotation_about(Z, np.array(0.7)) @ align_to_z([1, 0, 0])
     found = map_sides(R, np.array([0.2, 0.3, 0.5]))
@@ -153,7 +153,7 @@ def test_small_tilts_are_leans_in_the_sensor_s_frame():
     assert found.mass.sum() == pytest.approx(1.0)
     y = 0.5 * (found.y[1:] + found.y[:-1])
     rows = found.mass.sum(axis=1)
-    # turned about +x by 10 degrees, the side that faced -z leans towards +y
+    # rotated about +x by 10 degrees, the side that faced -z leans towards +y
     assert sorted(zip(y[rows > 0].round(1), rows[rows > 0].round(6), strict=True)) == [
         (pytest.approx(-10, abs=1), 0.2), (pytest.approx(0, abs=1), 0.3), (pytest.approx(10, abs=1), 0.5),
     ]  # fmt: skip
@@ -165,7 +165,7 @@ def peak(found: SideMap) -> tuple[float, float]:
     return (found.x[column] + found.x[column + 1]) / 2, (found.y[row] + found.y[row + 1]) / 2
 
 
-def test_all_sides_are_a_globe_of_equal_areas():
+def test_poses_on_all_sides_are_mapped_on_a_globe_of_equal_areas():
     R = draw_rotations(20_000, np.random.default_rng(0))
     weights = np.full(len(R), 0.5 / len(R))
     side = np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])

@@ -1,4 +1,4 @@
-"""The page's skeleton: one file, nothing from elsewhere, nothing of the user's as markup."""
+"""The skeleton of the page: one file, no external resource, and no user text as markup."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ def test_nothing_is_loaded_from_elsewhere(html):
     assert "http" not in str(policy)
 
 
-def test_plotly_is_in_it_once_and_its_size_is_sensible(html):
+def test_the_page_contains_plotly_once_and_has_a_moderate_size(html):
     assert len(re.findall(r"plotly\.js v\d", html)) == 1
     assert 4e6 < len(html) < 8e6
 
 
-def test_names_are_unique_and_links_lead_somewhere(html):
+def test_ids_are_unique_and_links_have_targets(html):
     found = Elements(html)
     names = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
     assert len(names) == len(set(names))
     assert {a["href"] for a in found.named("a")} <= {f"#{name}" for name in names}
 
 
-def test_what_users_named_is_text(unfriendly_run, tmp_path):
+def test_user_names_are_shown_as_text(unfriendly_run, tmp_path):
     evaluation, sweep = tmp_path / "evaluation", tmp_path / "sweep"
     evaluation.mkdir()
     sweep.mkdir()
@@ -55,11 +55,11 @@ def test_what_users_named_is_text(unfriendly_run, tmp_path):
         assert html.count("<script") - html.count("'<script") >= 3
         assert "<script>alert" not in html
         scripts = [a for a in Elements(html).named("script") if a.get("type") is None]
-        assert len(scripts) <= 4  # plotly and ours
+        assert len(scripts) <= 4  # plotly and the scripts of the page
         assert UNFRIENDLY in Elements(html).text
 
 
-def test_data_cannot_end_its_script():
+def test_data_cannot_close_its_script_element():
     html = render(Page("run", "t", "a", [], {"a": "</script><!--"}, []))
     (data,) = re.findall(r'id="data">(.*)</script>', html)
     assert "</script" not in data
@@ -74,14 +74,14 @@ def test_tables_and_tiles_are_text():
     assert "<b>" not in macros.table(["<b>"], [["<b>"]], label='"<b>') + macros.tiles([("<b>", "<b>", "<b>")])
 
 
-def test_scripts_run_only_if_they_are_ours():
+def test_the_page_permits_only_its_own_scripts():
     html = render(Page("run", "t", "a", [Section("times", "S", {"built": ""})], {}, []))
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', html)
     assert policy.count("'sha256-") == 2
     assert "unsafe-inline" not in policy.split("script-src")[1]
 
 
-def test_a_report_is_whole_or_not_there(evaluation_folder, tmp_path):
+def test_a_report_is_written_completely_or_not_at_all(evaluation_folder, tmp_path):
     source = find_source(evaluation_folder)
     written = write_report(source, tmp_path / "new" / "page.html")
     assert written.read_text(encoding="utf-8").endswith("</html>\n")

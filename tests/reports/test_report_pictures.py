@@ -25,7 +25,7 @@ def pixels(uri: str) -> np.ndarray:
 
 @pytest.fixture
 def shapes(flat_camera) -> tuple[ContactShape, ContactShape]:
-    """A square imprint of half the press, and one that lies five columns further and is as deep as it goes."""
+    """A square imprint of half the press, and another one, five columns further, of the full press."""
     found = []
     for start, depth_m in ((20, 0.001), (25, 0.0)):
         depth = np.full(flat_camera.shape, 0.002, np.float32)
@@ -34,14 +34,14 @@ def shapes(flat_camera) -> tuple[ContactShape, ContactShape]:
     return found[0], found[1]
 
 
-def test_a_shape_s_picture_shows_contact_only(shapes, flat_camera):
+def test_the_picture_of_a_shape_shows_only_contact(shapes, flat_camera):
     image = pixels(draw_shape(shapes[0], flat_camera))
     assert image.shape[:2] == flat_camera.shape
     assert (image[..., 3] > 0).sum() == 20 * 20
     assert image[15, 25, :3].astype(int) == pytest.approx([33, 145, 140], abs=3)  # the middle of viridis
 
 
-def test_a_difference_is_red_where_pressed_deeper_and_blue_where_less(shapes, flat_camera):
+def test_a_difference_is_red_for_deeper_pixels_and_blue_for_shallower_ones(shapes, flat_camera):
     observed, made = shapes
     image = pixels(draw_difference(made, observed, flat_camera)).astype(int)
     (r0, _, b0), (r1, _, b1), (r2, _, b2) = (image[15, column, :3] for column in (22, 30, 42))
@@ -68,7 +68,7 @@ def test_an_outline_at_the_border_is_closed(flat_camera):
     assert points[0] == points[-1]
 
 
-def test_pictures_name_what_they_show_and_nothing_of_it_is_markup(shapes, flat_camera):
+def test_pictures_label_their_axes_and_escape_markup(shapes, flat_camera):
     shape, frame = load_templates().get_template("shapes.html.j2").module.shape, Frame.of(flat_camera)
     svg = shape("data:image/png;base64,", frame, "", UNFRIENDLY)
     assert "<script" not in svg

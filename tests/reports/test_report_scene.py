@@ -26,7 +26,7 @@ def test_meshes_and_poses_are_in_mm(box):
 
 
 def test_the_camera_sees_every_point():
-    """By plotly's rules: unit the geometric mean of the ranges, origin their middle, 45 degrees from side to side."""
+    """In plotly, the unit is the geometric mean of the ranges, the origin their centre, the view 45 degrees wide."""
     rng = np.random.default_rng(0)
     points = rng.uniform([-60, -10, 20], [30, 40, 60], (200, 3))
     bounds = [[-80.0, 50.0], [-30.0, 60.0], [0.0, 70.0]]
@@ -39,10 +39,10 @@ def test_the_camera_sees_every_point():
     assert towards == pytest.approx(-view.axes[2], abs=1e-3)
     angles = np.degrees(np.arctan2(np.abs(seen[:, :2]), -seen[:, 2:]))
     assert angles.max() < 22.5
-    assert angles.max() > 15  # and from not too far away
+    assert angles.max() > 15  # and the camera is not too far away
 
 
-def test_the_numbers_around_the_pad_are_its_coordinates(flat_camera):
+def test_the_labels_around_the_pad_are_its_coordinates(flat_camera):
     ticks = scene.list_pad_ticks(flat_camera, View(35.0, 28.0))
     x0, x1, y0, y1 = (1e3 * v for v in flat_camera.rectangle)
     for x, y, text in zip(ticks["x"], ticks["y"], ticks["text"], strict=True):

@@ -1,4 +1,4 @@
-"""Which result a path names."""
+"""A path names one result."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def test_a_folder_or_any_of_its_files_names_the_result(folder):
 @pytest.mark.parametrize(
     ("name", "kind"), [("results.json", "evaluation"), ("contacts.json", "contacts"), ("sweep.json", "sweep")]
 )
-def test_the_kind_is_that_of_the_file(tmp_path, name, kind):
+def test_the_file_determines_the_kind(tmp_path, name, kind):
     (tmp_path / name).write_text("{}")
     assert find_source(tmp_path).kind == kind
 
 
-def test_of_several_results_the_file_decides(folder):
+def test_a_folder_with_several_results_needs_a_file_name(folder):
     (folder / "contacts.json").write_text("{}")
     with pytest.raises(ResultError, match=naming("result.json", "contacts.json") + r"(?!.*sweep\.json)"):
         find_source(folder)
     assert find_source(folder / "contacts.json").kind == "contacts"
 
 
-def test_what_is_no_result_is_one_sentence(tmp_path):
+def test_a_path_without_a_result_gives_a_one_sentence_error(tmp_path):
     with pytest.raises(ResultError, match=naming(tmp_path, "result.json", "sweep.json")):
         find_source(tmp_path)
     with pytest.raises(ResultError, match=naming(tmp_path / "nowhere", "sweep.json")):

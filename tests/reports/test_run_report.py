@@ -35,7 +35,7 @@ def data(run_folder) -> dict:
     return page_in(run_folder).data
 
 
-def test_the_list_of_candidates_is_that_of_the_result(result, page):
+def test_the_page_lists_the_candidates_of_the_result(result, page):
     rows = page.rows[1 : 1 + len(result["hypotheses"])]
     assert page.rows[0][0] == "rank"
     for row, h in zip(rows, result["hypotheses"], strict=True):
@@ -49,7 +49,7 @@ def test_the_list_of_candidates_is_that_of_the_result(result, page):
         assert float(row[8]) == pytest.approx(1e3 * h["error_m"], abs=0.0051)
 
 
-def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
+def test_the_head_shows_names_pose_entropy_error_and_verdict(result, page):
     assert not missing(page.text, "pin", "gelslim")
     assert f"{result['normalised_entropy']:.2f}" in page.text
     x, y, z = (1e3 * row[3] for row in result["hypotheses"][0]["T_sensor_object"][:3])
@@ -59,7 +59,7 @@ def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
     assert not missing(page.text, result["verdict"], MEANINGS[result["verdict"]])
 
 
-def test_every_candidate_has_its_shape_and_its_difference(result, page):
+def test_every_candidate_shows_its_shape_and_its_difference(result, page):
     cards = [a for a in page.named("div") if a.get("class") == "card"]
     assert len(cards) == len(result["hypotheses"])
     pictures = page.named("image")
@@ -111,7 +111,7 @@ def test_the_bounds_hold_the_object_at_every_candidate(result, data):
             assert points[:, k].max() < high
 
 
-def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch):
+def test_a_result_without_a_true_pose_shows_no_error(run_folder, tmp_path, monkeypatch):
     folder = shutil.copytree(run_folder, tmp_path / "copy")
     document = json.loads((folder / "result.json").read_text())
     document["errors"] = document["touch"]["T_sensor_object"] = None
@@ -138,10 +138,10 @@ def test_a_touch_from_an_image_shows_the_image(run_folder):
     seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
     plain, found = (Elements(render(make_result_page(record, one))) for one in (arrays, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
-    assert found.text != plain.text, "it has a caption"
+    assert found.text != plain.text, "the image has no caption"
 
 
-def test_a_run_without_its_arrays_is_one_sentence(run_folder, tmp_path):
+def test_a_run_without_its_arrays_gives_a_one_sentence_error(run_folder, tmp_path):
     shutil.copy(run_folder / "result.json", tmp_path)
     with pytest.raises(ResultError, match=r"result\.npz"):
         page_in(tmp_path)

@@ -13,7 +13,7 @@ from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.sweep import find_components, find_measured_lines, find_varying, is_factor, read_rows
 
 
-def test_what_varies_is_found():
+def test_varying_columns_are_found():
     rows = read_rows({"rows": sweep_rows()})
     assert find_varying(rows) == ["object", "refiner", "grid.spacing_mm"]
     assert find_components(rows) == ["refiner", "grid.spacing_mm"]
@@ -24,11 +24,11 @@ def test_what_varies_is_found():
     ("column", "is_one"),
     [("object", True), ("grid.spacing_mm", True), ("grid_poses", False), ("chosen_median_mm", False), ("a.b", False)],
 )
-def test_factors_are_told_from_measures(column, is_one):
+def test_factors_are_distinguished_from_measures(column, is_one):
     assert is_factor(column) is is_one
 
 
-def test_rows_are_those_of_the_file(sweep_folder):
+def test_the_page_shows_the_rows_of_the_file(sweep_folder):
     data, rows = page_in(sweep_folder).data, sweep_rows()
     assert len(data["rows"]) == len(rows)
     for drawn, row in zip(data["rows"], rows, strict=True):
@@ -48,7 +48,7 @@ def test_the_best_of_each_object_is_named(sweep_folder):
     assert not missing(text, "pin", "6 mm", "filterreg, 4.0")
 
 
-def test_what_failed_is_listed_with_its_error_and_not_drawn(tmp_path):
+def test_failed_rows_are_listed_with_their_errors_and_not_drawn(tmp_path):
     rows = sweep_rows()
     rows[1] |= {"error": "the grid is empty", "chosen_median_mm": None, "best-1_median_mm": None, "total_ms": None}
     folder = write_sweep(tmp_path, rows)
@@ -57,7 +57,7 @@ def test_what_failed_is_listed_with_its_error_and_not_drawn(tmp_path):
     assert ["pin", "icp", "4.0", "the grid is empty"] in found.rows
 
 
-def test_missing_columns_are_done_without(tmp_path):
+def test_missing_columns_are_optional(tmp_path):
     rows = [{"object": "pin", "refiner": name, "chosen_median_mm": 1} for name in ("a", "b")]
     page = page_in(write_sweep(tmp_path, rows))
     names = [section.name for section in page.sections]
@@ -65,7 +65,7 @@ def test_missing_columns_are_done_without(tmp_path):
     assert "effects" in names
 
 
-def test_a_sweep_in_which_all_failed_has_a_page(tmp_path):
+def test_a_sweep_with_only_failures_has_a_page(tmp_path):
     rows = [{"object": "pin", "refiner": name, "chosen_median_mm": None, "error": "no"} for name in ("a", "b")]
     page = page_in(write_sweep(tmp_path, rows))
     assert page.data["rows"] == []
@@ -76,7 +76,7 @@ def test_a_sweep_in_which_all_failed_has_a_page(tmp_path):
     ("rows", "says"),
     [([], "combination"), (None, "NoneType"), ([1], "'int'")],
 )
-def test_missing_or_damaged_rows_are_one_sentence(tmp_path, rows, says):
+def test_missing_or_damaged_rows_give_a_one_sentence_error(tmp_path, rows, says):
     write_sweep(tmp_path)
     document = json.loads((tmp_path / "sweep.json").read_text())
     (tmp_path / "sweep.json").write_text(json.dumps({**document, "rows": rows}))
@@ -84,7 +84,7 @@ def test_missing_or_damaged_rows_are_one_sentence(tmp_path, rows, says):
         page_in(tmp_path)
 
 
-def test_a_sweep_without_rows_or_readable_text_is_one_sentence(tmp_path):
+def test_a_sweep_without_rows_or_readable_text_gives_a_one_sentence_error(tmp_path):
     (tmp_path / "sweep.json").write_text("{}")
     with pytest.raises(ResultError, match=naming("sweep.json", "'rows'")):
         page_in(tmp_path)
@@ -93,7 +93,7 @@ def test_a_sweep_without_rows_or_readable_text_is_one_sentence(tmp_path):
         page_in(tmp_path)
 
 
-def test_options_are_texts_and_what_is_not_finite_is_missing():
+def test_options_are_texts_and_nan_values_are_missing():
     row = {"object": "pin", "count": 5, "grid.spacing_mm": 4.0, "refiner.steps": [1, 2], "refiner.robust": True,
            "chosen_median_mm": float("nan"), "grid_poses": 7, "error": ""}  # fmt: skip
     assert read_rows({"rows": [row]}) == [
@@ -102,7 +102,7 @@ def test_options_are_texts_and_what_is_not_finite_is_missing():
     ]  # fmt: skip
 
 
-def test_half_a_letter_is_shown_escaped(tmp_path):
+def test_an_unpaired_surrogate_is_shown_escaped(tmp_path):
     rows = [{**row, "object": "\ud800"} for row in sweep_rows()]
     page = write_report(find_source(write_sweep(tmp_path, rows)))
     assert "ud800" in page.read_text(encoding="utf-8")

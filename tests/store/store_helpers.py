@@ -20,7 +20,7 @@ PROJECT = Path(__file__).parents[2]
 
 
 class Five:
-    """Builds five pieces and their sum, counts the computed ones, and may stop at one of them."""
+    """Builds five pieces and their sum, counts the computed pieces, and can stop at a piece."""
 
     def __init__(self, stop_at: int | None = None, error: BaseException | None = None) -> None:
         self.stop_at, self.error = stop_at, error or KeyboardInterrupt()
@@ -53,7 +53,7 @@ def contents(path: Path) -> dict[str, bytes]:
 
 
 def forbidden(workspace: Workspace) -> None:
-    raise AssertionError("built again")
+    raise AssertionError("the stage was built again")
 
 
 def run_python(script: str, *arguments: object, **options: Any) -> subprocess.Popen[str]:

@@ -69,7 +69,7 @@ DAMAGES = [
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 @pytest.mark.parametrize("same_instance", [True, False])
-def test_damaged_is_removed_and_built_again(
+def test_a_damaged_artifact_is_removed_and_built_again(
     store: StageStore, damage: Callable[[Path], None], same_instance: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     truth = contents(store.build(KEY, Five()).path)
@@ -85,7 +85,7 @@ def test_damaged_is_removed_and_built_again(
     assert five.computed == [0, 1, 2, 3, 4]
 
 
-def test_what_cannot_be_read_is_damaged(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_counts_as_damaged(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
     artifact = store.build(KEY, Five())
 
     def refuse(path: Path) -> str:
@@ -96,7 +96,7 @@ def test_what_cannot_be_read_is_damaged(store: StageStore, monkeypatch: pytest.M
         artifact.verify()
 
 
-def test_build_replaces_the_damaged(store: StageStore) -> None:
+def test_a_build_replaces_a_damaged_artifact(store: StageStore) -> None:
     truth = contents(store.build(KEY, Five()).path)
     truncate(folder_of(store))
     assert contents(store.build(KEY, Five()).path) == truth
@@ -149,7 +149,7 @@ def test_a_change_within_one_tick_of_the_clock_is_seen(store: StageStore) -> Non
 
 
 @pytest.mark.parametrize("text", ["[" * 10**5, '{"sha256": "", "format": NaN}', "{}"], ids=["nested", "nan", "empty"])
-def test_a_manifest_that_is_none(tmp_path, text):
+def test_an_invalid_manifest_is_refused(tmp_path, text):
     (tmp_path / MANIFEST).write_text(text)
     with pytest.raises(DamagedError):
         read_artifact(tmp_path)

@@ -22,19 +22,19 @@ from tactile_loc.store.files import (
 )
 
 
-def test_a_folder_that_can_be_made_is_fine_and_not_made(tmp_path):
+def test_a_possible_folder_is_accepted_and_not_created(tmp_path):
     require_writable(tmp_path / "a" / "b")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_in_the_way_is_not(tmp_path):
+def test_a_file_in_place_of_a_folder_is_refused(tmp_path):
     (tmp_path / "a").write_text("mine")
     for folder in (tmp_path / "a", tmp_path / "a" / "b"):
         with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")):
             require_writable(folder)
 
 
-def test_a_folder_that_refuses_is_not(tmp_path, monkeypatch):
+def test_a_folder_without_write_permission_is_refused(tmp_path, monkeypatch):
     def refuse(**_):
         raise PermissionError(13, "Permission denied")
 
@@ -63,17 +63,17 @@ def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_folder_that_takes_no_files_is_told():
+def test_a_folder_that_accepts_no_files_is_refused():
     with pytest.raises(OutputError, match=naming("/proc/a.txt", "--out")):
         write_atomically(Path("/proc/a.txt"), lambda temporary: temporary.write_text("x"))
 
 
-def test_a_link_to_nothing_in_the_way_of_a_temporary_folder_is_passed_by(tmp_path):
+def test_a_dangling_link_does_not_block_the_temporary_folder(tmp_path):
     (tmp_path / ".tmp-new-a.txt").symlink_to(tmp_path / "nowhere")
     assert write_atomically(tmp_path / "a.txt", lambda temporary: temporary.write_text("x")).read_text() == "x"
 
 
-def test_json_is_written_for_people_too_and_comes_back(tmp_path):
+def test_json_is_written_readably_and_read_back(tmp_path):
     value = {"name": "µm", "poses": [1.5, None]}
     path = write_json(tmp_path / "new" / "a.json", value)
     assert read_json(path) == value
@@ -92,7 +92,7 @@ def test_other_errors_pass_through_and_leave_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_process_killed_at_any_step_leaves_the_old_file_or_the_new_and_the_next_write_clears_up(tmp_path):
+def test_a_killed_process_leaves_the_old_or_the_new_file_and_the_next_write_cleans_up(tmp_path):
     path, seen, left = tmp_path / "a.txt", [], 0
     path.write_text("old")
     for _ in killed_at_every_step(lambda: write_atomically(path, lambda p: p.write_text("new"))):
@@ -104,7 +104,7 @@ def test_a_process_killed_at_any_step_leaves_the_old_file_or_the_new_and_the_nex
     assert left > 3
 
 
-def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
+def test_a_write_does_not_affect_another_process_at_the_same_file(tmp_path):
     path = tmp_path / "a.txt"
     with files.replace_file(path) as slow:
         slow.write_text("slow")
@@ -115,11 +115,11 @@ def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_what_killed_processes_left_in_a_folder_goes_and_nothing_else(tmp_path):
+def test_only_remains_of_killed_processes_are_removed(tmp_path):
     (tmp_path / ".tmp-new-a.txt").mkdir()
     (tmp_path / f".tmp-{'0' * 32}-b.txt").mkdir()
     (tmp_path / f".tmp-{'0' * 32}-b.txt" / "b.txt").touch()
-    (tmp_path / ".tmp-old-c").mkdir()  # a folder that was set aside, perhaps the only whole one
+    (tmp_path / ".tmp-old-c").mkdir()  # a folder that was set aside, possibly the only complete one
     (tmp_path / "d.txt").touch()
 
     def while_writing(temporary):
@@ -131,7 +131,7 @@ def test_what_killed_processes_left_in_a_folder_goes_and_nothing_else(tmp_path):
     remove_abandoned(tmp_path / "none")
 
 
-def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path):
+def test_a_lock_gives_exclusive_access_to_a_folder(tmp_path):
     folder, seen = tmp_path / "new" / "folder", []
 
     def write(number):
@@ -147,7 +147,7 @@ def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path
     assert sorted(names(folder)) == ["a", "b"]
 
 
-def test_there_is_no_folder_where_a_file_stands(tmp_path):
+def test_a_lock_on_a_file_is_refused(tmp_path):
     (tmp_path / "a").touch()
     with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")), lock_folder(tmp_path / "a"):
         pass
@@ -191,7 +191,7 @@ def test_linux_exchanges_two_folders_at_once(tmp_path):
 
 
 @pytest.mark.usefixtures("any_file_system")
-def test_a_folder_is_made_and_replaced_and_nothing_is_left(tmp_path):
+def test_a_folder_is_created_and_replaced_without_remains(tmp_path):
     folder = tmp_path / "new" / "folder"
     for said in ("first", "second", "third"):
         replace(folder, said)
@@ -200,7 +200,7 @@ def test_a_folder_is_made_and_replaced_and_nothing_is_left(tmp_path):
 
 
 @pytest.mark.usefixtures("any_file_system")
-def test_a_process_killed_at_any_step_leaves_the_old_folder_or_the_new(tmp_path):
+def test_a_killed_process_leaves_the_old_or_the_new_folder(tmp_path):
     folder, seen = tmp_path / "folder", []
     replace(folder, "old")
     for _ in killed_at_every_step(lambda: replace(folder, "new")):
@@ -211,10 +211,10 @@ def test_a_process_killed_at_any_step_leaves_the_old_folder_or_the_new(tmp_path)
     steps = seen.count("old")
     assert steps > 8
     assert seen == ["old"] * steps + ["new"] * (len(seen) - steps)
-    assert len(seen) > steps + 8  # killed while it removed the old one, too
+    assert len(seen) > steps + 8  # a kill during the removal of the old folder is included
 
 
-def test_what_was_set_aside_is_back_before_it_is_replaced(tmp_path):
+def test_a_folder_set_aside_is_restored_before_a_replacement(tmp_path):
     replace(tmp_path / "folder", "old")
     (tmp_path / "folder").rename(files._name_aside(tmp_path / "folder"))
     with pytest.raises(ZeroDivisionError), replace_folder(tmp_path / "folder"):
@@ -225,7 +225,7 @@ def test_what_was_set_aside_is_back_before_it_is_replaced(tmp_path):
 
 @pytest.mark.usefixtures("any_file_system")
 @pytest.mark.parametrize("fails", ["os.fsync", "os.rename", "pathlib.Path.rename"])
-def test_a_disk_that_refuses_leaves_the_old_folder(tmp_path, monkeypatch, fails):
+def test_a_disk_error_leaves_the_old_folder(tmp_path, monkeypatch, fails):
     replace(tmp_path / "folder", "old")
 
     def refuse(*_: object) -> None:
@@ -239,7 +239,7 @@ def test_a_disk_that_refuses_leaves_the_old_folder(tmp_path, monkeypatch, fails)
     assert names(tmp_path) == ["folder"]
 
 
-def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
+def test_a_failure_of_the_second_rename_leaves_the_old_folder(tmp_path, monkeypatch):
     folder, rename = tmp_path / "folder", Path.rename
     replace(folder, "old")
 
@@ -256,7 +256,7 @@ def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
     assert names(tmp_path) == ["folder"]
 
 
-def test_what_another_process_is_writing_is_left_alone(tmp_path):
+def test_a_replacement_does_not_affect_another_writing_process(tmp_path):
     with replace_folder(tmp_path / "folder") as slow:
         (slow / "a.txt").write_text("slow")
         replace(tmp_path / "folder", "fast")
@@ -273,7 +273,7 @@ def test_the_target_of_a_link_is_replaced(tmp_path):
     assert text(tmp_path / "there" / "folder") == "new"
 
 
-def test_a_fresh_folder_takes_no_place_of_another(tmp_path):
+def test_a_fresh_folder_never_replaces_another_folder(tmp_path):
     replace(tmp_path / "folder", "old")
     with pytest.raises(OSError, match="not empty"):
         replace(tmp_path / "folder", "new", fresh=True)

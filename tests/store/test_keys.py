@@ -12,14 +12,14 @@ from tactile_loc.core.errors import StoreError
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_file, write_canonical_json
 
 
-def test_digest_is_that_of_the_canonical_json() -> None:
+def test_the_digest_is_that_of_the_canonical_json() -> None:
     text = '{"inputs":{"a":[1,0.1,null,true],"b":{"x":"\\u00e9"}},"stage":"grid","version":3}'
     key = StageKey("grid", 3, {"b": {"x": "é"}, "a": (1, 0.1, None, True)})
     assert key.digest == hashlib.sha256(text.encode()).hexdigest()
     assert key.short == key.digest[:16]
 
 
-def test_order_of_inputs_does_not_matter() -> None:
+def test_the_order_of_inputs_does_not_matter() -> None:
     one = StageKey("grid", 1, {"a": 1, "b": {"c": 2.5, "d": [1, 2]}})
     other = StageKey("grid", 1, {"b": {"d": [1, 2], "c": 2.5}, "a": 1})
     assert one == other
@@ -43,7 +43,7 @@ def test_any_change_changes_the_digest(other: StageKey) -> None:
     assert StageKey("grid", 1, {"a": 1, "b": [0.1, 2]}) != other
 
 
-def test_key_does_not_follow_a_later_change_of_its_inputs() -> None:
+def test_a_later_change_of_the_inputs_does_not_change_the_key() -> None:
     options = {"steps": [1, 2]}
     key = StageKey("grid", 1, options)
     options["steps"].append(3)
@@ -63,18 +63,18 @@ def test_key_does_not_follow_a_later_change_of_its_inputs() -> None:
         ({1: 2}, "strings"),
     ],
 )
-def test_refuses_what_has_no_canonical_form(value: object, says: str) -> None:
+def test_inputs_without_a_canonical_form_are_refused(value: object, says: str) -> None:
     with pytest.raises(StoreError, match=naming("'grid'", "['pose'][1]", says)):
         StageKey("grid", 1, {"pose": [0, value]})  # type: ignore[list-item]
 
 
 @pytest.mark.parametrize("name", ["", "..", "a/b", "/etc", "grid\n"])
-def test_refuses_stage_names_that_leave_the_store(name: str) -> None:
+def test_stage_names_that_leave_the_store_are_refused(name: str) -> None:
     with pytest.raises(StoreError, match=naming(repr(name))):
         StageKey(name, 1, {})
 
 
-def test_numpy_float_is_a_float() -> None:
+def test_a_numpy_float_counts_as_a_float() -> None:
     assert write_canonical_json({"a": np.float64(0.1)}) == write_canonical_json({"a": 0.1}) == '{"a":0.1}'
 
 
@@ -96,7 +96,7 @@ def test_hash_arrays_ignores_memory_layout_and_order_of_names() -> None:
     assert hash_arrays(a=a, b=b) != hash_arrays(a=b, b=a)
 
 
-def test_hash_arrays_of_odd_kinds() -> None:
+def test_hash_arrays_distinguishes_unusual_arrays() -> None:
     kinds = [
         np.zeros((0, 3)),
         np.zeros((3, 0)),
@@ -110,7 +110,7 @@ def test_hash_arrays_of_odd_kinds() -> None:
         hash_arrays(a=np.array([{}]))
 
 
-def test_hash_file(tmp_path: Path) -> None:
+def test_hash_file_gives_the_digest_of_the_content(tmp_path: Path) -> None:
     content = bytes(range(256)) * 5000
     (tmp_path / "mesh.stl").write_bytes(content)
     assert hash_file(tmp_path / "mesh.stl") == hashlib.sha256(content).hexdigest()

@@ -24,7 +24,7 @@ def add(path: Path, *numbers: int) -> None:
             add_line(json.dumps({"n": number}))
 
 
-def test_lines_are_there_at_once_and_more_are_added_later(tmp_path):
+def test_lines_are_written_at_once_and_can_be_appended(tmp_path):
     path = tmp_path / "new" / "a.jsonl"
     with open_json_lines(path) as add_line:
         add_line('{"n": 1}')
@@ -34,7 +34,7 @@ def test_lines_are_there_at_once_and_more_are_added_later(tmp_path):
 
 
 @pytest.mark.parametrize(("last", "expected"), [('{"n": 2', [1, 3]), ('{"n": 2}', [1, 2, 3]), ("", [1, 3])])
-def test_a_half_line_is_removed_and_a_whole_one_without_its_end_is_kept(tmp_path, last, expected):
+def test_an_incomplete_line_is_removed_and_a_complete_one_is_kept(tmp_path, last, expected):
     path = tmp_path / "a.jsonl"
     path.write_text('{"n": 1}\n' + last)
     add(path, 3)
@@ -57,7 +57,7 @@ def test_a_full_disk_leaves_whole_lines(tmp_path, monkeypatch):
     assert values(path) == [1]
 
 
-def test_two_writers_and_impossible_places_are_refused(tmp_path):
+def test_two_writers_and_impossible_paths_are_refused(tmp_path):
     path = tmp_path / "a.jsonl"
     refused = pytest.raises(OutputError, match=naming("a.jsonl", "process", "--out"))
     with open_json_lines(path), refused, open_json_lines(path):

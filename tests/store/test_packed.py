@@ -15,7 +15,7 @@ MOSTLY_EMPTY = np.pad(np.arange(64, dtype=np.uint16).reshape(8, 8), 60, constant
 
 
 @pytest.mark.parametrize("array", [MOSTLY_EMPTY, np.float32(3.5), np.empty((0, 4)), np.asfortranarray(MOSTLY_EMPTY)])
-def test_a_packed_array_comes_back(tmp_path, array):
+def test_a_packed_array_is_read_back(tmp_path, array):
     for name in ("a.npz", "b.npz"):
         write_packed(tmp_path / name, np.asarray(array))
     found = read_packed(tmp_path / "a.npz")
@@ -24,12 +24,12 @@ def test_a_packed_array_comes_back(tmp_path, array):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_what_is_mostly_empty_takes_a_tenth_of_the_space(tmp_path):
+def test_a_mostly_empty_array_needs_a_tenth_of_the_space(tmp_path):
     write_packed(tmp_path / "a.npz", np.stack([MOSTLY_EMPTY] * 50))
     assert (tmp_path / "a.npz").stat().st_size < 50 * MOSTLY_EMPTY.nbytes / 10
 
 
-def test_the_store_packs_what_is_asked_to_be_packed(tmp_path):
+def test_the_store_packs_arrays_on_request(tmp_path):
     store = StageStore(tmp_path)
     artifact = store.build(KEY, lambda work: work.save_array("codes", MOSTLY_EMPTY, packed=True))
     assert artifact.names == ("codes.npz",)
@@ -55,7 +55,7 @@ def test_an_interrupted_build_finds_packed_arrays_again(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK nothing", "cut", "other"])
-def test_what_is_no_packed_array_is_refused(tmp_path, content):
+def test_files_without_a_packed_array_are_refused(tmp_path, content):
     path = tmp_path / "codes.npz"
     write_packed(path, MOSTLY_EMPTY)
     if content == "cut":

@@ -21,7 +21,7 @@ def store(tmp_path: Path) -> StageStore:
     return StageStore(tmp_path / "store")
 
 
-def test_built_once_then_read(store: StageStore) -> None:
+def test_a_stage_is_built_once_and_then_read(store: StageStore) -> None:
     five = Five()
     built = store.build(KEY, five)
     again = store.build(StageKey("bank", 1, {"step_m": 0.002, "grid": "abc"}), forbidden)
@@ -31,7 +31,7 @@ def test_built_once_then_read(store: StageStore) -> None:
     assert StageStore(store.root).get(KEY) == built
 
 
-def test_artifact_gives_back_what_was_saved(store: StageStore) -> None:
+def test_an_artifact_returns_the_saved_values(store: StageStore) -> None:
     arrays = {
         "f32": np.arange(6, dtype=np.float32).reshape(2, 3),
         "empty": np.zeros((0, 4)),
@@ -60,7 +60,7 @@ def test_artifact_gives_back_what_was_saved(store: StageStore) -> None:
     assert artifact.nbytes == sum(artifact.find_file(name).stat().st_size for name in artifact.names)
 
 
-def test_folder_holds_the_kept_pieces_and_the_manifest_only(store: StageStore) -> None:
+def test_the_folder_holds_only_the_kept_pieces_and_the_manifest(store: StageStore) -> None:
     def make(workspace: Workspace) -> None:
         Five()(workspace)
         (workspace.path / "scratch").mkdir()
@@ -78,7 +78,7 @@ def test_folder_holds_the_kept_pieces_and_the_manifest_only(store: StageStore) -
     assert set(manifest["files"]["sum.npy"]) == {"size", "sha256"}
 
 
-def test_other_inputs_are_another_artifact(store: StageStore) -> None:
+def test_other_inputs_give_another_artifact(store: StageStore) -> None:
     other = StageKey("bank", 2, KEY.inputs)
     store.build(KEY, lambda workspace: workspace.save_json("x", 1))
     store.build(other, lambda workspace: workspace.save_json("x", 2))
@@ -86,14 +86,14 @@ def test_other_inputs_are_another_artifact(store: StageStore) -> None:
     assert [artifact.load_json("x") for artifact in found if artifact] == [1, 2]
 
 
-def test_a_label_is_kept_and_is_no_part_of_the_key(store: StageStore) -> None:
+def test_a_label_is_stored_and_is_not_part_of_the_key(store: StageStore) -> None:
     named = StageKey(KEY.stage, KEY.version, KEY.inputs, label="pin")
     assert named == KEY
     assert store.build(named, Five()).key.label == "pin"
     assert store.build(KEY, forbidden).key.label == "pin"
 
 
-def test_asking_for_what_is_not_there(store: StageStore) -> None:
+def test_a_missing_file_of_an_artifact_is_refused_with_the_existing_files(store: StageStore) -> None:
     artifact = store.build(KEY, Five())
     with pytest.raises(StoreError, match=naming("bank", "'nothing.npy'", "piece0.npy", "sum.npy")):
         artifact.load_array("nothing")
@@ -102,13 +102,13 @@ def test_asking_for_what_is_not_there(store: StageStore) -> None:
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", "", "manifest"])
-def test_names_stay_inside_the_folder(store: StageStore, name: str) -> None:
+def test_names_outside_the_folder_are_refused(store: StageStore, name: str) -> None:
     with pytest.raises(StoreError, match=naming(f"'{name}.json'", "bank")):
         store.build(KEY, lambda workspace: workspace.save_json(name, 1))
 
 
 @pytest.mark.parametrize("value", [float("nan"), {"a": Path("x")}])
-def test_refuses_json_that_is_none(store: StageStore, value: object) -> None:
+def test_values_that_json_cannot_hold_are_refused(store: StageStore, value: object) -> None:
     with pytest.raises(StoreError, match=naming("'x'", "bank", "JSON")):
         store.build(KEY, lambda workspace: workspace.save_json("x", value))
 
@@ -151,7 +151,7 @@ def test_two_processes_build_once(store: StageStore, tmp_path: Path) -> None:
     assert results[0][1] == results[1][1]
 
 
-def test_what_is_being_built_is_neither_waited_for_by_get_nor_removed(store: StageStore) -> None:
+def test_get_and_remove_do_not_touch_a_stage_during_its_build(store: StageStore) -> None:
     def make(workspace: Workspace) -> None:
         other = StageStore(store.root)
         assert other.get(KEY) is None
@@ -177,10 +177,10 @@ def test_one_stage_may_build_another(store: StageStore) -> None:
     assert store.built == [grid, KEY]
 
 
-# The store as a whole
+# The whole store
 
 
-def test_entries_and_remove(store: StageStore) -> None:
+def test_entries_are_listed_and_removed(store: StageStore) -> None:
     assert store.entries() == []
     grid = StageKey("grid", 1, {})
     bank, poses = store.build(KEY, Five()), store.build(grid, Five())
@@ -201,7 +201,7 @@ def test_entries_and_remove(store: StageStore) -> None:
     assert (store.root / "grid" / "mine").is_dir()
 
 
-def test_what_has_no_manifest_or_was_not_moved_into_place_is_not_complete(store: StageStore) -> None:
+def test_artifacts_without_a_manifest_or_at_a_temporary_path_are_incomplete(store: StageStore) -> None:
     without = store.build(KEY, Five()).path
     (without / "manifest.json").unlink()
     (entry,) = store.entries()
@@ -212,7 +212,7 @@ def test_what_has_no_manifest_or_was_not_moved_into_place_is_not_complete(store:
     assert [entry.complete for entry in store.entries()] == [False, False]
 
 
-def test_what_cannot_be_removed_is_named(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_removed_is_named(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = store.build(KEY, Five()).path
 
     def refuse(*_: object, **__: object) -> None:
@@ -223,7 +223,7 @@ def test_what_cannot_be_removed_is_named(store: StageStore, monkeypatch: pytest.
         store.remove(KEY.digest)
 
 
-def test_default_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_default_root_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("TACTILE_LOC_STORE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -244,10 +244,10 @@ def test_reading_creates_nothing(store: StageStore) -> None:
     assert not store.root.exists()
 
 
-def test_says_what_it_does(store: StageStore, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_build_logs_its_start_and_its_end(store: StageStore, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO):
         store.build(KEY, Five())
     begins, ends = (record.getMessage() for record in caplog.records)
     assert not missing(begins, "bank", KEY.short)
     assert not missing(ends, "bank", KEY.short)
-    assert re.search(r"\b0", ends), "how long it took"
+    assert re.search(r"\b0", ends), "the log gives no duration"

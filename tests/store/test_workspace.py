@@ -25,7 +25,7 @@ def store(tmp_path: Path) -> StageStore:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("out of luck")])
-def test_interrupted_build_is_taken_up_again(store: StageStore, tmp_path: Path, error: BaseException) -> None:
+def test_an_interrupted_build_is_resumed(store: StageStore, tmp_path: Path, error: BaseException) -> None:
     with pytest.raises(type(error)):
         store.build(KEY, Five(stop_at=2, error=error))
     assert store.get(KEY) is None
@@ -39,7 +39,7 @@ def test_interrupted_build_is_taken_up_again(store: StageStore, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("damage", [lambda path: os.truncate(path, 300), Path.unlink, flip("", -1)])
-def test_damaged_piece_is_computed_again(store: StageStore, tmp_path: Path, damage: Callable[[Path], None]) -> None:
+def test_a_damaged_piece_is_computed_again(store: StageStore, tmp_path: Path, damage: Callable[[Path], None]) -> None:
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, Five(stop_at=4))
     damage(folder_of(store).with_suffix(".partial") / "piece1.npy")
@@ -48,7 +48,7 @@ def test_damaged_piece_is_computed_again(store: StageStore, tmp_path: Path, dama
     assert five.computed == [1, 4]
 
 
-def test_unreadable_record_of_pieces_costs_a_full_build_only(store: StageStore, tmp_path: Path) -> None:
+def test_an_unreadable_record_of_pieces_causes_a_full_build(store: StageStore, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, Five(stop_at=4))
     os.truncate(folder_of(store).with_suffix(".partial") / ".pieces.json", 20)
@@ -57,7 +57,7 @@ def test_unreadable_record_of_pieces_costs_a_full_build_only(store: StageStore, 
     assert five.computed == [0, 1, 2, 3, 4]
 
 
-def test_left_over_pieces_that_the_build_does_not_ask_for_are_dropped(store: StageStore) -> None:
+def test_unused_old_pieces_are_dropped(store: StageStore) -> None:
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, Five(stop_at=2))
     assert store.build(KEY, lambda workspace: workspace.save_json("x", 1)).names == ("x.json",)
@@ -65,7 +65,7 @@ def test_left_over_pieces_that_the_build_does_not_ask_for_are_dropped(store: Sta
 
 
 def train(workspace: Workspace, stop_at: int | None, ran: list[int]) -> None:
-    """Count to five as a training would, with one checkpoint that every epoch replaces."""
+    """Count to five like a training, with one checkpoint that each epoch replaces."""
     state = workspace.load("checkpoint", keep=False)
     state = np.zeros(2) if state is None else state
     for epoch in range(int(state[0]), 5):
@@ -77,7 +77,7 @@ def train(workspace: Workspace, stop_at: int | None, ran: list[int]) -> None:
     workspace.save_array("weights", state)
 
 
-def test_a_checkpoint_may_be_replaced(store: StageStore) -> None:
+def test_a_checkpoint_can_be_replaced(store: StageStore) -> None:
     ran: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, lambda workspace: train(workspace, 3, ran))
@@ -87,7 +87,7 @@ def test_a_checkpoint_may_be_replaced(store: StageStore) -> None:
     np.testing.assert_array_equal(artifact.load_array("weights"), [5, 10])
 
 
-def test_a_training_that_is_over_takes_its_checkpoint_up_and_leaves_it_out(store: StageStore) -> None:
+def test_a_finished_training_reads_its_checkpoint_and_does_not_keep_it(store: StageStore) -> None:
     def interrupted(workspace: Workspace) -> None:
         checkpoints = WorkspaceCheckpoints(workspace)
         assert checkpoints.load() is None
@@ -111,7 +111,7 @@ def test_a_training_that_is_over_takes_its_checkpoint_up_and_leaves_it_out(store
         assert artifact.names == ("state.json",)
 
 
-def test_what_an_interrupted_build_saved_and_the_next_one_asks_for_is_kept(store: StageStore) -> None:
+def test_saved_files_of_an_interrupted_build_are_reused(store: StageStore) -> None:
     def interrupted(workspace: Workspace) -> None:
         workspace.save_file("notes.txt", lambda path: path.write_text("mine"))
         workspace.save_array("poses", np.arange(3), packed=True)
@@ -149,7 +149,7 @@ def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(
     np.testing.assert_array_equal(artifact.load_array("x"), [1])
 
 
-def test_a_build_killed_at_any_step_of_its_end_is_not_done_again(store: StageStore, tmp_path: Path) -> None:
+def test_a_build_killed_at_its_end_is_not_repeated(store: StageStore, tmp_path: Path) -> None:
     def make(workspace: Workspace) -> None:
         with (tmp_path / "made.txt").open("a") as file:
             file.write("x")
@@ -191,7 +191,7 @@ StageStore(Path(sys.argv[1])).build(KEY, Killed())
 """
 
 
-def test_killed_build_is_taken_up_again(store: StageStore, tmp_path: Path) -> None:
+def test_a_killed_build_is_resumed(store: StageStore, tmp_path: Path) -> None:
     process = run_python(KILLED, store.root, Path(__file__).parent)
     process.communicate(timeout=60)
     assert process.returncode == -signal.SIGKILL
@@ -201,12 +201,12 @@ def test_killed_build_is_taken_up_again(store: StageStore, tmp_path: Path) -> No
     assert five.computed == [3, 4]
 
 
-# A disk that refuses
+# Disk errors
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace", "rename"])
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.EROFS])
-def test_refusing_disk(
+def test_a_disk_error_is_explained_and_the_next_build_succeeds(
     store: StageStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, code: int
 ) -> None:
     def refuse(*_: object) -> None:
@@ -229,13 +229,13 @@ def test_refusing_disk(
 FULL = naming("weights.bin", "bank", "No space left", "TACTILE_LOC_STORE", "--store")
 
 
-def test_full_device(store: StageStore, tmp_path: Path) -> None:
+def test_a_full_device_is_refused_and_the_next_build_succeeds(store: StageStore, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=FULL):
         store.build(KEY, lambda ws: ws.save_file("weights.bin", lambda _: Path("/dev/full").write_bytes(b"x" * 9000)))
     assert contents(store.build(KEY, Five()).path) == reference(tmp_path)
 
 
-def test_a_full_device_that_a_library_tells_of_in_words(store: StageStore, tmp_path: Path) -> None:
+def test_a_full_device_is_recognised_in_the_text_of_another_error(store: StageStore, tmp_path: Path) -> None:
     def in_words(_: Path) -> None:
         raise RuntimeError("Error while serializing: I/O error: No space left on device (os error 28)")
 
@@ -271,7 +271,7 @@ print(store.build(key, make).load_array("large").shape)
 """
 
 
-def test_write_that_stops_short(store: StageStore) -> None:
+def test_an_incomplete_write_is_refused_and_the_build_is_resumed(store: StageStore) -> None:
     lines = run_python(LIMITED, store.root).communicate(timeout=60)[0].splitlines()
     assert not missing(lines[0], "large.npy", "bank", "TACTILE_LOC_STORE", "--store")
     assert lines[1:] == ["[]", "['.pieces.json', 'small.npy']", "(1000000,)"]
@@ -295,7 +295,7 @@ def test_pieces_survive_a_manifest_that_cannot_be_written(store: StageStore, mon
 
 
 @pytest.mark.parametrize("blocked", ["store", "store/bank", "store/bank/{short}.partial"])
-def test_file_in_the_place_of_a_folder(store: StageStore, blocked: str) -> None:
+def test_a_file_in_place_of_a_folder_is_refused(store: StageStore, blocked: str) -> None:
     path = store.root.parent / blocked.format(short=KEY.short)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("in the way")

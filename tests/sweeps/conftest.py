@@ -1,4 +1,4 @@
-"""Small plans, a sweep whose numbers are made up, and a sensor with few pixels."""
+"""Small plans, a sweep with invented numbers, and a sensor with few pixels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Measure = Callable[[Combination], Mapping[str, float] | str]
 
 @pytest.fixture(scope="session")
 def flat_sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of a sensor of 80 x 80 pixels: quick."""
+    """The file of a sensor with 80 x 80 pixels, for speed."""
     path = tmp_path_factory.mktemp("sensor") / "flat.toml"
     path.write_text(SENSOR)
     return path
@@ -28,7 +28,7 @@ def flat_sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny(flat_sensor: Path) -> dict[str, Any]:
-    """A plan's values that make combinations of a second."""
+    """Values of a plan whose combinations take about a second."""
     return {
         "sensor": [str(flat_sensor)], "option": {"grid": {"spacing_mm": [8]}}, "count": 4, "temperature": 0.01,
         "shape_px": 32,

@@ -1,4 +1,4 @@
-"""A distribution whose refiners raise, or kill their process: what sweeps must survive."""
+"""A distribution whose refiners raise an error or kill their process; sweeps must survive both."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ COMBINATIONS = 1 * 1 * 2 * 2
 
 
 @pytest.mark.slow
-def test_nothing_is_lost_and_nothing_built_twice_though_a_worker_is_killed(tmp_path, monkeypatch, capsys):
+def test_a_killed_worker_loses_no_row_and_repeats_no_build(tmp_path, monkeypatch, capsys):
     for library in ("distributed", "pyarrow", "torch"):
         pytest.importorskip(library)
     options = ["--out", str(tmp_path), "--ways", "dask-killed", "--small", "--count", "1", "--spacing-mm", "12"]

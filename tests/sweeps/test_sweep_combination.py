@@ -32,7 +32,7 @@ def test_all_values_are_combined_in_the_plans_order():
     assert len({one.key for one in found}) == len(found)
 
 
-def test_neighbours_share_little_in_the_order_of_running():
+def test_consecutive_jobs_share_few_stages():
     values = {
         "object": ["pin", "head"],
         "encoder": ["pixel"],
@@ -44,7 +44,7 @@ def test_neighbours_share_little_in_the_order_of_running():
     assert told == [(r, c, o) for r in ("none", "icp") for c in (9, 12) for o in ("pin", "head")]
 
 
-def test_the_key_is_the_same_for_the_same_and_another_for_anything_else(monkeypatch):
+def test_equal_inputs_give_equal_keys_and_any_change_gives_another_key(monkeypatch):
     base = {"object": ["pin"], "refiner": ["icp"], "noise": ["none"], "seed": [0], "count": 4}
     (key,) = keys(base)
     assert keys({**base, "refiner": [{"name": "icp", "max_iterations": 20}]}) == [key]  # the default
@@ -61,7 +61,7 @@ def test_the_key_is_the_same_for_the_same_and_another_for_anything_else(monkeypa
             assert keys(base) != [key]
 
 
-def test_the_key_follows_what_a_mesh_holds_not_where_it_lies(tmp_path):
+def test_the_key_depends_on_the_content_of_a_mesh_and_not_on_its_path(tmp_path):
     for folder, side in (("a", 20), ("b", 20), ("c", 21)):
         (tmp_path / folder).mkdir()
         trimesh.creation.box((side, 15, 10)).export(tmp_path / folder / "part.stl")
@@ -85,12 +85,12 @@ def test_a_component_of_another_version_makes_another_row(monkeypatch):
         ({"object": ["pin"], "sensor": ["gelslm"]}, UnknownPluginError, "gelslm"),
     ],
 )
-def test_what_cannot_be_made_is_refused(values, kind, said):
+def test_impossible_combinations_are_refused(values, kind, said):
     with pytest.raises(kind, match=said):
         combine(Plan.from_values(values))
 
 
-def test_two_objects_of_one_name_are_refused():
+def test_two_objects_with_the_same_name_are_refused():
     plan = Plan.from_values({"object": ["pin", {"path": "pin", "symmetry": "none"}]})
     with pytest.raises(module.ConfigError, match="pin"):
         combine(plan)
@@ -105,7 +105,7 @@ MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
     [([{"name": "pixel", "cells": 12}], {}), ([MOCO], {"temperature": 0.1})],
     ids=["pixel", "moco"],
 )
-def test_the_planned_keys_are_those_that_are_built(tmp_path, tiny, encoder, temperature):
+def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperature):
     if encoder == [MOCO]:
         pytest.importorskip("torch")
     plain = {key: value for key, value in tiny.items() if key != "temperature"}
@@ -127,7 +127,7 @@ def test_the_planned_keys_are_those_that_are_built(tmp_path, tiny, encoder, temp
     assert find_missing_stages(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)
 
 
-def test_stages_that_combinations_share_count_once(tmp_path, tiny):
+def test_shared_stages_count_once(tmp_path, tiny):
     values = {**tiny, "object": ["pin", "head"], "renderer": ["raycast", "heightmap"], "refiner": ["none", "icp"]}
     combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
     assert find_missing_stages(combinations, objects, tmp_path) == {
@@ -135,8 +135,8 @@ def test_stages_that_combinations_share_count_once(tmp_path, tiny):
     }  # fmt: skip
 
 
-def test_components_that_exclude_each_other_are_refused_when_the_sweep_is_planned(monkeypatch):
-    """Before anything is built; the rule is made up, of what two built-in components declare."""
+def test_incompatible_components_are_refused_during_planning(monkeypatch):
+    """The error comes before any build; the test invents a rule for two built-in components."""
     rule = compatibility.Incompatibility(
         compatibility.Declared("matcher", "top_k_only", True), compatibility.Declared("fuser", "contact_only", True),
         "they cannot stand each other", "choose others",
@@ -148,6 +148,6 @@ def test_components_that_exclude_each_other_are_refused_when_the_sweep_is_planne
         combine(Plan.from_values({**base, "fuser": ["product", "kinematic"]}))
 
 
-def test_a_grid_that_lists_no_poses_is_refused_when_the_sweep_is_planned():
+def test_a_grid_that_lists_no_poses_is_refused_during_planning():
     with pytest.raises(ConfigError, match=r"'whole'.*face"):
         combine(Plan.from_values({"object": ["pin"], "grid": ["face", "whole"]}))

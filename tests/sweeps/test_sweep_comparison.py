@@ -1,4 +1,4 @@
-"""Two sweeps side by side."""
+"""Comparison of two sweeps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
 
 @pytest.fixture
 def recorded(made_up):
-    """Make what sweep.json holds, of a sweep over refiners whose errors are MM, or others."""
+    """Make the content of sweep.json for a sweep over refiners with the errors MM, or other errors."""
 
     def make(**mm: float | str):
         values = {"object": ["pin"], "refiner": list(mm), "option": ["grid.spacing_mm=3,4"]}
@@ -31,7 +31,7 @@ def _measured(value: float | str):
     return value if isinstance(value, str) else {"chosen_median_mm": value}
 
 
-def test_ratios_and_marks(recorded):
+def test_the_table_marks_better_and_worse_rows_with_their_ratios(recorded):
     found = compare(recorded(**MM), recorded(none=4.3, icp=1.2, filterreg=0.25), "chosen")
     assert list(found.table) == ["object", "refiner", "grid.spacing_mm", "old_mm", "new_mm", "ratio", "change"]
     told = found.table.drop(columns=["old_mm", "new_mm"]).to_numpy().tolist()
@@ -44,14 +44,14 @@ def test_ratios_and_marks(recorded):
     assert found.versions == {}
 
 
-def test_what_is_missing_in_one_or_failed(recorded):
+def test_missing_and_failed_rows_are_marked(recorded):
     found = compare(recorded(none=4.0, icp="bad"), recorded(icp=1.0, filterreg=0.5), "chosen")
     marks = dict(zip(found.table["refiner"], found.table["change"], strict=True))
     assert marks == {"none": "only in old", "icp": "failed", "filterreg": "only in new"}
     assert found.table["ratio"].isna().all()
 
 
-def test_an_option_that_only_one_version_has_parts_nothing(recorded):
+def test_an_option_of_only_one_version_does_not_separate_rows(recorded):
     old, new = recorded(**MM), recorded(**MM)
     for row in new["rows"]:
         row["configuration"]["refiner"]["options"]["brand_new"] = 7
@@ -61,7 +61,7 @@ def test_an_option_that_only_one_version_has_parts_nothing(recorded):
     assert found.versions == {"tactile-loc": (old["versions"]["tactile-loc"], "99.0")}
 
 
-def test_rows_that_differ_by_what_the_other_version_lacks_have_no_counterpart(recorded):
+def test_rows_that_differ_only_by_a_new_option_have_no_counterpart(recorded):
     old, new = recorded(icp=1.0), recorded(icp=1.0)
     for row in new["rows"]:
         row["configuration"]["refiner"]["options"]["brand_new"] = 7
@@ -74,7 +74,7 @@ def test_rows_that_differ_by_what_the_other_version_lacks_have_no_counterpart(re
     assert set(found.table["refiner.brand_new"]) == {"7", "8", ""}
 
 
-def test_files(recorded, tmp_path):
+def test_the_comparison_is_written_as_markdown_and_csv(recorded, tmp_path):
     old, new = recorded(**MM), recorded(**{**MM, "icp": 2.0})
     for name, what in (("old", old), ("new", new)):
         (tmp_path / name).mkdir()

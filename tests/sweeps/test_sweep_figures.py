@@ -1,4 +1,4 @@
-"""The two pictures."""
+"""The two figures of a sweep."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def texts(axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
 
-def test_every_combination_is_a_numbered_point_with_a_name(made_up):
+def test_every_combination_has_a_numbered_point_and_a_name(made_up):
     figure = draw_error_time(made_up(VALUES, measure), "chosen")
     left, right, *others = figure.axes
     assert len(others) == 2  # the other noise
@@ -53,7 +53,7 @@ def test_every_combination_is_a_numbered_point_with_a_name(made_up):
     assert left.get_title() == "noise: none"
 
 
-def test_a_panel_for_each_slot_that_varies(made_up):
+def test_each_varying_slot_has_a_panel(made_up):
     figure = draw_effects(made_up(VALUES, measure), "chosen")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["encoder", "refiner"]
     assert [t.get_text() for t in figure.axes[1].get_yticklabels()] == ["none", "icp", "filterreg"]
@@ -62,7 +62,7 @@ def test_a_panel_for_each_slot_that_varies(made_up):
     assert np.prod(refiner) == pytest.approx(1, abs=0.03)
 
 
-def test_nothing_is_drawn_of_nothing(made_up):
+def test_a_sweep_without_varying_results_has_no_figures(made_up):
     assert (
         draw_effects(made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "total_ms": 1.0}), "chosen")
         is None
@@ -79,12 +79,12 @@ def test_numbers_are_written_in_ranges(numbers, text):
     assert write_ranges(numbers) == text
 
 
-def test_points_that_coincide_share_a_label():
+def test_coincident_points_share_a_label():
     labels = place_labels(np.array([[0, 0], [200, 5], [1.0, 1.0]]), [4, 5, 6])
     assert [(one.text, one.members) for one in labels] == [("4, 6", (0, 2)), ("5", (1,))]
 
 
-def test_labels_do_not_cover_one_another():
+def test_labels_do_not_overlap():
     places = np.array([[10.0 * i, 0.0] for i in range(4)])
     boxes = []
     for label in place_labels(places, [11, 12, 13, 14]):
@@ -116,17 +116,17 @@ def product(one) -> dict[str, float]:
     }
 
 
-def test_effects_are_the_factors_wherever_the_model_is_a_product(made_up):
+def test_effects_equal_the_factors_of_a_product(made_up):
     found = compute_effects(made_up(FACTORS, product), "chosen")
     assert set(found) == {"encoder", "refiner"}
     refiners = {name: np.exp(logs) for name, logs in found["refiner"].items()}
-    mean = 2.0 ** (1 / 3)  # of 4, 1 and 0.5
+    mean = 2.0 ** (1 / 3)  # geometric mean of 4, 1 and 0.5
     for name, ratios in refiners.items():
         assert ratios == pytest.approx(np.full(8, BASE_MM[name] / mean))
     assert np.exp(found["encoder"]["pixel cells=12"]) == pytest.approx(np.full(12, np.sqrt(2)))
 
 
-def test_a_failure_takes_its_group_out_of_the_effect(made_up):
+def test_a_failure_removes_its_group_from_the_effect(made_up):
     def failing(one):
         return "bad" if one.object == "head" and one.config.refiner.name == "icp" else product(one)
 
@@ -144,7 +144,7 @@ def test_points_are_geometric_means_over_objects(made_up):
     assert len(list_points(sweep, "chosen", "none")) == 6
 
 
-def test_a_point_needs_all_objects(made_up):
+def test_a_point_needs_results_of_all_objects(made_up):
     sweep = made_up(
         FACTORS, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
     )
@@ -159,7 +159,7 @@ def test_cells_are_means_over_seeds(made_up):
     assert set(zip(found["error_mm"], found["time_ms"], strict=True)) == {(1.0, 20.0), (1.0, 80.0)}
 
 
-def test_the_front_holds_what_nothing_beats():
+def test_the_pareto_front_holds_the_points_that_no_point_beats():
     found = [Point(str(i), (i,), error, time) for i, (time, error) in enumerate(
         [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
     )]  # fmt: skip
@@ -169,7 +169,7 @@ def test_the_front_holds_what_nothing_beats():
         assert (p in find_pareto_front(found)) != beaten
 
 
-def test_lines_are_the_protocols():
+def test_only_lines_of_the_protocol_are_accepted():
     assert require_line("reg-1") == "reg-1"
     with pytest.raises(ConfigError, match=naming("'best1'", "'best-1'")):
         require_line("best1")

@@ -1,4 +1,4 @@
-"""A plan: the values of a sweep, and errors."""
+"""A plan: the values of a sweep, and its error messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def names(plan: Plan, slot: str) -> list[str]:
     return [chosen.name for chosen in plan.slots[slot]]
 
 
-def test_an_empty_plan_is_an_evaluation_of_the_defaults():
+def test_an_empty_plan_evaluates_the_defaults():
     plan = Plan.from_values({})
     assert [one.path for one in plan.objects] == list(DEMO_OBJECTS)
     assert {slot: names(plan, slot) for slot in plan.slots} == {
@@ -35,19 +35,19 @@ def test_an_empty_plan_is_an_evaluation_of_the_defaults():
     assert (plan.noises, plan.seeds, plan.count) == (("strong",), (0,), 150)
 
 
-def test_values_stand_alone_or_in_lists_and_repetitions_vanish():
+def test_values_may_be_single_or_lists_and_duplicates_are_removed():
     plan = Plan.from_values({"object": "pin", "refiner": ["none", "icp", "none"], "seed": [1, "1", 2], "noise": "mild"})
     assert names(plan, "refiner") == ["none", "icp"]
     assert (plan.seeds, plan.noises) == ((1, 2), ("mild",))
 
 
-def test_a_component_may_bring_options():
+def test_a_component_may_have_options():
     plan = Plan.from_values({"refiner": ["none", {"name": "icp", "max_iterations": 7}, "icp"]})
     assert names(plan, "refiner") == ["none", "icp", "icp"]
     assert [one.options.get("max_iterations") for one in plan.slots["refiner"]] == [None, 7, 20]
 
 
-def test_an_option_goes_to_the_components_that_have_it():
+def test_an_option_applies_to_the_components_that_have_it():
     plan = Plan.from_values({"refiner": ["none", "icp", "render"], "option": ["refiner.moving_points=100,200"]})
     found = [(one.name, one.options.get("moving_points")) for one in plan.slots["refiner"]]
     has = "moving_points" in plan.slots["refiner"][-1].options
@@ -61,12 +61,12 @@ def test_options_of_several_slots_multiply():
     assert [one.options["cells"] for one in plan.slots["encoder"]] == [9]
 
 
-def test_a_value_that_is_the_default_is_the_same_choice():
+def test_a_default_value_gives_no_new_choice():
     plan = Plan.from_values({"encoder": ["pixel", {"name": "pixel", "cells": 20}]})
     assert len(plan.slots["encoder"]) == 1
 
 
-def test_options_of_a_file_are_a_table(tmp_path):
+def test_a_plan_file_has_a_table_of_options(tmp_path):
     path = tmp_path / "sweep.toml"
     path.write_text(
         'object = ["pin", { path = "part.stl", units = "mm" }]\nseed = [0, 1]\n'
@@ -76,7 +76,7 @@ def test_options_of_a_file_are_a_table(tmp_path):
     assert [one.options["spacing_mm"] for one in plan.slots["grid"]] == [3.0, 4.0]
     assert plan.slots["encoder"][0].options["cells"] == 12
     assert (plan.objects[0].path, plan.objects[1].units) == ("pin", "mm")
-    assert plan.objects[1].path == str(Path("part.stl").absolute())  # workers may run elsewhere
+    assert plan.objects[1].path == str(Path("part.stl").absolute())  # workers may run in another folder
 
 
 def test_a_sensor_may_be_a_file_or_a_folder(tmp_path, flat_sensor, monkeypatch):
@@ -86,7 +86,7 @@ def test_a_sensor_may_be_a_file_or_a_folder(tmp_path, flat_sensor, monkeypatch):
     assert plan.slots["sensor"][1].options == {"path": str(flat_sensor)}
 
 
-def test_what_is_described_can_be_planned_again():
+def test_the_description_of_a_plan_gives_the_same_plan():
     plan = Plan.from_values(
         {"object": ["pin"], "refiner": ["none", "icp"], "seed": 3, "shape_px": 32, "drawing": "paper"}
     )
@@ -126,14 +126,14 @@ def test_what_is_described_can_be_planned_again():
         ({"drawing": "papre"}, "drawing"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(values, said):
+def test_a_wrong_plan_gives_a_one_sentence_error(values, said):
     kind = UnknownPluginError if values == {"refiner": "ipc"} else ConfigError
     with pytest.raises(kind, match=naming(said)) as caught:
         Plan.from_values(values, "sweep.toml")
     assert "\n" not in str(caught.value)
 
 
-def test_the_file_is_named(tmp_path):
+def test_an_error_names_the_plan_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text("colour = 3")
     with pytest.raises(ConfigError, match=naming("mine.toml", "'colour'", "'count'")):
@@ -153,7 +153,7 @@ def test_an_option_varies_only_within_a_component():
     assert find_varied_options(choices[::2]) == []
 
 
-def test_a_label_says_what_varies():
+def test_a_label_holds_the_varying_options():
     assert name_choice(choice("icp", rounds=3, points=9), ["rounds"]) == "icp rounds=3"
     assert (
         name_choice(choice("face", spacing_mm=4.0, face="auto"), ["spacing_mm", "face"])
@@ -178,7 +178,7 @@ def test_a_label_says_what_varies():
         ("", []),
     ],
 )
-def test_values_are_parted_at_commas_but_not_within_brackets_or_quotes(text, parts):
+def test_values_are_split_at_commas_outside_brackets_and_quotes(text, parts):
     assert split_values(text) == parts
 
 
@@ -186,7 +186,7 @@ def test_a_flag_may_be_repeated():
     assert split_all(["none,icp", "render"]) == ["none", "icp", "render"]
 
 
-def test_words_of_one_option_add_up():
+def test_repeated_options_add_their_values():
     words = ["grid.spacing_mm=3,4.5", "encoder.signal=depth", "grid.spacing_mm=6", "grid.face='auto'"]
     assert read_options(words, "here") == {
         "grid": {"spacing_mm": [3, 4.5, 6], "face": ["auto"]},
@@ -194,7 +194,7 @@ def test_words_of_one_option_add_up():
     }
 
 
-def test_options_of_the_command_line_replace_the_files():
+def test_options_of_the_command_line_replace_those_of_the_file():
     file = read_options({"grid": {"spacing_mm": [3, 4], "face": "auto"}}, "file")
     assert merge_options(file, read_options(["grid.spacing_mm=9"], "line")) == {
         "grid": {"spacing_mm": [9], "face": ["auto"]}

@@ -18,7 +18,7 @@ def measure(one):
     return {"chosen_median_mm": base * (1 if one.config.touch.noise == "none" else 2)}
 
 
-def test_a_table_for_each_noise_with_the_best_of_each_column_in_bold(made_up):
+def test_each_noise_has_a_table_with_the_best_values_in_bold(made_up):
     text = format_summary(
         made_up({"object": ["pin", "head"], "refiner": ["none", "icp"], "noise": ["none", "mild"]}, measure), "chosen"
     )
@@ -31,7 +31,7 @@ def test_a_table_for_each_noise_with_the_best_of_each_column_in_bold(made_up):
     assert not missing(text, "gelslim", "heightmap", "face", "pixel", "dense", "product")
 
 
-def test_failures_are_shown_with_their_errors(made_up):
+def test_failed_rows_show_their_errors(made_up):
     sweep = made_up(
         {"object": ["pin", "head"], "refiner": ["none", "icp"]},
         lambda one: (
@@ -46,14 +46,14 @@ def test_failures_are_shown_with_their_errors(made_up):
     )
 
 
-def test_where_nothing_varies_the_components_are_named(made_up):
+def test_a_sweep_without_variation_names_its_components(made_up):
     assert "| pixel + joint | **1.00** |" in format_summary(
         made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0}), "chosen"
     )
 
 
 @pytest.mark.parametrize("rows", [[], [{}], [{"configuration": {}}], 3, [[]], ["\ud800"]])
-def test_a_table_that_is_none(tmp_path, rows):
+def test_an_invalid_sweep_file_is_refused(tmp_path, rows):
     (tmp_path / "sweep.json").write_text(json.dumps({"rows": rows, "versions": {}}))
     with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json")):
         read_sweep(tmp_path)

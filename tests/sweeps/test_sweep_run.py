@@ -32,7 +32,7 @@ distributed = pytest.importorskip("distributed")
 
 
 class Watched(Progress):
-    """Remembers what was shown."""
+    """Records the notes that were shown."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -42,10 +42,10 @@ class Watched(Progress):
 
 
 class Nobody:
-    """Workers that must not be asked for anything."""
+    """Workers that must get no job."""
 
     def run_jobs(self, jobs, objects):
-        raise AssertionError(f"{len(jobs)} jobs are done again")
+        raise AssertionError(f"{len(jobs)} jobs were run again")
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def lasting(rows: list[Row]) -> list[Row]:
 
 
 @pytest.mark.slow
-def test_both_give_the_same_table(locally, on_dask):
+def test_local_processes_and_dask_give_the_same_table(locally, on_dask):
     assert lasting(locally.rows) == lasting(on_dask.rows)
     assert [row["error"] for row in locally.rows] == [""] * 4
 
@@ -103,10 +103,12 @@ def test_every_stage_is_built_once(which, request, folder):
     }  # fmt: skip
     assert list((store.root / JOURNALS).iterdir()) == []
     seconds = [row["model_s"] for row in swept.rows]
-    assert sum(s > 0 for s in seconds) >= 2  # the first of each object; another may have built a part beside it
+    assert (
+        sum(s > 0 for s in seconds) >= 2
+    )  # the first row of each object; another row may build a part at the same time
 
 
-def test_a_row_is_what_the_protocol_says(locally, tmp_path):
+def test_a_row_holds_the_values_of_the_protocol(locally, tmp_path):
     one, row = locally.combinations[3], locally.rows[3]
     localizer = Localizer(one.config, load_object("head"), StageStore(tmp_path))
     found = evaluate(localizer, 4, SimulatedTouches("strong", 0, False))
@@ -117,7 +119,7 @@ def test_a_row_is_what_the_protocol_says(locally, tmp_path):
     assert row["total_ms"] >= row["match_ms"] > 0
 
 
-def test_what_a_killed_sweep_was_writing_goes(plan, locally, folder):
+def test_partial_files_of_a_killed_sweep_are_removed(plan, locally, folder):
     before = sorted(path.name for path in (folder / "local/rows").iterdir())
     for left in (folder / "local/rows" / f".tmp-new-{before[0]}", folder / "local/errors/.tmp-new-x.txt"):
         left.mkdir(parents=True)
@@ -126,13 +128,13 @@ def test_what_a_killed_sweep_was_writing_goes(plan, locally, folder):
     assert not list((folder / "local/errors").iterdir())
 
 
-def test_the_same_sweep_does_nothing_again(plan, locally, folder):
+def test_a_finished_sweep_repeats_nothing(plan, locally, folder):
     again = run_sweep(plan, folder / "local", folder / "elsewhere", Nobody())
     assert again.rows == locally.rows
     assert again.done == 0
 
 
-def test_only_what_is_missing_is_done(plan, locally, folder):
+def test_only_missing_rows_are_computed(plan, locally, folder):
     gone = locally.combinations[2]
     path = folder / "local" / "rows" / f"{gone.key}.json"
     path.unlink()
@@ -145,7 +147,7 @@ def test_only_what_is_missing_is_done(plan, locally, folder):
     assert again.rows[2]["model_s"] == 0
 
 
-def test_a_larger_plan_uses_the_rows_of_a_smaller_one(locally, folder, tiny):
+def test_a_larger_plan_reuses_the_rows_of_a_smaller_plan(locally, folder, tiny):
     smaller = Plan.from_values(
         {**tiny, "object": "pin", "encoder": {"name": "pixel", "cells": 12}, "refiner": ["filterreg"]}
     )
@@ -153,7 +155,7 @@ def test_a_larger_plan_uses_the_rows_of_a_smaller_one(locally, folder, tiny):
     assert found.rows[0]["reg-1_median_mm"] == locally.rows[1]["reg-1_median_mm"]
 
 
-def test_what_is_written(locally, folder):
+def test_a_sweep_writes_its_tables_and_figures(locally, folder):
     written = write_sweep(folder / "written", locally, "reg-1")
     assert [path.name for path in written] == [
         "sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png",
@@ -175,20 +177,20 @@ def test_what_is_written(locally, folder):
         assert path.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(plan, tmp_path):
+def test_an_unwritable_folder_is_refused_before_the_run(plan, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=naming(tmp_path / "file", "--out")):
         run_sweep(plan, tmp_path / "file", tmp_path, Nobody())
 
 
 @pytest.mark.parametrize("where", ["nowhere", "tcp://127.0.0.1:1"])
-def test_a_cluster_that_is_not_there(plan, tmp_path, where, monkeypatch):
+def test_a_missing_cluster_gives_an_error(plan, tmp_path, where, monkeypatch):
     monkeypatch.setattr("tactile_loc.sweeps.workers.CONNECT_S", 1)
     with pytest.raises(ClusterError, match=naming("Dask", where)):
         run_sweep(plan, tmp_path, tmp_path, DaskWorkers(where))
 
 
-def test_without_dask_it_says_what_to_install(plan, tmp_path, monkeypatch):
+def test_a_missing_dask_gives_an_error_with_the_package_to_install(plan, tmp_path, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "distributed", None)
@@ -196,7 +198,7 @@ def test_without_dask_it_says_what_to_install(plan, tmp_path, monkeypatch):
         run_sweep(plan, tmp_path, tmp_path, DaskWorkers("tcp://127.0.0.1:1"))
 
 
-def test_a_row_is_kept_and_found(tmp_path):
+def test_a_row_is_stored_and_read_back(tmp_path):
     (one,), _ = combine(Plan.from_values({"object": "pin", "noise": "mild"}))
     kept = FinishedRows(tmp_path / "out")
     assert kept.read(one.key) is None
@@ -209,7 +211,7 @@ def test_a_row_is_kept_and_found(tmp_path):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["rows"]
 
 
-def test_a_traceback_lies_beside_and_goes_when_it_succeeds(tmp_path):
+def test_a_traceback_is_stored_and_removed_after_a_success(tmp_path):
     (one,), _ = combine(Plan.from_values({"object": "pin"}))
     kept = FinishedRows(tmp_path)
     kept.write(one, Outcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"))
@@ -220,7 +222,7 @@ def test_a_traceback_lies_beside_and_goes_when_it_succeeds(tmp_path):
     assert not trace.exists()
 
 
-def test_a_row_that_cannot_be_read_counts_as_none(tmp_path):
+def test_an_unreadable_row_counts_as_missing(tmp_path):
     kept = FinishedRows(tmp_path)
     (tmp_path / "rows").mkdir()
     for text in ("", "{", "[]", '{"key": "k"}'):

@@ -1,4 +1,4 @@
-"""The table: its columns, and that CSV and Parquet say the same."""
+"""The table has the right columns, and CSV and Parquet hold the same values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rows(made_up):
     return sweep.rows
 
 
-def test_columns_begin_with_what_a_row_is_and_end_with_the_moment(rows):
+def test_columns_begin_with_the_inputs_and_end_with_times_and_builds(rows):
     columns = list(rows[0])
     assert columns[:11] == ["object", *SLOTS, "noise", "seed", "count"]
     assert columns[11:16] == [*VARIED, "grid_poses"]
@@ -49,7 +49,7 @@ def test_columns_begin_with_what_a_row_is_and_end_with_the_moment(rows):
     assert MOMENTARY == ("encode_ms", "match_ms", "fuse_ms", "refine_ms", "total_ms", "model_s", "built")
 
 
-def test_rows_stand_in_the_plans_order_and_lack_what_does_not_apply(rows):
+def test_rows_follow_the_order_of_the_plan_and_omit_inapplicable_values(rows):
     assert len(rows) == 2 * 2 * 2 * 3
     assert [row["object"] for row in rows] == ["pin"] * 12 + ["head"] * 12
     assert [(row["refiner"], row["refiner.walls"]) for row in rows[:3]] == [
@@ -62,13 +62,13 @@ def test_rows_stand_in_the_plans_order_and_lack_what_does_not_apply(rows):
     assert all(row["chosen_median_mm"] is None and row["key"] for row in failed)
 
 
-def test_the_table_says_what_the_rows_say(rows):
+def test_the_table_holds_the_values_of_the_rows(rows):
     table = make_table(rows)
     assert list(table) == list(rows[0])
     assert [{k: None if pd.isna(v) else v for k, v in row.items()} for row in table.to_dict("records")] == rows
 
 
-def test_csv_holds_all_digits_and_nothing_where_there_is_nothing(rows, tmp_path):
+def test_csv_holds_all_digits_and_leaves_missing_values_empty(rows, tmp_path):
     path = tmp_path / "sweep.csv"
     path.write_text(format_csv(make_table(rows)), encoding="utf-8")
     with path.open(encoding="utf-8", newline="") as file:
@@ -84,7 +84,7 @@ def test_csv_holds_all_digits_and_nothing_where_there_is_nothing(rows, tmp_path)
                 assert isinstance(json.loads(text), type(value))
 
 
-def test_parquet_round_trip_and_types(rows, tmp_path):
+def test_parquet_is_read_back_with_its_types(rows, tmp_path):
     from pyarrow import parquet
 
     path = write_parquet(tmp_path / "sweep.parquet", make_table(rows))
@@ -96,14 +96,14 @@ def test_parquet_round_trip_and_types(rows, tmp_path):
     assert json.loads(table.to_pylist()[0]["built"])[0].startswith("grid ")
 
 
-def test_types_do_not_depend_on_whether_anything_succeeded(rows):
+def test_column_types_do_not_depend_on_failures(rows):
     failed = [row for row in rows if row["error"]]
     table = make_table(failed)
     assert (table["best-1_median_mm"].dtype, table["grid_poses"].dtype) == ("float64", "Int64")
 
 
 @pytest.mark.parametrize("library", ["pandas", "pyarrow"])
-def test_without_its_libraries_it_says_what_to_install(monkeypatch, library):
+def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[sweep]'")):
         require_tables()

@@ -68,7 +68,7 @@ def errors(swept: Sweep) -> dict[tuple[str, str], str]:
     return {(row["object"], row["refiner"]): row["error"] for row in swept.rows}
 
 
-def test_a_combination_that_fails_is_a_row_and_tried_again(tiny, folder, tmp_path):
+def test_a_failed_combination_has_a_row_and_is_tried_again(tiny, folder, tmp_path):
     refiners = ["none", "raising", "grumbling", "telling"]
     swept = sweep(tiny, refiners, tmp_path, folder / "store")
     assert swept.failed == 6
@@ -76,7 +76,7 @@ def test_a_combination_that_fails_is_a_row_and_tried_again(tiny, folder, tmp_pat
         assert errors(swept)[name, "none"] == ""
         assert errors(swept)[name, "raising"] == "ValueError: nothing works at all"
         assert errors(swept)[name, "grumbling"] == "this touch cannot be refined; take another"
-        assert errors(swept)[name, "telling"] == "ValueError: 3 3 3 3"  # the threads that were asked for
+        assert errors(swept)[name, "telling"] == "ValueError: 3 3 3 3"  # the requested number of threads
     traces = {path.stem: path.read_text() for path in (tmp_path / "errors").iterdir()}
     assert set(traces) == {row["key"] for row in swept.rows if "ValueError" in row["error"]}
     assert all("sweep_faults_parts.py" in text for text in traces.values())
@@ -84,7 +84,7 @@ def test_a_combination_that_fails_is_a_row_and_tried_again(tiny, folder, tmp_pat
     assert again.done == 6
 
 
-def test_a_local_worker_that_is_killed_costs_only_time(tiny, folder, tmp_path):
+def test_a_killed_local_worker_costs_only_time(tiny, folder, tmp_path):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally")}
     swept = sweep(tiny, ["none", lethal], tmp_path / "out", tmp_path / "store")
     assert (tmp_path / "tally").read_text() == "x"
@@ -95,7 +95,7 @@ def test_a_local_worker_that_is_killed_costs_only_time(tiny, folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tmp_path):
+def test_a_job_that_always_kills_its_worker_has_a_row_with_an_error(tiny, folder, tmp_path):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}
     swept = sweep(tiny, ["none", lethal, "raising"], tmp_path / "out", folder / "store", objects=["pin"])
     assert len((tmp_path / "tally").read_text()) == 2 * 2  # twice among the others, and twice alone
@@ -105,7 +105,7 @@ def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tm
     assert "signal 9" in (tmp_path / "out" / "workers.log").read_text()
 
 
-def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
+def test_stages_built_by_a_killed_worker_are_counted(tiny, tmp_path):
     plan = Plan.from_values({**tiny, "object": "pin", "refiner": "none", "count": 1})
     combinations, objects = combine(plan)
     (one,) = combinations
@@ -116,20 +116,20 @@ def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
     outcome = evaluate_job(job, objects["pin"])
     assert outcome.built[0] == "grid 0123456789abcdef"
     assert outcome.built[1].startswith("grid ")
-    assert evaluate_job(job, objects["pin"]).built == outcome.built, "as where its worker died before it was asked"
+    assert evaluate_job(job, objects["pin"]).built == outcome.built, "a second attempt counts the same stages"
     FinishedRows(tmp_path / "out").write(one, outcome)
     run_sweep(plan, tmp_path / "out", tmp_path / "store", LocalWorkers(1, 1, tmp_path / "workers.log"))
     assert list(journal.parent.iterdir()) == []
 
 
-def test_a_worker_with_other_versions_refuses(tiny, tmp_path):
+def test_a_worker_with_other_versions_refuses_the_job(tiny, tmp_path):
     (one,), objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "none"}))
     outcome = evaluate_job(Job("0" * 16, one.config, one.count, tmp_path), objects["pin"])
     assert "versions" in outcome.error
     assert not outcome.trace
 
 
-def test_a_refiner_that_is_not_there_is_refused_before_anything_runs(tiny, tmp_path):
+def test_a_missing_refiner_is_refused_before_the_run(tiny, tmp_path):
     with pytest.raises(UnknownPluginError, match=naming("'raisin'", "'raising'")):
         sweep(tiny, ["none", "raisin"], tmp_path / "out", tmp_path / "store")
     assert not (tmp_path / "out").exists()
@@ -143,7 +143,7 @@ def cluster(faults):
         yield cluster
 
 
-def test_a_dask_worker_that_is_killed_costs_only_time(tiny, tmp_path, cluster):
+def test_a_killed_dask_worker_costs_only_time(tiny, tmp_path, cluster):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally")}
     workers = DaskWorkers(cluster.scheduler_address)
     swept = sweep(tiny, ["none", lethal, "raising"], tmp_path / "out", tmp_path / "store", workers)
@@ -155,7 +155,7 @@ def test_a_dask_worker_that_is_killed_costs_only_time(tiny, tmp_path, cluster):
     assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
 
 
-def test_what_kills_dask_workers_every_time_takes_nobody_with_it(tiny, folder, tmp_path, cluster, monkeypatch):
+def test_a_job_that_always_kills_its_dask_worker_affects_no_other_job(tiny, folder, tmp_path, cluster, monkeypatch):
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)  # the first death is enough, for neighbours as well
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}
     swept = sweep(tiny, [lethal, "none"], tmp_path / "out", folder / "store", DaskWorkers(cluster.scheduler_address))
@@ -165,7 +165,7 @@ def test_what_kills_dask_workers_every_time_takes_nobody_with_it(tiny, folder, t
 
 
 def evaluation(**posterior_metrics: float) -> Evaluation:
-    """Three touches: line l is l + 1 mm off, twice and four times as much; random poses 20 mm on average."""
+    """Three touches: the errors of line l are 1, 2 and 4 times l + 1 mm; random poses err by 20 mm on average."""
     errors_m = 1e-3 * np.arange(1, len(LINES) + 1)[None, :, None] * np.array([1, 2, 4])[:, None, None]
     errors_m = np.repeat(errors_m, len(METRICS), axis=2)
     errors_m[:, LINES.index("random")] = np.array([10e-3, 20e-3, 30e-3])[:, None]
@@ -175,7 +175,7 @@ def evaluation(**posterior_metrics: float) -> Evaluation:
     return Evaluation(errors_m, poses, seconds, np.array(rows), ones, ones, np.zeros(3, int))
 
 
-def test_errors_in_mm_and_as_shares_and_times_in_ms():
+def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
     found = summarise(evaluation(), 7)
     assert set(found) == {"grid_poses", *ERRORS, *COVERAGES, "nll_nats", *TIMES}
     line = LINES.index("reg-1") + 1
@@ -189,7 +189,7 @@ def test_errors_in_mm_and_as_shares_and_times_in_ms():
     assert (found["nll_nats"], found["grid_poses"]) == (0.4, 7)
 
 
-def test_what_is_not_finite_has_no_value():
+def test_infinite_values_are_missing():
     found = summarise(evaluation(nll=np.inf, credible_level=0.9), 7)
     assert found["nll_nats"] is None
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [0, 0, 1]

@@ -1,4 +1,4 @@
-"""Identification: the right object, none if it is left out, in any order; a single object as located alone."""
+"""Identification finds the right object in any order, rejects an unknown one, and locates a single one."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def library(models) -> Library:
 
 
 @pytest.mark.parametrize("name", list(solids()))
-def test_touches_tell_which_object_they_are_of(library, touches, name):
+def test_touches_identify_their_object(library, touches, name):
     said = identify(touches[name], library, null=CLEAN)
     assert said.best is not None
     assert said.best.name == name
@@ -67,32 +67,32 @@ def test_touches_tell_which_object_they_are_of(library, touches, name):
 
 
 @pytest.mark.parametrize("name", list(solids()))
-def test_an_object_that_is_left_out_is_rejected(models, touches, name):
+def test_touches_of_an_unknown_object_are_rejected(models, touches, name):
     said = identify(touches[name], [model for model in models if model.object.name != name], null=CLEAN)
     assert said.best is None
     assert said.none > 0.5
 
 
-def test_the_order_of_objects_changes_nothing(models, touches):
+def test_the_order_of_objects_does_not_matter(models, touches):
     one, other = (identify(touches["ring"][:1], some) for some in (models, models[::-1]))
     assert [o.name for o in one.objects] == [o.name for o in other.objects]
     assert [o.probability for o in one.objects] == [o.probability for o in other.objects]
 
 
-def test_a_single_object_is_where_it_would_be_located(models, touches):
+def test_a_single_object_has_the_result_of_a_localisation(models, touches):
     said = identify(touches["plate"], models[:1])
     alone = localize_together([(models[0], touch) for touch in touches["plate"]])
     assert np.array_equal(said.objects[0].found.best.T_sensor_object, alone.best.T_sensor_object)
 
 
-def test_only_those_that_explain_most_roughly_are_located(library, touches):
+def test_only_the_object_with_the_best_rough_fit_is_located(library, touches):
     said = identify(touches["ring"], library, located=1)
     located = [one for one in said.objects if one.found is not None]
     assert [one.rough_iou for one in located] == [max(one.rough_iou for one in said.objects)]
     assert {one.probability for one in said.objects if one.found is None} == {0.0}
 
 
-def test_only_those_most_alike_at_a_glance_are_looked_into(library, touches, monkeypatch):
+def test_only_the_most_similar_object_gets_a_rough_fit(library, touches, monkeypatch):
     monkeypatch.setattr("tactile_loc.tasks.identify.LOOKED_INTO", 1)
     said = identify(touches["ring"], library, located=1)
     looked_into = [one for one in said.objects if one.rough_iou > 0]
@@ -100,7 +100,7 @@ def test_only_those_most_alike_at_a_glance_are_looked_into(library, touches, mon
 
 
 @pytest.mark.parametrize("name", list(solids()))
-def test_noisy_touches_are_explained_best_by_their_own_object(library, name):
+def test_noisy_touches_fit_their_own_object_best(library, name):
     own = library.names.index(name)
     model = library.models[own]
     source = RobotTouches(model.object, model.scene.geometry, RaycastRenderer(), (0.7, 0.9), noise=NOISE["mild"])
@@ -111,7 +111,7 @@ def test_noisy_touches_are_explained_best_by_their_own_object(library, name):
     assert 0.5 < rough[own] <= 1
 
 
-def test_a_glance_proposes_poses_near_the_true_one(library, touches):
+def test_a_glance_proposes_poses_near_the_true_pose(library, touches):
     for k, model in enumerate(library.models):
         touch = touches[model.object.name][0]
         poses = library.glance(touch).poses(k, library.searches[k], 300)
@@ -120,13 +120,13 @@ def test_a_glance_proposes_poses_near_the_true_one(library, touches):
         assert PoseMetric(model.object).symmetric_distance(poses, true).min() < 4e-3
 
 
-def test_several_touches_need_the_sensors_poses(library, touches):
+def test_several_touches_need_the_poses_of_their_sensors(library, touches):
     lost = [dataclasses.replace(touch, T_base_sensor=None) for touch in touches["ring"]]
     with pytest.raises(ConfigError, match=naming("touch 1", "T_base_sensor")):
         identify(lost, library)
 
 
-def test_a_pose_that_explains_all_falls_short_by_nothing(models, touches):
+def test_a_pose_that_explains_the_whole_touch_has_no_misfit(models, touches):
     touch = touches["plate"][0]
     found = models[0].localize(touch)
     exact = dataclasses.replace(found.best.refined, T_sensor_object=np.asarray(touch.T_sensor_object))
@@ -137,7 +137,7 @@ def test_a_pose_that_explains_all_falls_short_by_nothing(models, touches):
     assert measure_misfit(models[0], dataclasses.replace(found, hypotheses=(wrong,))) > 0.5
 
 
-def test_none_of_these_is_as_one_object_more():
+def test_the_null_hypothesis_counts_like_one_more_object():
     null = NullEvidence(alone=1.0, together=2.0, temperature=0.5)
     p, none = null.probabilities(np.array([4.0, np.inf]), touches=2)
     assert p.tolist() == pytest.approx([0.5, 0.0])
@@ -147,10 +147,10 @@ def test_none_of_these_is_as_one_object_more():
     assert (p.tolist(), none) == ([0.0, 0.0], 1.0)
 
 
-def test_the_null_evidence_is_fitted_to_what_tells_known_from_left_out():
+def test_the_null_evidence_is_fitted_to_known_and_unknown_objects():
     rng = np.random.default_rng(0)
     answers = []
-    for touches, nats in ((1, 3.0), (2, 16.0)):  # strangers fall short by as much on the mean
+    for touches, nats in ((1, 3.0), (2, 16.0)):  # the mean misfit of unknown objects
         own, other = rng.uniform(0, 0.2, (20, 1)) * nats, rng.uniform(0.7, 1.3, (20, 3)) * nats
         answers += [KnownAnswer(s, 0, touches) for s in np.concatenate([own, other], axis=1)]
         answers += [KnownAnswer(s, -1, touches) for s in other]
@@ -161,7 +161,7 @@ def test_the_null_evidence_is_fitted_to_what_tells_known_from_left_out():
     assert all(null.probabilities(answer.misfits, answer.touches)[1] > 0.5 for answer in left_out)
 
 
-def test_a_full_store_makes_no_object_unlikely(monkeypatch):
+def test_a_full_store_is_an_error_and_not_a_misfit(monkeypatch):
     def full(*_: object) -> None:
         raise StoreError("full")
 
@@ -170,7 +170,7 @@ def test_a_full_store_makes_no_object_unlikely(monkeypatch):
         module._locate(None, [])
 
 
-def test_what_cannot_be_identified_is_refused(models, touches, library):
+def test_invalid_touches_and_libraries_are_refused(models, touches, library):
     with pytest.raises(ObjectError):
         identify(touches["plate"], [])
     with pytest.raises(ObjectError, match=naming("'pin'", "Localizer.create")):

@@ -35,7 +35,7 @@ def frames_of(folder: Path, *touches: Touch | None) -> list[SourceFrame]:
     return list(ImageFolder(folder, every=True).read_frames())
 
 
-def test_a_frame_is_located_as_its_touch_is(localizer, touch, tmp_path):
+def test_a_frame_is_located_like_its_touch(localizer, touch, tmp_path):
     (frame,) = frames_of(tmp_path / "in", touch)
     result = LiveLocator(localizer).locate(frame, dropped=4)
     expected = localizer.localize(touch)
@@ -49,7 +49,7 @@ def test_a_frame_is_located_as_its_touch_is(localizer, touch, tmp_path):
     assert len(result.located.T_sensor_object_modes) == len(result.located.probabilities) > 1
 
 
-def test_no_contact_is_said_and_what_cannot_be_read_is_refused(localizer, touch, tmp_path):
+def test_frames_without_contact_are_reported_and_unreadable_frames_refused(localizer, touch, tmp_path):
     frames = frames_of(tmp_path / "in", touch, None)
     damaged = replace(frames[0], problem=TouchError("it is\ndamaged"))
     wrong = SourceFrame(3, 0.0, "photo", np.zeros((200, 200, 3), np.uint8))
@@ -67,7 +67,7 @@ def test_no_contact_is_said_and_what_cannot_be_read_is_refused(localizer, touch,
     assert {reason for reason, _ in summary.reasons} == {records[2].says, records[3].says}
 
 
-def test_a_touch_that_fits_nowhere_is_not_found_and_says_why(localizer, touch, tmp_path, monkeypatch):
+def test_a_touch_that_fits_no_pose_is_not_found_with_a_reason(localizer, touch, tmp_path, monkeypatch):
     def fail(self, touch):
         raise GridError("no pose explains the touch")
 
@@ -81,15 +81,15 @@ def test_a_touch_that_fits_nowhere_is_not_found_and_says_why(localizer, touch, t
     assert summary.reasons == (("no pose explains the touch", 1),)
 
 
-def test_the_rate_is_that_of_the_last_frames(localizer, tmp_path, monkeypatch):
+def test_the_rate_is_the_rate_of_the_last_frames(localizer, tmp_path, monkeypatch):
     (frame,) = frames_of(tmp_path / "in", None)
-    clock = iter(np.arange(0, 100, 0.05))  # each frame asks it twice
+    clock = iter(np.arange(0, 100, 0.05))  # each frame reads the clock twice
     monkeypatch.setattr("tactile_loc.tasks.live.time.perf_counter", lambda: next(clock))
     locator = LiveLocator(localizer)
     assert [locator.locate(frame).rate_hz for _ in range(3)] == pytest.approx([0, 10, 10])
 
 
-def test_at_rest_one_pose_is_tracked_and_predicted_without_contact(localizer, touch, tmp_path):
+def test_a_static_object_is_tracked_and_predicted_without_contact(localizer, touch, tmp_path):
     """The track begins at the truth, so that no search is needed."""
     tracker = Tracker(localizer)
     tracker.start(touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
@@ -108,8 +108,8 @@ def test_at_rest_one_pose_is_tracked_and_predicted_without_contact(localizer, to
     assert (without.std > results[1].record.std * 0.99).all()
 
 
-def test_a_track_goes_where_files_say_that_the_sensor_was(localizer, touch, tmp_path):
-    """The same place of the object, touched by a sensor that moved with it, is another place in the base frame."""
+def test_a_track_uses_the_sensor_poses_in_the_files(localizer, touch, tmp_path):
+    """If the sensor moves with the object, the touch stays equal and the pose in the base frame changes."""
     T = np.eye(4)
     T[:3, 3] = [0.1, 0.0, 0.2]
     (frame,) = frames_of(tmp_path / "in", replace(touch, T_base_sensor=T))

@@ -47,7 +47,7 @@ def hypotheses_of(S: np.ndarray, obj, rng: np.random.Generator) -> list[np.ndarr
 
 
 @pytest.mark.parametrize("which", ["none", "x2*y2", "zinf*x2"])
-def test_the_mount_is_found_among_wrong_hypotheses_and_up_to_symmetry(make_box, cylinder, truth, which):
+def test_the_mount_is_found_among_wrong_and_equivalent_hypotheses(make_box, cylinder, truth, which):
     obj = cylinder if which == "zinf*x2" else make_box(0.03, 0.02, 0.012, symmetry=which)
     rng, (X, Y) = np.random.default_rng(5), truth
     S = poses(COUNT, 0.02, rng)
@@ -61,7 +61,7 @@ def test_the_mount_is_found_among_wrong_hypotheses_and_up_to_symmetry(make_box, 
     assert guess.agreeing.tolist() == [k != 2 for k in range(COUNT)]
 
 
-def test_a_nominal_mount_rules_others_out(box, truth):
+def test_a_nominal_mount_excludes_other_mounts(box, truth):
     rng, (X, Y) = np.random.default_rng(5), truth
     S = poses(COUNT, 0.02, rng)
     F, hypotheses = Y @ invert(S) @ invert(X), hypotheses_of(S, box, rng)
@@ -75,7 +75,7 @@ def test_a_nominal_mount_rules_others_out(box, truth):
 
 
 class Case:
-    """Return simulated touches of the pin with given hypotheses, to test how these are used."""
+    """Return simulated touches of the pin with given hypotheses, to test the use of the hypotheses."""
 
     def __init__(self, localizer: Localizer, truth) -> None:
         rng, (self.X, self.Y) = np.random.default_rng(2), truth
@@ -121,7 +121,7 @@ def test_the_mount_is_found_and_written(case, tmp_path):
     assert [touch.left_out for touch in record.touch] == [""] * COUNT
 
 
-def test_a_wrong_touch_is_named_and_left_out(case):
+def test_a_wrong_touch_is_named_and_excluded(case):
     T = case.given.T_base_flange.copy()
     T[3] = T[3] @ make_translation([0.0, 0.006, 0.0])
     found = find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=T), Mount(case.X))
@@ -131,7 +131,7 @@ def test_a_wrong_touch_is_named_and_left_out(case):
     assert np.linalg.norm(compute_pose_errors(case.X, found.mount.T_flange_sensor)[:3]) < 5e-4
 
 
-def test_touches_that_do_not_agree_are_refused(case):
+def test_contradicting_touches_are_refused(case):
     T = case.given.T_base_flange.copy()
     T[::2, :3, 3] += 0.05 * np.random.default_rng(0).normal(size=(COUNT // 2, 3))
     T[1, :3, 3] += 0.03
@@ -155,7 +155,7 @@ def test_too_few_touches_and_poor_motions_are_named(case):
             find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=turned))
 
 
-def test_a_direction_that_is_not_determined_is_named():
+def test_an_undetermined_direction_is_named():
     known = np.diag([1e-8] * 3 + [1e-6] * 3)
     require_determined(known)
     far = known.copy()

@@ -1,4 +1,4 @@
-"""The next touch: it discriminates between poses if one can; reach and cost are respected."""
+"""The next touch distinguishes the poses if a touch can, and respects reach and cost."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def knobbed(make_box) -> ObjectModel:
 
 
 def towards(direction, beside_m: float = 0.0, **given) -> Approach:
-    """An approach along a direction, its gel's middle 50 mm before the object's origin and a little beside it."""
+    """An approach along a direction; its gel starts 50 mm before the object's origin, shifted by `beside_m`."""
     R = align_to_z(direction).T
     start = -0.05 * R[:, 2] - GEL.standoff_m * R[:, 2] + beside_m * R[:, 0]
     return Approach(make_transform(R, start), **given)
@@ -53,11 +53,11 @@ def modes_of(obj: ObjectModel, *poses: np.ndarray, p=None) -> PoseModes:
 
 
 def edge_of(direction, **given) -> Approach:
-    """The same, far enough aside that an edge of the box is on the sensor: a flat face alone is not a touch."""
+    """The same, shifted so that an edge of the box is on the sensor: a flat face alone is not a touch."""
     return towards(direction, beside_m=0.009, **given)
 
 
-def test_the_one_side_that_tells_two_poses_apart_is_chosen(knobbed):
+def test_the_side_that_distinguishes_two_poses_is_chosen(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
     sides = {"top": [0, 0, -1], "front": [0, -1, 0], "knob": [-1, 0, 0]}
     found = choose_next_touch(modes, [edge_of(direction, name=name) for name, direction in sides.items()])
@@ -69,13 +69,13 @@ def test_the_one_side_that_tells_two_poses_apart_is_chosen(knobbed):
     assert found.doubt_left == 0
 
 
-def test_how_far_a_sensor_comes_is_what_tells_where_the_knob_is(knobbed):
+def test_the_travel_of_the_sensor_locates_the_knob(knobbed):
     found = choose_next_touch(modes_of(knobbed, np.eye(4), HALF_TURN), [towards([-1, 0, 0])])
     assert np.sort(found.best.travel_m) == pytest.approx([0.027, 0.030], abs=1e-6)  # 50 mm less 23, or 20
 
 
-def test_it_is_said_that_no_touch_tells_the_poses_of_a_symmetric_object_apart(make_box):
-    box = make_box(0.04, 0.03, 0.02, symmetry="none")  # as if nobody had told
+def test_poses_that_no_touch_distinguishes_are_reported(make_box):
+    box = make_box(0.04, 0.03, 0.02, symmetry="none")  # although the box has a symmetry
     found = choose_next_touch(
         modes_of(box, np.eye(4), HALF_TURN, make_transform(np.eye(3), [0, 0, 3e-3]), p=[0.5, 0.3, 0.2]),
         [edge_of([-1, 0, 0]), edge_of([0, 0, -1])],
@@ -84,14 +84,14 @@ def test_it_is_said_that_no_touch_tells_the_poses_of_a_symmetric_object_apart(ma
     assert found.doubt_left == pytest.approx(0.3)
 
 
-def test_poses_that_differ_by_the_symmetry_are_one(make_box):
+def test_poses_that_are_equal_by_symmetry_are_merged(make_box):
     box = make_box(0.04, 0.03, 0.02, symmetry="x2*y2")
     modes = modes_of(box, np.eye(4), HALF_TURN, make_transform(np.eye(3), [0, 0, 3e-3]), p=[0.3, 0.3, 0.4])
     assert modes.probabilities.tolist() == pytest.approx([0.6, 0.4])
     assert np.allclose(modes.T_base_object[0], np.eye(4))
 
 
-def test_what_is_out_of_reach_is_never_chosen(knobbed):
+def test_an_approach_out_of_reach_is_never_chosen(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
     inside = dataclasses.replace(
         towards([-1, 0, 0]), T_base_sensor=make_transform(align_to_z([-1, 0, 0]).T, np.zeros(3))
@@ -106,7 +106,7 @@ def test_what_is_out_of_reach_is_never_chosen(knobbed):
         choose_next_touch(modes, [towards([-1, 0, 0])], cost=lambda approach: np.inf)
 
 
-def test_information_is_weighed_by_its_cost(knobbed):
+def test_information_is_divided_by_its_cost(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
     near, far = edge_of([-1, 0, 0], name="near"), edge_of([1, 0, 0], name="far")
     for cheap in (near, far):
@@ -117,14 +117,14 @@ def test_information_is_weighed_by_its_cost(knobbed):
         assert found.best.worth == pytest.approx(3 * found.ranked[1].worth, rel=0.01)
 
 
-def test_a_press_that_meets_nothing_promises_nothing(knobbed):
+def test_a_press_without_contact_has_no_information(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
     (short,) = choose_next_touch(modes, [towards([-1, 0, 0], travel_m=0.02)]).ranked
     assert (short.information, short.meets) == (0.0, 0.0)
     assert np.isnan(short.travel_m).all()
 
 
-def test_turning_everything_changes_nothing(knobbed):
+def test_a_rotation_of_the_base_does_not_change_the_choice(knobbed):
     T = make_transform(rotation_about([1, 2, 3], 1.0), [0.1, -0.2, 0.3])
     modes = modes_of(knobbed, np.eye(4), HALF_TURN, make_transform(np.eye(3), [2e-3, 0, 0]))
     moved = dataclasses.replace(modes, T_base_object=T @ modes.T_base_object)
@@ -134,7 +134,7 @@ def test_turning_everything_changes_nothing(knobbed):
     assert [r.information for r in one] == pytest.approx([r.information for r in other], abs=0.02)
 
 
-def test_the_pressed_sensor_sees_the_object_where_it_would_be(knobbed):
+def test_the_pressed_sensor_sees_the_object_at_the_predicted_pose(knobbed):
     modes, approach = modes_of(knobbed, np.eye(4)), towards([-1, 0, 0])
     scene = choose_next_touch(modes, [approach]).scene
     seen = foresee(scene, modes, [approach])
@@ -142,9 +142,9 @@ def test_the_pressed_sensor_sees_the_object_where_it_would_be(knobbed):
     assert np.allclose(seen.T_sensor_object[0, 0], invert(moved))
 
 
-def test_nats_are_those_of_the_evidence_by_which_hypotheses_are_weighed():
+def test_distances_in_nats_equal_differences_of_evidence():
     rng = np.random.default_rng(0)
-    depths = (rng.random((4, 9, 12)) * 4e-4).astype(np.float32)  # no two differ by what evidence caps
+    depths = (rng.random((4, 9, 12)) * 4e-4).astype(np.float32)  # small differences, which the evidence does not cap
     depths[rng.random(depths.shape) < 0.5] = PRESS_M
     observed = rng.random((9, 12)) < 0.9
     nats = compare_contacts(depths, PRESS_M, observed, 1e-3)
@@ -153,7 +153,7 @@ def test_nats_are_those_of_the_evidence_by_which_hypotheses_are_weighed():
         assert nats[i] == pytest.approx(evidence[i] - evidence, abs=1e-3)
 
 
-def test_expected_entropy_of_two_modes():
+def test_two_modes_have_the_known_expected_entropy():
     p, apart, none = np.array([0.25, 0.75]), np.array([[0.0, 50.0], [50.0, 0.0]]), np.zeros((2, 2))
     before = -(p * np.log(p)).sum()
     told = np.array([[True, True], [True, True], [True, False]])
@@ -161,14 +161,14 @@ def test_expected_entropy_of_two_modes():
     assert after == pytest.approx([0.0, before, 0.75 * before])
 
 
-def test_groups_are_of_those_alike_directly_or_by_others():
+def test_groups_join_modes_that_are_alike_directly_or_indirectly():
     alike = np.eye(5, dtype=bool)
     alike[0, 2] = alike[2, 4] = True
     assert find_groups(alike) == ((0, 2, 4),)
     assert find_groups(np.eye(3, dtype=bool)) == ()
 
 
-def test_an_approach_may_be_the_pose_alone_at_which_it_starts(knobbed):
+def test_an_approach_may_be_given_by_its_start_pose_alone(knobbed):
     modes, given = modes_of(knobbed, np.eye(4), HALF_TURN), [edge_of([0, 0, -1]), edge_of([-1, 0, 0])]
     alone = choose_next_touch(modes, [approach.T_base_sensor for approach in given])
     named = choose_next_touch(modes, given)
@@ -176,7 +176,7 @@ def test_an_approach_may_be_the_pose_alone_at_which_it_starts(knobbed):
     assert {r.approach.name for r in alone.ranked} <= {"1", "2"}
 
 
-def test_what_cannot_be_chosen_from_is_refused(knobbed):
+def test_invalid_approaches_and_modes_are_refused(knobbed):
     modes = modes_of(knobbed, np.eye(4))
     with pytest.raises(ConfigError):
         choose_next_touch(modes, [])

@@ -1,4 +1,4 @@
-"""A pose through motions and touches: exact transport, and no more certainty than common errors allow."""
+"""A pose through motions and touches: the transport is exact, and common errors limit the certainty."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def poses(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def covariance(std: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A covariance whose numbers are correlated."""
+    """A covariance with correlated components."""
     L = np.diag(std) @ (np.eye(6) + 0.3 * rng.normal(size=(6, 6)))
     return L @ L.T
 
@@ -31,7 +31,7 @@ def about(point_m: np.ndarray, error: np.ndarray) -> np.ndarray:
     return T
 
 
-def test_an_error_is_seen_from_another_frame_as_the_pose_itself_is():
+def test_a_covariance_is_transformed_to_another_frame_with_its_pose():
     rng = np.random.default_rng(0)
     T_base_object, T_base_sensor = poses(2, rng)
     C = covariance(STD, rng)
@@ -55,13 +55,15 @@ def test_a_motions_error_moves_the_object_by_its_lever():
     assert np.allclose(np.cov(errors.T) / scale, found / scale, atol=0.04)
 
 
-def test_a_sensor_that_is_off_sees_the_object_where_it_sees_it():
+def test_a_wrong_sensor_pose_is_removed_from_the_view():
     """A sensor with a wrong reported pose: the seen pose and covariance are right to first order."""
     rng = np.random.default_rng(8)
     T_base_object, true_T_base_sensor = poses(2, rng)
     for off in np.concatenate([np.diag(STD), rng.normal(size=(2, 6)) * STD]) * 1e-2:
         said = true_T_base_sensor @ about(GEL, off)
-        errors = np.concatenate([rng.normal(size=6), off / UNIT])  # what touches err is not where the object is
+        errors = np.concatenate(
+            [rng.normal(size=6), off / UNIT]
+        )  # the errors of touches are independent of the object's pose
         known = np.concatenate([np.zeros(6), errors])
         T, seen = PoseFilter(T_base_object, errors, np.outer(known, known)).view_from(said, GEL)
         truth = invert(true_T_base_sensor) @ T_base_object
@@ -70,8 +72,8 @@ def test_a_sensor_that_is_off_sees_the_object_where_it_sees_it():
         assert np.allclose(seen / np.outer(STD, STD), np.outer(moved_by, moved_by), atol=1e-6)
 
 
-def test_the_filter_is_the_least_squares_of_all_touches_at_once():
-    """Shifts alone, of touches by a rotated sensor, whose common errors fade: the equations are linear."""
+def test_the_filter_equals_the_least_squares_of_all_touches():
+    """Touches of a rotated sensor differ only by shifts, and their common errors fade: the equations are linear."""
     rng, share, count = np.random.default_rng(9), 0.3, 4
     T_base_object = poses(1, rng)[0]
     sensors = poses(count, rng)
@@ -93,13 +95,13 @@ def test_the_filter_is_the_least_squares_of_all_touches_at_once():
 
 
 def shifts(covariance_m2: np.ndarray, turn: float = 0.0) -> np.ndarray:
-    """Return the covariance (6, 6) of a pose that is shifted, and hardly rotated."""
+    """Return the covariance (6, 6) of a pose with errors of position and almost none of rotation."""
     C = turn * np.eye(6)
     C[:3, :3] = covariance_m2
     return C
 
 
-def test_an_object_that_may_have_moved_is_known_less_well_by_that():
+def test_a_possible_motion_of_the_object_adds_its_covariance():
     rng = np.random.default_rng(10)
     T_base_object, T_base_sensor = poses(2, rng)
     C, creep = covariance(STD, rng), covariance(STD, rng)
@@ -116,7 +118,7 @@ def seen_pose(T_base_sensor, T_sensor_object, C, common=0.75) -> SeenPose:
     return SeenPose(T_base_sensor, T_sensor_object, common * C, (1 - common) * C, SENSOR, GEL)
 
 
-def test_what_a_first_touch_says_is_known_as_well_as_it_says():
+def test_the_first_touch_keeps_its_pose_and_covariance():
     rng = np.random.default_rng(2)
     T_base_sensor, T_sensor_object = poses(2, rng)
     C = covariance(STD, rng)
@@ -126,7 +128,7 @@ def test_what_a_first_touch_says_is_known_as_well_as_it_says():
                        C / np.sqrt(np.outer(np.diag(C), np.diag(C))), atol=1e-3)  # fmt: skip
 
 
-def test_a_touch_repeated_is_no_surer_than_what_all_of_them_err_in_common():
+def test_a_repeated_touch_keeps_its_common_error():
     rng = np.random.default_rng(3)
     T_base_sensor, T_sensor_object = poses(2, rng)
     C = covariance(STD, rng)
@@ -142,7 +144,7 @@ def test_a_touch_repeated_is_no_surer_than_what_all_of_them_err_in_common():
     assert traces[-1].max() == pytest.approx(0.75, abs=0.01)
 
 
-def test_errors_that_are_new_are_averaged():
+def test_independent_errors_are_averaged():
     rng = np.random.default_rng(4)
     T_base_sensor, T_sensor_object = poses(2, rng)
     C = np.diag(STD**2)
@@ -154,11 +156,11 @@ def test_errors_that_are_new_are_averaged():
     assert np.allclose(np.diag(known), STD**2 / 100, rtol=1e-3)
 
 
-def test_what_a_touch_says_nothing_of_stays_as_predicted():
+def test_a_direction_that_touches_do_not_determine_stays_as_predicted():
     rng = np.random.default_rng(5)
     T_base_sensor, T_sensor_object = poses(2, rng)
     direction = np.array([0.0, 0, 0, 0, 0, 1])
-    C = np.diag(STD**2) + 9.0 * np.outer(direction, direction)  # no idea of a turn about z
+    C = np.diag(STD**2) + 9.0 * np.outer(direction, direction)  # the rotation about z is undetermined
     known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))
     turned = move(T_sensor_object, 0.02 * direction)
     for _ in range(100):
@@ -168,8 +170,8 @@ def test_what_a_touch_says_nothing_of_stays_as_predicted():
     assert found[5, 5] == pytest.approx(STD[5] ** 2, rel=0.3)
 
 
-def test_a_touch_that_is_far_from_what_is_known_is_trusted_less():
-    """With Student's t, a touch twenty deviations off counts less than one two deviations off."""
+def test_a_touch_far_from_the_prediction_has_less_weight():
+    """With Student's t, a touch twenty deviations away counts less than a touch two deviations away."""
     rng = np.random.default_rng(6)
     T_base_sensor, T_sensor_object = poses(2, rng)
     known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))
@@ -178,12 +180,12 @@ def test_a_touch_that_is_far_from_what_is_known_is_trusted_less():
         told = move(T_sensor_object, far * STD)
         T, _ = known.update(seen_pose(T_base_sensor, told, np.diag(STD**2)), 1.0).view_from(T_base_sensor, GEL)
         gain.append(np.linalg.norm(compute_pose_errors(T, T_sensor_object) / (far * STD)))
-    assert gain[0] == pytest.approx(gain[1], rel=0.05), "as expected: in full"
+    assert gain[0] == pytest.approx(gain[1], rel=0.05), "both near touches must have full weight"
     assert gain[2] < 0.1 * gain[1]
 
 
-def test_errors_are_as_large_as_the_covariance_says_though_they_are_correlated():
-    """Touches whose errors are first-order autoregressive, by sensors whose poses are: NEES is chi-squared."""
+def test_the_covariance_is_right_for_correlated_errors():
+    """The errors of touches and of sensor poses are first-order autoregressive; NEES is chi-squared."""
     nees, share = [], 0.1
     for number in range(150):
         rng = np.random.default_rng([6, number])

@@ -63,7 +63,7 @@ def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: 
 
 
 def at_truth(touch: Touch) -> LocatedFrame:
-    """An estimator: always the same pose, the same covariance."""
+    """An estimator that always returns the same pose and covariance."""
     T = make_transform(rotation_about([1, 1, 0], 0.3), [0.001, 0.002, 0.025])
     return LocatedFrame(Verdict.AMBIGUOUS, T[None], np.array([0.5]), C, 0.9)
 
@@ -71,7 +71,7 @@ def at_truth(touch: Touch) -> LocatedFrame:
 T_GEL_OBJECT = at_truth(None).T_sensor_object  # type: ignore[arg-type]
 
 
-def test_the_localizer_finds_what_was_touched(recorded, localizer, touches, tmp_path):
+def test_the_localizer_finds_the_recorded_touches(recorded, localizer, touches, tmp_path):
     replay = replace(replay_of(recorded, localizer), press_depth_m=touches[0].press_depth_m)
     found = replay_to(tmp_path / "out.mcap", replay, 6, "/pose")
     for record, touch in zip(found.records[:3], touches, strict=True):
@@ -85,10 +85,10 @@ def test_the_localizer_finds_what_was_touched(recorded, localizer, touches, tmp_
     assert found.summary.reasons == ((found.records[4].says, 1),)
 
 
-def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_path):
+def test_poses_and_covariances_are_transformed_to_the_base(recorded, localizer, tmp_path):
     out = tmp_path / "out.mcap"
     found = replay_to(out, replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
-    T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, half way
+    T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, halfway
     T_base_gel = T_base_flange @ MOUNT
     (third,) = [m for m in Recording(out).read_messages("/pose") if m.log_time_ns == 2 * S + 5]
     message = third.decode()
@@ -100,7 +100,7 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     assert not missing(found.records[5].says, "0.000 s", "4.000 s", "5.000 s")
 
 
-def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, tmp_path):
+def test_poses_are_written_after_their_images_or_alone(recorded, localizer, tmp_path):
     replay = replay_of(recorded, localizer)
     replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
     replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
@@ -114,7 +114,7 @@ def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, 
     assert [(topic.name, time) for topic, time in after] == [("/gel/image", time) for _, time, _ in poses]
 
 
-def test_an_estimator_that_finds_nothing_is_told(recorded, localizer, tmp_path):
+def test_an_estimator_that_finds_no_pose_gives_an_error(recorded, localizer, tmp_path):
     def lost(touch: Touch) -> LocatedFrame:
         raise GridError("hopeless")
 
@@ -123,13 +123,13 @@ def test_an_estimator_that_finds_nothing_is_told(recorded, localizer, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
 
 
-def test_frames_that_lack_are_told_at_once(recorded, localizer):
+def test_missing_frames_give_an_error_at_once(recorded, localizer):
     with pytest.raises(FrameError, match=naming("'gol'", "base", "flange", "'gel'")):
         next(replay_of(recorded, localizer, "base", "gol").frames(at_truth))
 
 
 @pytest.mark.parametrize(("located", "finished"), [(0, 0), (1, 1), (3, 5)])  # two images need no estimator
-def test_what_was_finished_is_not_done_again(recorded, localizer, tmp_path, located, finished):
+def test_finished_frames_are_not_located_again(recorded, localizer, tmp_path, located, finished):
     calls = []
 
     def interrupted(touch: Touch) -> LocatedFrame:
@@ -154,7 +154,7 @@ def test_what_was_finished_is_not_done_again(recorded, localizer, tmp_path, loca
     assert not list(tmp_path.glob("*.journal"))
 
 
-def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
+def test_a_frame_that_failed_with_a_full_store_is_tried_again(recorded, localizer, tmp_path):
     estimates = iter([at_truth])
 
     def starved(touch: Touch) -> LocatedFrame:
@@ -169,7 +169,7 @@ def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
     assert (found.resumed, found.summary.located) == (1, 4)
 
 
-def test_a_journal_cut_anywhere_holds_what_was_whole(recorded, localizer, tmp_path):
+def test_a_truncated_journal_keeps_its_complete_lines(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with open_journal(path, replay) as kept:
         for record in replay.frames(at_truth):
@@ -183,7 +183,7 @@ def test_a_journal_cut_anywhere_holds_what_was_whole(recorded, localizer, tmp_pa
         assert not found.records or data.startswith(path.read_bytes())
 
 
-def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_a_journal_of_complete_lines(recorded, localizer, tmp_path, monkeypatch):
     replay, path, write = replay_of(recorded, localizer), tmp_path / "out.mcap.journal", os.write
 
     def full(descriptor: int, text: bytes) -> int:
@@ -211,7 +211,7 @@ def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path
     assert str(path) in caplog.text
 
 
-def test_the_journal_of_the_version_before_begins_anew(recorded, localizer, tmp_path, monkeypatch, caplog):
+def test_a_journal_of_an_older_version_is_replaced(recorded, localizer, tmp_path, monkeypatch, caplog):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with monkeypatch.context() as patch:
         patch.setattr("tactile_loc.tasks.replay_journal.VERSION", 1)
@@ -223,8 +223,8 @@ def test_the_journal_of_the_version_before_begins_anew(recorded, localizer, tmp_
     assert not missing(caplog.text, path, "another version")
 
 
-def test_frames_that_are_not_found_are_counted_apart(recorded, localizer, tmp_path):
-    """A pose that the search probably missed is written all the same; a touch without any is a row with the reason."""
+def test_frames_that_are_not_found_are_counted_separately(recorded, localizer, tmp_path):
+    """A pose that the search probably missed is still written; a touch without a pose has a row with the reason."""
     calls = []
 
     def find_little(touch: Touch) -> LocatedFrame:
@@ -242,7 +242,7 @@ def test_frames_that_are_not_found_are_counted_apart(recorded, localizer, tmp_pa
     assert rows[0]["says"] == "hopeless"
 
 
-def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):
+def test_two_processes_cannot_write_the_same_journal(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with (
         open_journal(path, replay),
@@ -252,7 +252,7 @@ def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):
         pass
 
 
-def test_a_clock_that_goes_back_is_counted(tmp_path, localizer, touches):
+def test_backward_steps_of_the_clock_are_counted(tmp_path, localizer, touches):
     def write(writer: RecordingWriter) -> None:
         for k, stamp in enumerate((10, 11, 2, 3)):
             depth = touches[0].contact_shape.depth_m

@@ -43,7 +43,7 @@ def sure(pin):
             good.append(touch)
         if len(good) == 2:
             return good
-    raise AssertionError("hardly any touch of the pin shows where it is")
+    raise AssertionError("too few touches of the pin determine its pose")
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def off_mm(localizer: Localizer, T: np.ndarray, truth: np.ndarray) -> float:
     return 1e3 * float(PoseMetric(localizer.object).symmetric_distance(T[None], truth[None])[0])
 
 
-def test_a_slide_is_tracked_and_the_truth_is_where_the_covariance_says(pin, slide):
+def test_a_slide_is_tracked_and_the_covariance_holds_the_truth(pin, slide):
     tracker = started(pin, slide)
     found = [tracker.update(frame.time_s, frame.touch, frame.T_base_sensor) for frame in slide]
     assert {one.verdict for one in found} == {Verdict.CERTAIN}
@@ -76,10 +76,10 @@ def test_a_slide_is_tracked_and_the_truth_is_where_the_covariance_says(pin, slid
         compute_nees(PoseMetric(pin.object), one.T_sensor_object, one.covariance, f.T_sensor_object)
         for one, f in zip(found, slide, strict=True)
     ]
-    assert np.median(nees) < 16.8  # 99 % of chi-squared; the frames of one slide err alike
+    assert np.median(nees) < 16.8  # 99 % of chi-squared; the frames of one slide have similar errors
 
 
-def test_motions_serve_as_well_as_poses(pin, slide):
+def test_motions_give_the_same_track_as_poses(pin, slide):
     tracker = Tracker(pin)
     tracker.start(slide[0].T_sensor_object, np.diag(STD**2))  # the base is the first sensor
     motion, last = None, slide[0]
@@ -91,7 +91,7 @@ def test_motions_serve_as_well_as_poses(pin, slide):
     assert off_mm(pin, found.T_sensor_object, slide[-1].T_sensor_object) < 0.5
 
 
-def test_the_first_touch_is_searched_for_and_found_up_to_symmetry(pin, sure):
+def test_the_first_touch_is_searched_and_found_up_to_symmetry(pin, sure):
     tracker = Tracker(pin)
     found = tracker.update(0.0, sure[0], np.eye(4))
     assert found.searched
@@ -115,7 +115,7 @@ def test_an_object_that_jumps_is_found_again_at_once(pin, sure):
 
 
 def test_an_object_that_slips_is_found_nearby(pin, slide):
-    """No other place that would explain the touch as well is taken."""
+    """The tracker chooses no other place that would explain the touch equally well."""
     source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
     tracker, frame = started(pin, slide), slide[0]
     for k in range(3):
@@ -127,7 +127,7 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
 
 
-def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin, slide):
+def test_the_pose_is_predicted_without_contact_with_growing_covariance(pin, slide):
     tracker = started(pin, slide)
     first = slide[0]
     held = tracker.update(0.0, first.touch, first.T_base_sensor)
@@ -138,14 +138,14 @@ def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin
     expected = invert(T_base_sensor) @ first.T_base_sensor @ held.T_sensor_object
     assert (
         np.linalg.norm(compute_pose_errors(found.T_sensor_object, expected)[:3]) < 1e-4
-    )  # but for the sensor pose's error
+    )  # except for the error of the sensor pose
     values = np.linalg.eigvalsh(found.covariance)
     assert values.min() > 0
     later = tracker.update(5.0, None, T_base_sensor)
     assert np.trace(later.covariance) > np.trace(found.covariance)
 
 
-def test_nothing_is_known_before_the_first_touch(pin):
+def test_a_track_has_no_pose_before_the_first_touch(pin):
     found = Tracker(pin).update(0.0, None, np.eye(4))
     assert found.verdict is Verdict.NO_CONTACT
     assert found.T_sensor_object is None
@@ -153,7 +153,7 @@ def test_nothing_is_known_before_the_first_touch(pin):
     assert len(found.probabilities) == 0
 
 
-def test_a_static_touch_repeated_does_not_become_certain(pin, slide):
+def test_a_repeated_static_touch_does_not_become_certain(pin, slide):
     tracker = started(pin, slide)
     touch, T = slide[0].touch, slide[0].T_base_sensor
     traces = [np.sqrt(np.trace(tracker.update(0.01 * k, touch, T).covariance[:3, :3])) for k in range(60)]
@@ -161,7 +161,7 @@ def test_a_static_touch_repeated_does_not_become_certain(pin, slide):
     assert traces[-1] > 0.5 * traces[1]
 
 
-def test_bad_input_is_one_sentence(pin, slide):
+def test_invalid_input_gives_a_one_sentence_error(pin, slide):
     tracker = started(pin, slide)
     touch, T = slide[0].touch, slide[0].T_base_sensor
     nowhere = replace(touch, T_base_sensor=None)
@@ -177,10 +177,10 @@ def test_bad_input_is_one_sentence(pin, slide):
     other = replace(touch, geometry=replace(touch.geometry, fx=2 * touch.geometry.fx))
     with pytest.raises(TouchError, match=naming("frame-0000", "gelslim")):
         tracker.update(1.1, other)
-    assert tracker.update(1.2, touch, T).verdict is Verdict.CERTAIN, "a refused frame changes nothing"
+    assert tracker.update(1.2, touch, T).verdict is Verdict.CERTAIN, "a refused frame changed the track"
 
 
-def test_what_is_no_pose_or_covariance_or_creep_is_refused(pin):
+def test_invalid_poses_covariances_and_creep_are_refused(pin):
     for T, covariance, shape in ((np.eye(3), np.eye(6), "(4, 4)"), (np.eye(4), -np.eye(6), "(6, 6)")):
         with pytest.raises(TouchError, match=naming("T_base_object", shape)):
             Tracker(pin).start(T, covariance)
@@ -193,7 +193,7 @@ def test_what_is_no_pose_or_covariance_or_creep_is_refused(pin):
             Tracker(pin, creep_m=creep)
 
 
-def test_a_sensor_that_told_motions_must_go_on_telling_them(pin, sure):
+def test_every_update_needs_a_motion_after_the_first_motion(pin, sure):
     tracker = Tracker(pin)
     touch = replace(sure[0], T_base_sensor=None)
     tracker.start(touch.T_sensor_object, np.diag(STD**2))

@@ -146,7 +146,7 @@ def seeded(seed):
 
 
 def as_often_at_each_yaw(T, obj, geometry, count, rng):
-    """Places uniform within each yaw's own region, however large that is."""
+    """Draw positions uniformly within the region of each yaw, regardless of its size."""
     R = T[:, :3, :3] @ rotation_about([0, 0, 1], rng.uniform(0, 2 * np.pi, count))
     return make_transform(R, np.column_stack([rng.uniform(*find_centroid_range(obj, R, geometry)), np.zeros(count)]))
 
@@ -326,7 +326,7 @@ def needs_one(self, touch, candidates, scene):
 
 
 def together(self, touch, candidates, scene):
-    """All candidates stop with the first."""
+    """Stop all candidates when the first one stops."""
     many = IcpRefiner.refine_many(self, touch, candidates, scene)
     return [dataclasses.replace(result, converged=many[0].converged) for result in many]
 

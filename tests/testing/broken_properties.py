@@ -154,7 +154,7 @@ def from_the_objects_origin(self, posteriors, T_base_sensor, prior=None):
 
 
 def without_symmetry(self, posteriors, T_base_sensor, prior=None):
-    """Looks the second touch up by poses alone."""
+    """Looks up the second touch by poses alone."""
     first, second = posteriors
     mesh = first.grid.metric.object.mesh
     grid = PoseGrid(second.grid.T_sensor_object, PoseMetric(make_plain_object("asymmetric", mesh)))

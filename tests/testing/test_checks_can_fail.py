@@ -28,7 +28,7 @@ MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fu
 
 
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))
-def test_broken_component_is_noticed(check, component):
+def test_a_broken_component_is_noticed(check, component):
     with pytest.raises(ContractError) as caught:
         check(component)
     sentence = str(caught.value)
@@ -63,7 +63,7 @@ def test_a_class_is_refused():
         list_checks(DenseMatcher)  # type: ignore[arg-type]
 
 
-def test_parametrize_makes_a_case_a_check():
+def test_parametrize_makes_one_case_per_check():
     mark = parametrize_with_checks([DenseMatcher(), NoRefiner()]).mark
     names, cases = mark.args
     assert names == ("component", "check")
@@ -71,7 +71,7 @@ def test_parametrize_makes_a_case_a_check():
     assert cases[0].id.startswith("DenseMatcher-check_")
 
 
-def test_importing_needs_neither_pytest_nor_heavy_libraries():
+def test_an_import_needs_neither_pytest_nor_heavy_libraries():
     code = (
         "import sys; sys.modules['pytest'] = None; import tactile_loc.testing as t;"
         "from tactile_loc.plugins.refiners.none import NoRefiner;"

@@ -38,7 +38,7 @@ MODULES = (sensors, renderers, grids, encoders, matchers, refiners, fusers)
 
 @pytest.fixture
 def unsimplified() -> Iterator[None]:
-    """Report the first failing case, since simplifying takes another second or two."""
+    """Report the first failing case, since simplification takes another second or two."""
     hypothesis.settings.register_profile("unsimplified", phases=[Phase.generate])
     hypothesis.settings.load_profile("unsimplified")
     yield
@@ -47,12 +47,12 @@ def unsimplified() -> Iterator[None]:
 
 @pytest.mark.usefixtures("unsimplified")
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))
-def test_broken_component_is_noticed(check, component):
+def test_a_broken_component_is_noticed(check, component):
     with pytest.raises(ContractError) as caught:
         check(component)
     sentence = str(caught.value)
     assert "\n" not in sentence
-    assert "=" in sentence, "the values of its case"
+    assert "=" in sentence, "the message lacks the values of its case"
 
 
 def test_every_property_has_a_broken_component():
@@ -60,7 +60,7 @@ def test_every_property_has_a_broken_component():
     assert {f"{check.__module__}.{check.__name__}" for check, _ in BROKEN} == names
 
 
-def test_every_property_is_chosen_for_some_capabilities_and_says_what_holds():
+def test_every_property_applies_to_some_capabilities_and_has_a_description():
     for module in MODULES:
         named = {name for name in vars(module) if name.startswith("property_")}
         chosen = [check for c in (Capabilities(), Capabilities(places=True)) for check in module.properties(c)]
@@ -68,7 +68,7 @@ def test_every_property_is_chosen_for_some_capabilities_and_says_what_holds():
         assert all(check.__doc__.partition("\n")[0].endswith((".", ":")) for check in chosen)
 
 
-def test_what_is_drawn_is_the_same_every_time_and_the_simplest_comes_first():
+def test_draws_are_reproducible_and_begin_with_the_simplest():
     def drawn() -> list[dict]:
         seen: list[dict] = []
         hold(lambda **values: seen.append(values), examples=8, order=orders(4), motion=motions(), place=places(30, 9))
@@ -81,8 +81,8 @@ def test_what_is_drawn_is_the_same_every_time_and_the_simplest_comes_first():
     assert (first[0]["motion"].turn_deg, first[0]["place"].yaw_deg) == (15, 0)
 
 
-def test_draws_leave_no_folder_behind_and_do_not_depend_on_what_is_imported(tmp_path):
-    """In a process of its own, which has imported hardly anything, they are those of this one."""
+def test_draws_leave_no_folder_and_do_not_depend_on_imports(tmp_path):
+    """A separate process with few imports draws the same values as this process."""
     lines = "lambda n, s: print(n, s), examples=9, n=whole(0, 10**6), s=slides()"
     code = f"from tactile_loc.testing.properties import hold, slides, whole; hold({lines})"
     alone = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True, text=True)
@@ -97,13 +97,13 @@ def test_draws_leave_no_folder_behind_and_do_not_depend_on_what_is_imported(tmp_
     ("strategy", "least", "most"),
     [(whole(3, 7), 3, 7), (signed(2), -2, 2), (one_of([4, 5, 6]), 4, 6), (whole(5, 5), 5, 5)],
 )
-def test_numbers_are_all_drawn_and_none_else(strategy, least, most):
+def test_exactly_the_allowed_numbers_are_drawn(strategy, least, most):
     seen: list[int] = []
     hold(lambda n: seen.append(n), examples=200, n=strategy)
     assert set(seen) == set(range(least, most + 1))
 
 
-def test_orders_are_orders_and_motions_rigid():
+def test_orders_are_permutations_and_motions_are_rigid():
     def claim(order, motion, place, slide, shift):
         assert sorted(order) == list(range(5))
         assert is_rigid(motion.T)
@@ -127,7 +127,7 @@ def test_a_simple_case_is_named():
     assert 60 < int(named[1]) < 100
 
 
-def test_what_breaks_a_property_only_now_and_then_is_said_to():
+def test_an_intermittent_failure_is_reported_as_intermittent():
     calls = iter(range(1000))
 
     def claim(number):
@@ -138,12 +138,12 @@ def test_what_breaks_a_property_only_now_and_then_is_said_to():
         hold(claim, number=whole(0, 9))
 
 
-def test_another_exception_goes_through():
+def test_another_exception_passes_through():
     with pytest.raises(ZeroDivisionError):
         hold(lambda number: 1 / (number - 3), examples=50, number=whole(0, 5))
 
 
-def test_without_hypothesis_one_sentence_says_what_to_install(monkeypatch):
+def test_a_missing_hypothesis_gives_an_error_with_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "hypothesis", None)
     with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[testing\]'"):
         list_properties(NoRefiner())[0](NoRefiner())
@@ -152,7 +152,7 @@ def test_without_hypothesis_one_sentence_says_what_to_install(monkeypatch):
     assert all(result.passed for result in run_checks(DenseMatcher()))
 
 
-def test_properties_are_run_after_the_checks_if_asked_for():
+def test_properties_run_after_the_checks_on_request():
     results = run_checks(DenseMatcher(), properties=True)
     assert [r.name for r in results if r.name.startswith("property_")] == [
         check.__name__ for check in list_properties(DenseMatcher())
@@ -160,7 +160,7 @@ def test_properties_are_run_after_the_checks_if_asked_for():
     assert all(result.passed for result in results)
 
 
-def test_parametrize_makes_a_case_a_property():
+def test_parametrize_makes_one_case_per_property():
     names, cases = parametrize_with_properties([DenseMatcher(), NoRefiner()]).mark.args
     assert names == ("component", "check")
     assert len(cases) == len(list_properties(DenseMatcher())) + len(list_properties(NoRefiner()))

@@ -26,7 +26,7 @@ def test_a_sound_component_passes_every_check_in_order():
     assert all(r.seconds >= 0 and r.demands.endswith(".") and "\n" not in r.demands for r in results)
 
 
-def test_a_broken_contract_is_a_result_that_says_what_is_wrong():
+def test_a_broken_contract_gives_a_result_with_the_fault():
     doubled = made(DenseMatcher, scores=lambda self, *given: 2 * DenseMatcher.scores(self, *given))
     failed = problems(run_checks(doubled))
     assert "check_definition" in failed
@@ -34,7 +34,7 @@ def test_a_broken_contract_is_a_result_that_says_what_is_wrong():
     assert "check_output" not in failed
 
 
-def test_another_exception_is_named_with_its_place():
+def test_another_exception_is_named_with_its_location():
     def scores(self, queries, weights=None):
         raise ZeroDivisionError("of\n  nothing")
 
@@ -44,7 +44,7 @@ def test_another_exception_is_named_with_its_place():
     assert "check_declaration" not in failed
 
 
-def test_a_bare_assertion_is_not_taken_for_a_contract():
+def test_a_bare_assertion_does_not_count_as_a_contract_error():
     def scores(self, queries, weights=None):
         raise AssertionError
 
@@ -52,7 +52,7 @@ def test_a_bare_assertion_is_not_taken_for_a_contract():
     assert problem.startswith("AssertionError")
 
 
-def test_an_interruption_is_not_a_failed_check():
+def test_an_interruption_passes_through():
     def scores(self, queries, weights=None):
         raise KeyboardInterrupt
 
@@ -81,11 +81,11 @@ def test_a_class_is_refused():
 LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
 
 
-def test_an_encoder_that_needs_training_is_trained_on_listed_poses_and_then_on_places():
+def test_an_untrained_encoder_is_trained_on_listed_poses_and_then_on_places():
     seen = []
 
     def encode(self, depth_m, press_depth_m, geometry):
-        assert seen, "trained first"
+        assert seen, "the training must come first"
         return PixelEncoder.encode(self, depth_m, press_depth_m, geometry)
 
     encoder = made(PixelEncoder, capabilities=LEARNS, fit=lambda self, p: seen.append(p), encode=encode)
@@ -97,7 +97,7 @@ def test_an_encoder_that_needs_training_is_trained_on_listed_poses_and_then_on_p
     assert sum(map(len, places.clean_keys(1e-3))) == len(places)
 
 
-def test_a_training_that_fails_is_the_only_result():
+def test_a_failed_training_is_the_only_result():
     def fit(self, problem):
         raise ValueError("diverged")
 

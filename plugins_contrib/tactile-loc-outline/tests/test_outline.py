@@ -48,7 +48,7 @@ def test_distances_to_a_straight_edge_are_exact():
     np.testing.assert_allclose(down[:, 0], np.clip((4 - (np.arange(10) + 0.5)) * 0.5, -3, 3), atol=1e-6)
 
 
-def test_distances_from_a_disc_are_those_to_its_rim():
+def test_distances_from_a_disc_equal_distances_to_its_rim():
     y, x = np.indices((101, 101)) - 50.0
     radius = np.hypot(x, y)
     found = signed_distances((radius < 20.3)[None], 1.0, 12.0)[0]
@@ -56,7 +56,7 @@ def test_distances_from_a_disc_are_those_to_its_rim():
     assert abs(np.mean(found - np.clip(20.3 - radius, -12, 12))) < 0.1
 
 
-def test_full_and_empty_masks_are_as_far_as_can_be():
+def test_full_and_empty_masks_have_the_largest_distance():
     masks = np.stack([np.ones((5, 6), bool), np.zeros((5, 6), bool)])
     np.testing.assert_array_equal(signed_distances(masks, 0.1, 2.0), np.float32([2.0, -2.0])[:, None, None] * np.ones(
         (5, 6), np.float32))  # fmt: skip
@@ -74,7 +74,7 @@ def test_waves_are_orthonormal():
     np.testing.assert_allclose(waves @ waves.T / 64, np.eye(20), atol=1e-5)
 
 
-def test_all_frequencies_keep_all_of_the_distance():
+def test_all_frequencies_keep_the_whole_distance():
     """With every wave of a small image, embeddings have the same distance as their maps (Parseval's theorem)."""
     small = SENSOR.resize(16, 16)
     a, b = (pressed(*sides, small) for sides in ((3, 4, 8, 6), (5, 9, 10, 5)))
@@ -93,19 +93,19 @@ def test_all_frequencies_keep_all_of_the_distance():
 
 
 @pytest.mark.parametrize("frequencies", [1, 6, 9, 12])
-def test_as_many_numbers_as_waves_in_a_quarter_of_a_disc(frequencies):
+def test_the_length_of_a_vector_is_the_number_of_waves(frequencies):
     count = with_options(frequencies=frequencies).encode(pressed(5, 5, 5, 5), PRESS_M, SENSOR).shape[1]
     assert count == sum(u * u + v * v < frequencies**2 for u in range(frequencies) for v in range(frequencies))
 
 
-def test_a_narrow_field_has_fewer_waves_across():
+def test_a_narrow_field_has_fewer_waves_across_its_width():
     narrow = SensorGeometry("orthographic", 40, 80, 4000.0, 4000.0, 20.0, 40.0, 0.02, 0.002)
     assert low_frequencies(narrow, 8).shape == (8, 4)
     stretched = dataclasses.replace(SENSOR, fx=2000.0)  # the same pixels, twice the width in metres
     assert low_frequencies(stretched, 8).shape == (4, 8)
 
 
-def test_distance_grows_with_displacement_where_masks_have_nothing_in_common():
+def test_the_distance_grows_with_displacement_of_disjoint_masks():
     """If a bar 1 mm wide moves by 1 to 5 mm, only the distance of its outline embeddings grows with every step."""
     bars = np.concatenate([pressed(7 + moved, 2, 1, 15) for moved in (0, 1, 2, 3, 5)])
     ours, pixel = (e.encode(bars, PRESS_M, SENSOR) for e in (OutlineEncoder(), registry().create("encoder", "pixel")))
@@ -114,21 +114,21 @@ def test_distance_grows_with_displacement_where_masks_have_nothing_in_common():
     assert np.ptp(apart[1][1:]) < 1e-3 * apart[1][1]
 
 
-def test_image_size_hardly_matters():
+def test_the_image_size_has_little_effect():
     """Downsampling 400 pixels a side to 100 changes an embedding less than a shift of a third of a millimetre."""
     coarse, fine = (OutlineEncoder().encode(pressed(4, 5, 9, 7, g), PRESS_M, g) for g in (SENSOR, FINE))
     moved = OutlineEncoder().encode(pressed(5, 5, 9, 7), PRESS_M, SENSOR)
     assert np.linalg.norm(coarse - fine) < np.linalg.norm(coarse - moved) / 3
 
 
-def test_length_is_that_of_the_sensing_surface_not_of_the_camera():
+def test_lengths_refer_to_the_sensing_surface_and_not_to_the_camera():
     """A pinhole camera with the same view of 20 x 20 mm gives the same embedding of an imprint."""
     pinhole = SensorGeometry("pinhole", 80, 80, 80.0, 80.0, 40.0, 40.0, 0.02, 0.002)
     a, b = (OutlineEncoder().encode(pressed(4, 5, 9, 7), PRESS_M, g) for g in (SENSOR, pinhole))
     np.testing.assert_allclose(a, b, atol=1e-6)
 
 
-def test_reach_decides_how_far_an_outline_is_felt():
+def test_the_reach_limits_the_distance_to_an_outline():
     apart = []
     for reach_mm in (0.5, 4.0):
         vectors = with_options(reach_mm=reach_mm).encode(
@@ -139,7 +139,7 @@ def test_reach_decides_how_far_an_outline_is_felt():
     assert apart[0] < 1.1 < 1.3 < apart[1]
 
 
-def test_vectors_are_float32_and_translation_of_the_pose_moves_them():
+def test_vectors_are_float32_and_change_with_the_pose():
     from tactile_loc.testing.problems import press_block
 
     problem = press_block()

@@ -49,7 +49,7 @@ def locator(localizer) -> ImageLocator:
     return ImageLocator(localizer, estimator=estimated)
 
 
-def test_an_image_is_answered_by_a_pose(locator):
+def test_an_image_gives_a_pose(locator):
     image = depth_image()
     message = locator.fill(pose_message(), locator.locate(image), image)
     assert (message.header.stamp, message.header.frame_id) == (STAMP, "gel")
@@ -59,13 +59,13 @@ def test_an_image_is_answered_by_a_pose(locator):
     assert message.pose.covariance[::7] == [1, 2, 3, 4, 5, 6]
 
 
-def test_the_frame_can_be_named(localizer):
+def test_the_frame_name_can_be_set(localizer):
     locator = ImageLocator(localizer, "finger", estimator=estimated)
     image = depth_image()
     assert locator.fill(pose_message(), locator.locate(image), image).header.frame_id == "finger"
 
 
-def test_the_localizer_itself_answers_a_real_touch(localizer):
+def test_the_localizer_locates_a_simulated_touch(localizer):
     touch = localizer.simulate(1, seed=2)[0]
     locator = ImageLocator(localizer, press_depth_m=touch.press_depth_m)
     located = locator.locate(depth_image(touch.contact_shape.depth_m))
@@ -85,7 +85,7 @@ def test_the_press_depth_is_used(localizer):
     assert seen == [1e-3]
 
 
-def test_an_image_without_contact_is_no_fault(locator):
+def test_an_image_without_contact_is_no_error(locator):
     located = locator.locate(depth_image(np.full((200, 200), 0.002, np.float32)))
     assert located.T_sensor_object is None
     assert located.verdict is Verdict.NO_CONTACT
@@ -100,7 +100,7 @@ def test_an_image_without_contact_is_no_fault(locator):
         (depth_image(-DEPTH), "negative"),
     ],
 )
-def test_what_cannot_be_read_is_told(locator, image, mentioned):
+def test_an_unreadable_image_gives_an_error(locator, image, mentioned):
     located = locator.locate(image)
     assert located.T_sensor_object is None
     assert located.verdict is None
@@ -114,7 +114,7 @@ def test_a_compressed_photo_needs_a_calibrated_sensor(locator):
     assert "not calibrated for images" in located.says
 
 
-def test_without_ros_one_sentence_says_what_to_do(monkeypatch, capsys):
+def test_a_missing_ros_gives_a_one_sentence_error(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(MissingLibraryError, match="source a ROS 2 installation"):
         node.ros("rclpy")
@@ -179,7 +179,7 @@ def test_the_node_publishes_poses_and_verdicts(monkeypatch, locator):
     assert (ros.began, ros.ended) == ([["--ros-args"]], 2)
 
 
-def test_compressed_images_are_another_type(monkeypatch, locator):
+def test_compressed_images_have_another_message_type(monkeypatch, locator):
     ros = StandIn(monkeypatch, [])
     node.run(locator, "/gel/image/compressed", True, "/pose", "/verdict", [])
     assert ros.kind == "CompressedImage"

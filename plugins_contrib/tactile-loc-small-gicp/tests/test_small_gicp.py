@@ -56,7 +56,7 @@ def test_tilts_are_undone():
     assert problem.measure_error_m(refined) < 0.3 * problem.measure_error_m(candidate)
 
 
-def test_too_few_iterations_have_not_converged():
+def test_too_few_iterations_do_not_converge():
     problem, candidate = press_block(), press_block().make_candidate(OFFSETS[1])
     short, long = (with_options(iterations=n).refine(problem.touch, candidate, problem.scene) for n in (1, 40))
     assert (short.converged, long.converged) == (False, True)
@@ -64,7 +64,7 @@ def test_too_few_iterations_have_not_converged():
     assert problem.measure_error_m(long) < problem.measure_error_m(short)
 
 
-def test_what_lies_beyond_reach_is_not_registered():
+def test_clouds_out_of_reach_are_not_registered():
     """The least reach is 4 pixels of 0.4 mm, so a contact three times as far away has no corresponding points."""
     problem = press_block()
     depth = np.full_like(problem.touch.contact_shape.depth_m, problem.touch.press_depth_m)
@@ -76,7 +76,7 @@ def test_what_lies_beyond_reach_is_not_registered():
     assert not near.converged
 
 
-def test_a_registration_that_explains_less_is_not_believed(monkeypatch):
+def test_a_registration_with_a_worse_fit_is_rejected(monkeypatch):
     problem, candidate = press_block(), press_block().make_candidate(OFFSETS[0])
     away_mm = make_transform(np.eye(3), [4.0, 0.0, 0.0])
     wrong = Registration(away_mm, converged=True, iterations=7)
@@ -107,7 +107,7 @@ def test_voxels_thin_the_clouds():
     assert not refined.converged
 
 
-def test_walls_hold_a_flat_face_sideways():
+def test_walls_prevent_a_flat_face_from_sliding():
     """With walls, less of a sideways displacement is left than with the block's surface alone."""
     problem = press_block()
     flat = replace_depth(problem.touch, np.where(problem.touch.contact_shape.contact, 0.0, problem.touch.press_depth_m)
@@ -120,7 +120,7 @@ def test_walls_hold_a_flat_face_sideways():
     assert held < loose
 
 
-def test_results_are_rigid_to_rounding():
+def test_results_are_rigid_up_to_rounding():
     problem = press_block()
     for offset in OFFSETS:
         refined = SmallGicpRefiner().refine(problem.touch, problem.make_candidate(offset), problem.scene)

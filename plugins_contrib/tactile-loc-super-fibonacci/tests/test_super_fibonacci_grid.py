@@ -49,7 +49,7 @@ def test_property(component, check):
 
 
 @pytest.mark.parametrize("count", [50, 73, 500])
-def test_a_number_of_rotations_is_kept_and_the_spacing_is_that_of_the_plane(count):
+def test_a_given_number_of_rotations_is_kept_and_the_spacing_sets_the_plane(count):
     sampler = SuperFibonacciGrid(SuperFibonacciGrid.Options(rotations=count))
     assert not sampler.spacing_is_mean
     assert SuperFibonacciGrid().spacing_is_mean
@@ -62,14 +62,14 @@ def test_a_number_of_rotations_is_kept_and_the_spacing_is_that_of_the_plane(coun
 
 
 @pytest.mark.parametrize("spacing_m", [0.004, 0.006])
-def test_neighbouring_rotations_are_about_a_spacing_apart(spacing_m):
+def test_neighbouring_rotations_are_about_one_spacing_apart(spacing_m):
     R = spread_rotations(brick(), rotations_for(brick(), spacing_m))
     turned = PoseGrid(make_transform(R, np.zeros(3)), PoseMetric(brick()))
     assert 0.7 < turned.neighbour_spacing().mean() / spacing_m < 1.2
 
 
 @pytest.mark.parametrize(("symmetry", "order"), [("x2", 2), ("x2*y2", 4), ("z4*x4", 24)])
-def test_symmetry_leaves_its_share_of_the_rotations_and_covers_the_rest(symmetry, order):
+def test_a_symmetry_keeps_its_share_of_rotations_and_full_coverage(symmetry, order):
     obj, count = brick(symmetry), 5000
     R = spread_rotations(obj, count)
     assert len(R) * order == pytest.approx(count, rel=0.1)
@@ -78,7 +78,7 @@ def test_symmetry_leaves_its_share_of_the_rotations_and_covers_the_rest(symmetry
 
 
 @pytest.mark.parametrize(("symmetry", "share", "most"), [("zinf", 1.0, 1.3), ("zinf*x2", 0.5, 1.8)])
-def test_a_turned_part_has_one_rotation_for_each_direction_of_its_axis(symmetry, share, most):
+def test_a_round_part_has_one_rotation_for_each_direction_of_its_axis(symmetry, share, most):
     """The largest gap between directions is below `most` radii of a cap with one direction's share of the sphere."""
     R = spread_rotations(brick(symmetry), 400)
     assert len(R) == pytest.approx(400 * share, rel=0.05)
@@ -88,14 +88,14 @@ def test_a_turned_part_has_one_rotation_for_each_direction_of_its_axis(symmetry,
     assert np.arccos(nearest.min()) < most * np.sqrt(4 / 400)
 
 
-def test_one_rotation_of_a_symmetric_object_is_left():
+def test_a_single_rotation_is_possible_for_every_symmetry():
     for symmetry in ("none", "z4*x4", "zinf*x2"):
         R = spread_rotations(brick(symmetry), 1)
         assert R.shape == (1, 3, 3)
         assert is_rigid(make_transform(R, np.zeros(3)))
 
 
-def test_the_plane_is_covered_wherever_boxes_overlap_and_nowhere_else():
+def test_the_plane_is_covered_exactly_where_boxes_overlap():
     T = SuperFibonacciGrid(SuperFibonacciGrid.Options(rotations=30)).sample(brick(), SENSOR, 0.015)
     for rotation in np.unique(T[:, :3, :3].reshape(-1, 9), axis=0).reshape(-1, 3, 3):
         c = T[(T[:, :3, :3] == rotation).all(axis=(1, 2))][:, :2, 3]
@@ -106,14 +106,14 @@ def test_the_plane_is_covered_wherever_boxes_overlap_and_nowhere_else():
     assert bring_to_contact(brick().mesh, T, SENSOR)[1].mean() > 0.5
 
 
-def test_grid_does_not_depend_on_where_the_origin_is():
+def test_the_grid_does_not_depend_on_the_origin_of_the_mesh():
     sampler = SuperFibonacciGrid(SuperFibonacciGrid.Options(rotations=50))
     shift = np.array([0.03, -0.02, 0.05])
     T, moved = (sampler.sample(obj, SENSOR, 0.015) for obj in (brick(), brick(shift_m=tuple(shift))))
     np.testing.assert_allclose(moved[:, :3, :3] @ shift + moved[:, :3, 3], T[:, :3, 3], atol=1e-9)
 
 
-def test_random_draws_what_hopf_draws():
+def test_random_poses_have_the_distribution_of_hopf():
     """The numbers of a pose have the same distributions as those of hopf's poses, up to chance."""
     from scipy.stats import ks_2samp
 

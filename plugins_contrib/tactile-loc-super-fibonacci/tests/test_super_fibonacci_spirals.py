@@ -17,13 +17,13 @@ from tactile_loc_super_fibonacci.spirals import (
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 72, 1000])
-def test_rotations_are_proper_and_as_many_as_asked_for(count):
+def test_rotations_are_proper_and_have_the_requested_number(count):
     R = super_fibonacci_rotations(count)
     assert R.shape == (count, 3, 3)
     assert is_rigid(make_transform(R, np.zeros(3)))
 
 
-def test_first_point_is_that_of_the_formula():
+def test_the_first_point_follows_the_formula():
     assert abs(PSI**4 - PSI - 4) < 1e-14
     s, n = 0.5, 10
     a, b, inner, outer = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / PSI, np.sqrt(s / n), np.sqrt(1 - s / n)
@@ -35,7 +35,7 @@ def test_first_point_is_that_of_the_formula():
 
 
 @pytest.mark.parametrize("count", [10, 100, 1000, 10_000])
-def test_no_quaternion_is_near_another_or_its_antipode(count):
+def test_every_quaternion_is_far_from_others_and_their_antipodes(count):
     """The closest rotations are at least half as far apart as the side of a cube with one rotation's share of SO(3)."""
     q = super_fibonacci_quaternions(count)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1)
@@ -44,12 +44,12 @@ def test_no_quaternion_is_near_another_or_its_antipode(count):
 
 
 @pytest.mark.parametrize("count", [50, 72, 333, 576, 4608])
-def test_covering_radius_is_near_the_least_possible(count):
+def test_the_covering_radius_is_near_the_minimum(count):
     found = spread_of(super_fibonacci_rotations(count), asked=100_000)
     assert least_covering(count) < found.covering_rad < 1.65 * least_covering(count)
 
 
-def test_covering_radius_of_known_sets():
+def test_known_sets_have_their_known_covering_radius():
     """The covering radius is 180 degrees for the identity, and 62.8 degrees for a cube's 24 rotations (Karney 2007)."""
     assert spread_of(np.stack([np.eye(3), np.eye(3)]), asked=100_000).covering_rad == pytest.approx(np.pi, abs=0.05)
     cube = SymmetryGroup.parse("z4*x4", np.zeros(3)).rotations
@@ -58,13 +58,13 @@ def test_covering_radius_of_known_sets():
     assert np.degrees(least_covering(1)) == pytest.approx(180)
 
 
-def test_angle_of_a_chord():
+def test_a_chord_gives_its_angle():
     R = rotation_about([1, 2, 3], 0.7)
     assert angle_of_chord(np.array([2 * np.sin(0.7 / 4)]))[0] == pytest.approx(rotation_angle(R))
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_rotations_cover_as_hopf_does(level):
+def test_rotations_cover_as_well_as_hopf(level):
     hopf = hopf_rotations(level)
     assert len(hopf) == 72 * 8**level
     theirs, ours = (spread_of(R, asked=100_000) for R in (hopf, super_fibonacci_rotations(len(hopf))))
@@ -72,7 +72,7 @@ def test_rotations_cover_as_hopf_does(level):
     assert ours.mean_rad < 1.07 * theirs.mean_rad
 
 
-def test_directions_are_even_and_an_axis_is_turned_to_them():
+def test_directions_are_uniform_and_an_axis_is_rotated_to_them():
     directions = fibonacci_directions(500)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
     apart = np.sort(np.arccos(np.clip(directions @ directions.T, -1, 1)), axis=1)[:, 1]

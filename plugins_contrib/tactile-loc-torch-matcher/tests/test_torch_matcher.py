@@ -61,7 +61,7 @@ def test_a_bank_far_from_the_origin_costs_no_accuracy(problem):
     np.testing.assert_allclose(matcher.scores(queries + 100, weights), moved, rtol=1e-4)
 
 
-def test_a_bank_that_must_not_be_written_to_is_taken_without_a_warning(problem, recwarn):
+def test_a_read_only_bank_is_accepted_without_a_warning(problem, recwarn):
     queries, _, bank = problem
     bank = bank.copy()
     bank.setflags(write=False)
@@ -71,7 +71,7 @@ def test_a_bank_that_must_not_be_written_to_is_taken_without_a_warning(problem, 
     assert not recwarn.list
 
 
-def test_a_second_bank_replaces_what_was_made_for_weights(problem):
+def test_a_second_bank_replaces_the_cached_weighted_bank(problem):
     queries, weights, bank = problem
     matcher = TorchMatcher()
     for some in (bank, bank[:50] + 1):
@@ -79,7 +79,7 @@ def test_a_second_bank_replaces_what_was_made_for_weights(problem):
         np.testing.assert_allclose(matcher.scores(queries, weights), truth(queries, weights, some), rtol=1e-5)
 
 
-def test_cuda_that_is_not_there_is_refused_in_one_sentence(monkeypatch):
+def test_a_missing_cuda_device_gives_a_one_sentence_error(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"no CUDA device.*matcher\.device"):
         with_options(device="cuda")
@@ -91,7 +91,7 @@ def test_an_unknown_device_is_refused():
         with_options(device="abacus")
 
 
-def test_where_it_computes_is_no_part_of_its_description():
+def test_the_device_is_not_part_of_the_description():
     assert with_options(device="cpu", rows=9).describe() == TorchMatcher().describe()
 
 
@@ -104,7 +104,7 @@ def test_a_gpu_gives_the_same_scores(problem):
 
 
 @pytest.mark.skipif("torch-matcher" not in registry().names("matcher"), reason="not installed")
-def test_it_locates_with_the_default_grid_as_dense_does(tmp_path):
+def test_the_matcher_locates_with_the_default_grid_like_dense(tmp_path):
     few = {"store": tmp_path, "grid": {"name": "whole", "directions": 300}, "temperature": 0.05}
     ours, dense = (Localizer.create("damping_pin", matcher=name, **few) for name in ("torch-matcher", "dense"))
     touch = dense.simulate(1, seed=2)[0]

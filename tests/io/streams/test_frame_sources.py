@@ -30,7 +30,7 @@ def until_it_fails(frames: Iterable[SourceFrame]) -> tuple[list[SourceFrame], st
             found.append(frame)
     except SourceError as error:
         return found, str(error)
-    raise AssertionError("the source did not go away")
+    raise AssertionError("the source gave no error")
 
 
 READS_VIDEOS = any(importlib.util.find_spec(name) for name in ("cv2", "imageio"))
@@ -51,7 +51,7 @@ def put(folder: Path, name: str, colour: tuple[int, int, int], written_s: float 
 
 @pytest.fixture
 def meanwhile(monkeypatch) -> Callable[..., None]:
-    """Call functions, one each time a source waits; it must not wait more often."""
+    """Call one function at each wait of a source; more waits than functions are an error."""
 
     def arrange(*happenings: Callable[[], object]) -> None:
         waiting = iter(happenings)
@@ -60,7 +60,7 @@ def meanwhile(monkeypatch) -> Callable[..., None]:
     return arrange
 
 
-def test_of_a_folder_every_frame_comes_in_the_order_of_writing_and_of_names(tmp_path):
+def test_a_folder_gives_every_frame_in_the_order_of_time_and_name(tmp_path):
     for name, colour, written_s in zip(("c.png", "b.png", "a.png", "z.png"), COLOURS, (5, 7, 7, 2), strict=True):
         put(tmp_path / "in", name, colour, written_s)
     (tmp_path / "in" / "notes.txt").write_text("no image")
@@ -73,7 +73,7 @@ def test_of_a_folder_every_frame_comes_in_the_order_of_writing_and_of_names(tmp_
         np.testing.assert_array_equal(frame.image, picture(colour))
 
 
-def test_the_newest_of_a_folder_counts_and_then_it_waits(tmp_path, meanwhile):
+def test_a_folder_gives_its_newest_frame_and_then_waits(tmp_path, meanwhile):
     folder = tmp_path / "in"
     for k in range(3):
         put(folder, f"{k}.png", COLOURS[k], 10 + k)
@@ -90,7 +90,7 @@ def test_the_newest_of_a_folder_counts_and_then_it_waits(tmp_path, meanwhile):
     np.testing.assert_array_equal(found[2].image, picture(COLOURS[1]))
 
 
-def test_a_file_that_is_being_written_is_waited_for(tmp_path, meanwhile):
+def test_a_folder_waits_for_a_file_that_is_being_written(tmp_path, meanwhile):
     folder = tmp_path / "in"
     whole = put(folder, "whole.png", COLOURS[0], 1).read_bytes()
     (folder / "half.png").write_bytes(whole[: len(whole) // 2])
@@ -99,7 +99,7 @@ def test_a_file_that_is_being_written_is_waited_for(tmp_path, meanwhile):
     assert names == ["whole.png", "half.png"]
 
 
-def test_a_file_that_stays_damaged_is_a_frame_that_says_so(tmp_path, monkeypatch):
+def test_a_file_that_stays_damaged_gives_a_frame_with_an_error(tmp_path, monkeypatch):
     folder = tmp_path / "in"
     whole = put(folder, "cut.png", COLOURS[0]).read_bytes()
     (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
@@ -109,7 +109,7 @@ def test_a_file_that_stays_damaged_is_a_frame_that_says_so(tmp_path, monkeypatch
         frame.read_touch(None)  # type: ignore[arg-type]
 
 
-def test_a_folder_that_vanishes_is_told(tmp_path, meanwhile):
+def test_a_folder_that_vanishes_gives_an_error(tmp_path, meanwhile):
     put(tmp_path / "in", "0.png", COLOURS[0])
     meanwhile(lambda: shutil.rmtree(tmp_path / "in"))
     frames = ImageFolder(tmp_path / "in", every=False).read_frames()
@@ -124,8 +124,8 @@ def write_gif(path: Path) -> Path:
     return path
 
 
-@pytest.mark.skipif(not READS_VIDEOS, reason="nothing that reads videos is installed")
-def test_every_frame_of_a_video(tmp_path):
+@pytest.mark.skipif(not READS_VIDEOS, reason="no library that reads videos is installed")
+def test_a_video_gives_every_frame(tmp_path):
     frames = list(Video(write_gif(tmp_path / "film.gif"), every=True).read_frames())
     assert [frame.time_s for frame in frames] == pytest.approx([0, 0.04, 0.08, 0.12])
     for frame, colour in zip(frames, COLOURS, strict=True):
@@ -134,13 +134,13 @@ def test_every_frame_of_a_video(tmp_path):
 
 @pytest.fixture
 def film(monkeypatch) -> list[int]:
-    """A video of 50 frames, at 1000 Hz; its facts may be changed."""
+    """A video of 50 frames at 1000 Hz, whose facts a test may change."""
     monkeypatch.setattr(frame_sources, "read_video", lambda _: iter([picture((k, k, k)) for k in range(50)]))
     monkeypatch.setattr(frame_sources, "read_video_facts", lambda _: VideoFacts(1000.0, 50))
     return list(range(50))
 
 
-def test_of_a_video_that_plays_on_the_newest_counts(film, tmp_path):
+def test_a_video_without_every_gives_its_newest_frame(film, tmp_path):
     source = Video(tmp_path / "film.mp4", every=False)
     found = []
     for frame in source.read_frames():
@@ -152,7 +152,7 @@ def test_of_a_video_that_plays_on_the_newest_counts(film, tmp_path):
     assert len(found) + source.dropped == 50
 
 
-def test_a_video_that_breaks_off_is_told_after_its_frames(film, tmp_path, monkeypatch):
+def test_a_truncated_video_gives_its_frames_and_then_an_error(film, tmp_path, monkeypatch):
     monkeypatch.setattr(frame_sources, "read_video_facts", lambda _: VideoFacts(1000.0, 80))
     for every in (True, False):
         found, says = until_it_fails(Video(tmp_path / "film.mp4", every).read_frames())
@@ -162,8 +162,8 @@ def test_a_video_that_breaks_off_is_told_after_its_frames(film, tmp_path, monkey
     assert len(list(Video(tmp_path / "film.mp4", every=True).read_frames())) == 50
 
 
-def test_a_film_cut_short_is_told(tmp_path):
-    cv2 = pytest.importorskip("cv2", reason="OpenCV writes and reads the film")
+def test_a_truncated_video_file_gives_an_error(tmp_path):
+    cv2 = pytest.importorskip("cv2", reason="OpenCV, which writes and reads the video, is not installed")
     path = tmp_path / "film.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (64, 48))
     noise = np.random.default_rng(0).integers(0, 256, (60, 48, 64, 3), np.uint8)
@@ -177,7 +177,7 @@ def test_a_film_cut_short_is_told(tmp_path):
     assert not missing(says, "film.avi", len(found))
 
 
-def test_a_file_that_is_no_video_is_told(tmp_path):
+def test_a_file_that_is_not_a_video_gives_an_error(tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"no film at all")
     with pytest.raises(SourceError, match=r"film\.mp4"):
         list(Video(tmp_path / "film.mp4", every=True).read_frames())
@@ -210,7 +210,7 @@ def capture(monkeypatch) -> type[FakeCapture]:
     return kind
 
 
-def test_a_camera_gives_red_first_and_is_told_when_it_goes_away(capture):
+def test_a_camera_gives_rgb_frames_and_an_error_when_it_is_unplugged(capture):
     camera = Camera("/dev/video2")
     found, says = until_it_fails(camera.read_frames())
     assert capture.asked == "/dev/video2"
@@ -222,19 +222,19 @@ def test_a_camera_gives_red_first_and_is_told_when_it_goes_away(capture):
     assert capture.asked == 0
 
 
-def test_a_camera_that_is_not_there_is_told_at_once(capture, monkeypatch):
+def test_a_missing_camera_gives_an_error_at_once(capture, monkeypatch):
     monkeypatch.setattr(capture, "opens", False)
     with pytest.raises(SourceError, match="camera 3"):
         Camera("3").read_frames()
 
 
-def test_without_opencv_a_camera_says_what_to_install(monkeypatch):
+def test_a_camera_without_opencv_names_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(MissingLibraryError, match=naming("pip install 'tactile-loc[camera]'")):
         Camera("0").read_frames()
 
 
-def test_there_is_one_source(tmp_path):
+def test_exactly_one_source_must_be_given(tmp_path):
     for given in ((None, None, False), (tmp_path, "0", False)):
         with pytest.raises(SourceError, match="--camera"):
             open_source(*given)

@@ -71,7 +71,7 @@ def in_chunks(path: Path, compression: CompressionType, chunk: int) -> Path:
     return path
 
 
-def test_another_library_reads_what_is_written(recorded):
+def test_another_library_reads_a_written_recording(recorded):
     with recorded.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         found = [(m.channel.topic, m.message.log_time, m.decoded_message) for m in reader.iter_decoded_messages()]
@@ -85,7 +85,7 @@ def test_another_library_reads_what_is_written(recorded):
     assert list(pose.pose.covariance)[::7] == [1, 2, 3, 4, 5, 6]
 
 
-def test_what_is_written_is_read(recorded):
+def test_a_written_recording_is_read_back(recorded):
     recording = Recording(recorded)
     contents = recording.read_contents()
     assert {topic.name: count for topic, count in contents.counts.items()} == {
@@ -99,7 +99,7 @@ def test_what_is_written_is_read(recorded):
     assert recording.damage == ""
 
 
-def test_a_copy_is_the_same_with_its_attachments(recorded, tmp_path):
+def test_a_copy_has_the_same_messages_and_attachments(recorded, tmp_path):
     with recorded.open("rb") as file:
         before = [(m.topic, c.data) for _, m, c in make_reader(file).iter_messages()]
     noted = tmp_path / "noted.mcap"
@@ -137,7 +137,7 @@ def test_bags_are_read(tmp_path, kind):
 
 
 def test_bags_without_definitions_are_read(tmp_path):
-    """As ROS 2 wrote them up to Humble."""
+    """ROS 2 wrote such bags up to Humble."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Writer2(tmp_path / "drive", version=8) as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
@@ -150,8 +150,8 @@ def test_bags_without_definitions_are_read(tmp_path):
     np.testing.assert_array_equal(decode_image(message.decode()), IMAGES[0])
 
 
-def test_channels_of_one_topic_are_one_topic(tmp_path):
-    """Two publishers of different quality of service."""
+def test_two_channels_of_one_topic_count_as_one_topic(tmp_path):
+    """Two publishers have different qualities of service."""
     path, topic = tmp_path / "drive.mcap", make_topic("/gel/image", IMAGE)
 
     def write(writer: RecordingWriter) -> None:
@@ -166,7 +166,7 @@ def test_channels_of_one_topic_are_one_topic(tmp_path):
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
 @pytest.mark.parametrize("chunk", [0, 1000])
-def test_of_a_recording_that_breaks_off_the_beginning_is_read(tmp_path, compression, chunk):
+def test_the_beginning_of_a_truncated_recording_is_read(tmp_path, compression, chunk):
     whole = in_chunks(tmp_path / "whole.mcap", compression, chunk).read_bytes()
     counts = []
     for share in (0.3, 0.6, 0.9):
@@ -192,12 +192,12 @@ def test_a_damaged_chunk_is_not_read(tmp_path):
     assert "crc" in recording.damage.lower()
 
 
-def test_a_lost_index_is_no_damage(recorded):
+def test_a_recording_without_an_index_is_read(recorded):
     recorded.write_bytes(recorded.read_bytes()[:-20])
     assert Recording(recorded).read_contents().damage == ""
 
 
-def test_what_is_no_recording_is_one_sentence(tmp_path):
+def test_a_file_that_is_not_a_recording_gives_a_one_sentence_error(tmp_path):
     (tmp_path / "text.mcap").write_text("no recording at all")
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "text.bag").write_text("no bag")
@@ -210,7 +210,7 @@ def test_what_is_no_recording_is_one_sentence(tmp_path):
             Recording(tmp_path / name).read_contents()
 
 
-def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
+def test_a_missing_topic_is_refused_with_the_existing_topics(recorded, tmp_path):
     contents = Recording(recorded).read_contents()
     with pytest.raises(RecordingError, match=naming("drive.mcap", "'/gel/image'") + r".*/gel/imag\b"):
         choose_image_topic(contents, recorded, "/gel/imag")
@@ -229,7 +229,7 @@ def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
         choose_image_topic(Recording(moving).read_contents(), moving, None)
 
 
-def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
+def test_messages_of_unknown_encodings_are_refused_when_decoded(tmp_path):
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -247,7 +247,7 @@ def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
 
 
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
-def test_a_library_that_lacks_is_named(recorded, tmp_path, monkeypatch, library):
+def test_a_missing_library_is_named(recorded, tmp_path, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[recordings]'")):
         Recording(recorded)

@@ -36,13 +36,13 @@ def compressed(values: np.ndarray, kind: str) -> Fields:
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
-def test_colours_are_red_first_whatever_the_encoding(encoding, order):
+def test_every_colour_encoding_is_read_as_rgb(encoding, order):
     np.testing.assert_array_equal(decode_image(raw(padded(RGB[..., order]), encoding, 14)), RGB)
     alpha = np.dstack([RGB[..., order], np.full((5, 4, 1), 7, np.uint8)])
     np.testing.assert_array_equal(decode_image(raw(alpha.tobytes(), f"{encoding[:3]}a8", 16)), RGB)
 
 
-def test_grey_and_depths():
+def test_grey_images_and_depth_images_are_read():
     np.testing.assert_array_equal(decode_image(raw(padded(RGB[..., 0]), "mono8", 6)), RGB[..., 0])
     depth = np.random.default_rng(1).random((5, 4))
     for big, dtype in ((False, "<f4"), (True, ">f4")):
@@ -52,14 +52,14 @@ def test_grey_and_depths():
         np.testing.assert_array_equal(found, depth.astype(np.float32))
 
 
-def test_compressed_images():
+def test_compressed_images_are_read():
     np.testing.assert_array_equal(decode_image(compressed(RGB, "png")), RGB)
     np.testing.assert_array_equal(decode_image(compressed(RGB[..., 0], "png")), RGB[..., 0])
     smooth = np.broadcast_to(np.array([200, 90, 10], np.uint8), (16, 16, 3))
     assert np.abs(decode_image(compressed(smooth, "jpeg")).astype(int) - smooth).max() <= 3
 
 
-def test_images_that_cannot_be_read_are_one_sentence():
+def test_unreadable_images_give_a_one_sentence_error():
     with pytest.raises(RecordingError, match=naming("'bayer_rggb8'", "bgr8")):
         decode_image(raw(b"", "bayer_rggb8", 4))
     for data, step in ((RGB.tobytes()[:-1], 12), (RGB.tobytes(), 11), (b"", 12)):
@@ -71,7 +71,7 @@ def test_images_that_cannot_be_read_are_one_sentence():
         decode_image(compressed(RGB[..., 0].astype(np.uint16), "png"))
 
 
-def test_poses_go_to_ros_and_back():
+def test_poses_survive_the_conversion_to_ros_and_back():
     rng = np.random.default_rng(2)
     for R in draw_rotations(5, rng):
         T = make_transform(R, rng.normal(size=3))
@@ -81,7 +81,7 @@ def test_poses_go_to_ros_and_back():
     assert RosPose.of(np.eye(4), None).quaternion_xyzw == (0, 0, 0, 1)
 
 
-def test_the_covariance_in_the_base_is_that_of_samples_about_the_fixed_axes():
+def test_the_covariance_in_the_base_equals_that_of_samples_about_fixed_axes():
     """Errors drawn in the sensor's frame, as in RefinedPose, have ROS's covariance in the base frame."""
     rng = np.random.default_rng(3)
     R_sensor, R_object = draw_rotations(2, rng)
@@ -97,10 +97,12 @@ def test_the_covariance_in_the_base_is_that_of_samples_about_the_fixed_axes():
     sampled = errors.T @ errors / len(errors)
     std = np.sqrt(np.diag(found))
     np.testing.assert_allclose(sampled / np.outer(std, std), found / np.outer(std, std), atol=0.02)
-    assert np.abs(C / np.outer(std, std) - found / np.outer(std, std)).max() > 0.1  # it makes a difference
+    assert (
+        np.abs(C / np.outer(std, std) - found / np.outer(std, std)).max() > 0.1
+    )  # the conversion changes the covariance
 
 
-def test_transforms_that_are_none_are_refused():
+def test_invalid_transforms_are_refused():
     np.testing.assert_allclose(
         read_transform(np.zeros(3), np.array([0, 0, 3.0, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12
     )

@@ -33,7 +33,7 @@ from tactile_loc.locate.results.result_json import read_record
 
 @pytest.fixture
 def copy(run_folder: Path, tmp_path: Path) -> Path:
-    """A result that may be changed."""
+    """A result that a test may change."""
     return shutil.copytree(run_folder, tmp_path / "copy")
 
 
@@ -41,7 +41,7 @@ def read(folder: Path) -> ResultArrays:
     return read_arrays(folder / "result.npz", read_record(folder / "result.json"))
 
 
-def test_what_is_written_is_what_is_read(tmp_path, run_folder):
+def test_written_arrays_are_read_back(tmp_path, run_folder):
     record = read_record(run_folder / "result.json")
     rng = np.random.default_rng(0)
     observed = rng.random((6, 8)) > 0.2
@@ -72,7 +72,7 @@ def test_what_is_written_is_what_is_read(tmp_path, run_folder):
         assert (touch.T_sensor_first == T).all()
 
 
-def test_a_run_s_arrays_are_the_posterior_and_the_rendered_shapes(run_folder, localizer):
+def test_the_arrays_of_a_run_hold_the_posterior_and_the_rendered_shapes(run_folder, localizer):
     record, arrays = read_record(run_folder / "result.json"), read(run_folder)
     (touch,) = arrays.touches
     assert len(arrays.log_p) <= record.grid_poses
@@ -86,7 +86,7 @@ def test_a_run_s_arrays_are_the_posterior_and_the_rendered_shapes(run_folder, lo
     assert touch.shape.contact_iou(touch.make_shape(0), touch.geometry.observed_mask) > 0.5
 
 
-def test_of_many_poses_the_most_probable_are_kept(box):
+def test_only_the_most_probable_poses_are_kept(box):
     T = make_transform(np.eye(3), np.arange(30)[:, None] * np.array([1e-3, 0, 0]))
     log_p = np.random.default_rng(0).normal(size=30)
     log_p[3] = -np.inf
@@ -96,7 +96,7 @@ def test_of_many_poses_the_most_probable_are_kept(box):
     assert len(find_most_probable(posterior, 100)) == 29  # without the excluded one
 
 
-def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localizer):
+def test_each_touch_shows_the_hypotheses_from_its_own_sensor(localizer):
     import dataclasses
 
     from tactile_loc.core.geometry.rigid import invert
@@ -114,21 +114,21 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
     assert (arrays.touches[0].T_sensor_first == np.eye(4)).all()
 
 
-def test_a_missing_file_is_one_sentence(copy):
+def test_a_missing_file_gives_a_one_sentence_error(copy):
     (copy / "result.npz").unlink()
     with pytest.raises(ResultError, match=r"\A(?!.*damaged).*result\.npz"):
         read(copy)
 
 
 @pytest.mark.parametrize("keep", [0, 10, 5000])
-def test_a_cut_off_file_is_one_sentence(copy, keep):
+def test_a_truncated_file_gives_a_one_sentence_error(copy, keep):
     whole = (copy / "result.npz").read_bytes()
     (copy / "result.npz").write_bytes(whole[:keep])
     with pytest.raises(ResultError, match=naming("result.npz", "damaged")):
         read(copy)
 
 
-def test_altered_bytes_are_one_sentence(copy):
+def test_altered_bytes_give_a_one_sentence_error(copy):
     data = bytearray((copy / "result.npz").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 400] = bytes(400)
     (copy / "result.npz").write_bytes(data)
@@ -137,14 +137,14 @@ def test_altered_bytes_are_one_sentence(copy):
 
 
 def resave(folder: Path, **changed: object) -> None:
-    """Write the arrays anew, some of them changed; None leaves one out."""
+    """Write the arrays again with changes; None omits an array."""
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | changed
     np.savez(folder / "result.npz", **{name: value for name, value in arrays.items() if value is not None})
 
 
 @pytest.mark.parametrize("version", [None, np.array(99), np.array("old")])
-def test_another_version_is_one_sentence(copy, version):
+def test_another_version_of_the_arrays_gives_a_one_sentence_error(copy, version):
     resave(copy, schema_version=version)
     with pytest.raises(ResultError, match=naming("result.npz", f"version {version}", "version 1")):
         read(copy)
@@ -158,7 +158,7 @@ def test_another_version_is_one_sentence(copy, version):
         {"touch_0_made_m": np.zeros((0, 200, 200), np.float32)}, {"log_p": np.array(["a"])},
     ],
 )  # fmt: skip
-def test_what_does_not_belong_together_is_one_sentence(copy, changed):
+def test_inconsistent_arrays_give_a_one_sentence_error(copy, changed):
     resave(copy, **changed)
     with pytest.raises(ResultError, match=r"result\.npz.*(damaged|incomplete)"):
         read(copy)
@@ -170,7 +170,7 @@ def test_pickled_objects_are_not_read(copy):
         read(copy)
 
 
-def test_the_two_files_must_be_of_one_result(copy):
+def test_two_files_of_different_results_are_refused(copy):
     document = json.loads((copy / "result.json").read_text())
     document["normalised_entropy"] += 0.01
     (copy / "result.json").write_text(json.dumps(document))
@@ -178,14 +178,14 @@ def test_the_two_files_must_be_of_one_result(copy):
         read(copy)
 
 
-def test_the_fingerprint_survives_another_layout_of_the_json(copy):
+def test_the_fingerprint_does_not_depend_on_the_layout_of_the_json(copy):
     record = read_record(copy / "result.json")
     (copy / "result.json").write_text(json.dumps(json.loads((copy / "result.json").read_text()), indent=4))
     assert hash_record(read_record(copy / "result.json")) == hash_record(record)
 
 
 @pytest.mark.parametrize(("key", "value"), [("hypotheses", None), ("normalised_entropy", "much"), ("unknown", 1)])
-def test_a_damaged_record_is_one_sentence(copy, key, value):
+def test_a_damaged_record_gives_a_one_sentence_error(copy, key, value):
     document = json.loads((copy / "result.json").read_text())
     document[key] = value
     (copy / "result.json").write_text(json.dumps(document))
@@ -193,14 +193,14 @@ def test_a_damaged_record_is_one_sentence(copy, key, value):
         read_record(copy / "result.json")
 
 
-def test_a_record_of_another_version_is_one_sentence(copy):
+def test_a_record_of_another_version_gives_a_one_sentence_error(copy):
     (copy / "result.json").write_text('{"schema_version": 7}')
     with pytest.raises(ResultError, match=naming("result.json", "version 7")):
         read_record(copy / "result.json")
 
 
 @pytest.mark.parametrize(("text", "kind"), [("{", "JSON"), ("[1]", "list")])
-def test_a_damaged_document_is_one_sentence(tmp_path, text, kind):
+def test_a_damaged_document_gives_a_one_sentence_error(tmp_path, text, kind):
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(ResultError, match=naming("result.json", kind)):
         read_document(tmp_path / "result.json")
@@ -208,7 +208,7 @@ def test_a_damaged_document_is_one_sentence(tmp_path, text, kind):
 
 @pytest.mark.parametrize("name", ["T_sensor_object", "log_p", "vertices_m", "touch_0_made_m", "touch_0_T_sensor_first"])
 @pytest.mark.parametrize("damage", [lambda a: np.full_like(a, np.nan), lambda a: a[..., :-1], lambda a: a.astype(str)])
-def test_arrays_that_are_not_what_they_should_be(run_folder, name, damage):
+def test_arrays_of_wrong_shape_or_type_are_refused(run_folder, name, damage):
     with np.load(run_folder / "result.npz") as file:
         arrays = {key: file[key] for key in file.files}
     unpack_arrays(dict(arrays))

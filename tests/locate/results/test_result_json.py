@@ -27,18 +27,18 @@ def with_truth(localization, T):
     return dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, T_sensor_object=T))
 
 
-def test_the_file_is_the_record(record, tmp_path):
+def test_the_file_holds_the_record(record, tmp_path):
     path = write_record(tmp_path / "deep" / "result.json", record)
     assert ResultRecord.model_validate_json(path.read_text()) == record
     assert json.loads(path.read_text())["schema_version"] == SCHEMA_VERSION
 
 
-def test_the_schema_refuses_what_it_does_not_know(record):
+def test_the_schema_refuses_unknown_keys(record):
     with pytest.raises(ValidationError):
         ResultRecord.model_validate({**record.model_dump(), "mood": "good"})
 
 
-def test_hypotheses_are_those_of_the_localisation(record, localization):
+def test_the_record_holds_the_hypotheses_of_the_localisation(record, localization):
     assert [h.rank for h in record.hypotheses] == list(range(1, len(localization.hypotheses) + 1))
     for written, found in zip(record.hypotheses, localization.hypotheses, strict=True):
         assert np.array_equal(written.T_sensor_object, found.T_sensor_object)
@@ -48,16 +48,16 @@ def test_hypotheses_are_those_of_the_localisation(record, localization):
     assert record.grid_poses == len(localization.posterior.grid)
 
 
-def test_the_entropy_is_normalised_by_that_of_knowing_nothing(record):
+def test_the_entropy_is_normalised_by_that_of_a_uniform_posterior(record):
     assert record.normalised_entropy == pytest.approx(record.entropy_nats / np.log(record.grid_poses))
 
 
-def test_seconds_of_all_stages(record):
+def test_the_record_holds_the_seconds_of_all_stages(record):
     assert record.seconds["model"] == 1.5
     assert {"encode", "match", "refine"} <= record.seconds.keys()
 
 
-def test_errors_are_the_distances_to_the_truth(record, localizer, localization):
+def test_errors_equal_the_distances_to_the_truth(record, localizer, localization):
     metric, T_true = PoseMetric(localizer.object), localization.touch.T_sensor_object
     expected = [
         metric.symmetric_distance(np.array(h.T_sensor_object)[None], T_true[None])[0] for h in record.hypotheses
@@ -70,7 +70,7 @@ def test_errors_are_the_distances_to_the_truth(record, localizer, localization):
     assert record.errors.closest_in_grid_m == pytest.approx(closest, abs=1e-6)
 
 
-def test_a_symmetric_twin_of_the_truth_is_no_error(localizer, localization):
+def test_a_symmetric_equivalent_of_the_truth_has_no_error(localizer, localization):
     T = localization.best.T_sensor_object
     half_turn = localizer.object.symmetry.list_elements()[1]
     assert with_truth(localization, T @ half_turn).measure_errors_m(localizer.object)[0] == pytest.approx(0, abs=1e-9)
@@ -79,7 +79,7 @@ def test_a_symmetric_twin_of_the_truth_is_no_error(localizer, localization):
     assert with_truth(localization, shifted).measure_errors_m(localizer.object)[0] == pytest.approx(0.003)
 
 
-def test_without_a_true_pose_there_are_no_errors(localizer, localization):
+def test_a_record_without_a_true_pose_has_no_errors(localizer, localization):
     unknown = with_truth(localization, None)
     assert unknown.measure_errors_m(localizer.object) is None
     record = make_record(localizer, unknown)
@@ -88,7 +88,7 @@ def test_without_a_true_pose_there_are_no_errors(localizer, localization):
     assert {h.error_m for h in record.hypotheses} == {None}
 
 
-def test_settings_are_complete_and_can_be_read_back(record):
+def test_settings_are_complete_and_are_read_back(record):
     again = RunConfig.from_dict(record.configuration)
     assert again.resolve() == record.configuration
     assert record.configuration["grid"]["options"]["spacing_mm"] == 8
@@ -96,12 +96,12 @@ def test_settings_are_complete_and_can_be_read_back(record):
     assert record.distributions == dict.fromkeys(SLOTS, "tactile-loc")
 
 
-def test_settings_that_a_component_refuses():
+def test_settings_that_a_component_refuses_give_an_error():
     with pytest.raises(ConfigError, match="spacing_mm"):
         RunConfig.from_dict({"grid": {"name": "face", "spacing_mm": -1}}).resolve()
 
 
-def test_versions_and_time(record):
+def test_the_record_holds_versions_and_the_time(record):
     assert read_versions() == record.versions
     assert record.versions["tactile-loc"] == __version__
     assert record.versions["numpy"] == np.__version__
@@ -109,19 +109,19 @@ def test_versions_and_time(record):
     assert datetime.fromisoformat(record.created).utcoffset().total_seconds() == 0
 
 
-def test_object(record, localizer):
+def test_the_record_describes_the_object(record, localizer):
     assert record.object.symmetry == "z2"
     assert record.object.size_m == pytest.approx(localizer.object.mesh.extents_m)
 
 
 @pytest.mark.parametrize(("iou", "doubted"), [(0.49, True), (0.5, False)])
-def test_one_touch_of_which_little_is_explained_is_doubted(record, iou, doubted):
+def test_a_touch_that_the_pose_hardly_explains_causes_a_doubt(record, iou, doubted):
     said = list_doubts(explained_by(record, iou))
     assert len(said) == doubted
     assert all("49 %" in sentence and record.touch.name in sentence for sentence in said)
 
 
-def test_a_pose_that_was_not_refined_is_not_doubted(record):
+def test_an_unrefined_pose_causes_no_doubt(record):
     grid_pose = record.hypotheses[0].T_sensor_object_grid
     assert list_doubts(explained_by(record, 0.1, T_sensor_object=grid_pose)) == []
 
@@ -131,7 +131,7 @@ def explained_by(record, iou, **changes):
     return record.model_copy(update={"hypotheses": [best]})
 
 
-def test_no_place_to_write(record, tmp_path):
+def test_an_unwritable_path_is_refused(record, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         write_record(tmp_path / "file" / "result.json", record)

@@ -28,16 +28,16 @@ from tactile_loc.locate.results.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEW
         (CERTAIN, np.nan, 0.0, Verdict.CERTAIN),
     ],
 )
-def test_one_rule_decides(probability, imprint_iou, elsewhere, expected):
+def test_the_first_matching_rule_gives_the_verdict(probability, imprint_iou, elsewhere, expected):
     assert judge(probability, imprint_iou, elsewhere) is expected
 
 
-def test_without_a_touch_nothing_else_counts():
+def test_no_contact_takes_precedence_over_every_other_verdict():
     assert judge(1.0, 0.9, touched=False) is Verdict.NO_CONTACT
     assert judge(None, touched=False) is Verdict.NO_CONTACT
 
 
-def test_thresholds_are_the_callers():
+def test_the_caller_sets_the_thresholds():
     assert judge(0.6, 0.3, certain=0.5, least_iou=0.25) is Verdict.CERTAIN
     assert TrackerOptions().certain == CERTAIN
 
@@ -53,7 +53,7 @@ def changed(localization, **changes):
 
 
 def moved(localization):
-    """The pose that a refiner found a little beside the grid's."""
+    """The pose that a refiner found, slightly away from the grid pose."""
     T = localization.best.T_sensor_object_grid.copy()
     T[0, 3] += 1e-5
     return RefinedPose(T, 1.0, True, 1)
@@ -69,13 +69,13 @@ def test_a_result_is_judged_by_its_first_hypothesis(localization):
     assert elsewhere.verdict is Verdict.NOT_FOUND
 
 
-def test_the_imprint_of_a_pose_that_was_not_refined_says_nothing(localization):
+def test_the_imprint_of_an_unrefined_pose_does_not_change_the_verdict(localization):
     grid_pose = RefinedPose(localization.best.T_sensor_object_grid, 1.0, True, 0)
     one = changed(localization, probability=0.95, imprint_iou=0.3, refined=grid_pose)
     assert one.verdict is Verdict.CERTAIN
 
 
-def test_touches_that_contradict_one_another_are_a_poor_fit_unless_the_wrong_one_is_known(localization):
+def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(localization):
     one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
     two = replace(one, agreement=Agreement((0.9, 0.9), contradictory=True))
     assert two.verdict is Verdict.POOR_FIT
@@ -83,7 +83,7 @@ def test_touches_that_contradict_one_another_are_a_poor_fit_unless_the_wrong_one
     assert three.verdict is Verdict.CERTAIN
 
 
-def test_the_file_has_the_verdict_and_older_files_have_none(localizer, localization):
+def test_the_file_holds_the_verdict_and_older_files_need_none(localizer, localization):
     record = make_record(localizer, localization)
     assert record.verdict is localization.verdict
     older = record.model_dump(mode="json")

@@ -48,7 +48,7 @@ def norm_shapes(layer: str, width: int) -> dict[str, tuple[int, ...]]:
 
 
 def torchvision_shapes(name: str) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of torchvision's state dict less the classifier, written down from the papers' tables."""
+    """Names and shapes of torchvision's state dict without the classifier, taken from the papers' tables."""
     shapes: dict[str, tuple[int, ...]] = {"conv1.weight": (64, 3, 7, 7)} | norm_shapes("bn1", 64)
     deep = name == "resnet50"
     incoming = 64
@@ -83,7 +83,7 @@ def torchvision_weights(name: str, seed: int = 5) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])
-def test_residual_networks_have_torchvisions_names_and_shapes(name, parameters):
+def test_residual_networks_have_the_names_and_shapes_of_torchvision(name, parameters):
     model = made(name, in_channels=3, channels=None, norm="batch")
     assert {key: tuple(value.shape) for key, value in model.state_dict().items()} == torchvision_shapes(name)
     assert sum(parameter.numel() for parameter in model.parameters()) == parameters
@@ -95,7 +95,7 @@ def test_group_norm_keeps_the_names_and_drops_the_running_statistics(name):
     assert made(name, channels=None, norm="group").state_dict().keys() == expected
 
 
-def test_the_bottleneck_carries_its_stride_in_the_3x3_convolution():
+def test_the_bottleneck_has_its_stride_in_the_3x3_convolution():
     block = made("resnet50").get_submodule("layer2.0")
     strides = [block.get_submodule(layer).stride for layer in ("conv1", "conv2", "conv3", "downsample.0")]
     assert strides == [(1, 1), (2, 2), (1, 1), (2, 2)]
@@ -115,7 +115,7 @@ def test_the_bottleneck_carries_its_stride_in_the_3x3_convolution():
         ("resnet50", 8, 64, 97, (8, 2, 4)),
     ],
 )
-def test_the_map_has_the_shape_that_the_stride_says(name, channels, height_px, width_px, shape):
+def test_the_feature_map_has_the_shape_of_the_stride(name, channels, height_px, width_px, shape):
     model = made(name, channels=channels).to("meta")  # shapes without the arithmetic
     images = torch.ones(2, 1, height_px, width_px, device="meta")
     assert shape[1:] == (-(-height_px // model.stride_px), -(-width_px // model.stride_px))
@@ -123,15 +123,15 @@ def test_the_map_has_the_shape_that_the_stride_says(name, channels, height_px, w
     assert model(images).shape == (2, shape[0] * shape[1] * shape[2])
 
 
-def test_the_vector_is_the_flattened_map():
+def test_the_vector_is_the_flattened_feature_map():
     model = made().eval()
     with torch.inference_mode():
         assert torch.equal(model(masks()), model.feature_map(masks()).flatten(1))
 
 
 @pytest.mark.parametrize(("name", "side_px"), [("small", 192), ("resnet18", 576)])
-def test_a_shift_by_the_stride_shifts_the_map_by_a_cell(name, side_px):
-    # fresh batch norms in evaluation leave zero at zero, so the image's border plays no part in it
+def test_a_shift_by_the_stride_shifts_the_feature_map_by_a_cell(name, side_px):
+    # new batch norms in evaluation map zero to zero, so the image's border has no effect
     model = made(name, norm="batch").eval()
     at, step = side_px // 2, model.stride_px
     image = torch.zeros(2, 1, side_px, side_px)
@@ -144,7 +144,7 @@ def test_a_shift_by_the_stride_shifts_the_map_by_a_cell(name, side_px):
 
 
 @pytest.mark.parametrize("name", BACKBONES)
-def test_the_seed_decides_the_weights_and_the_global_state_does_not(name):
+def test_the_weights_depend_on_the_seed_and_not_on_the_global_state(name):
     torch.manual_seed(7)
     state = torch.get_rng_state()
     first = made(name).state_dict()
@@ -155,7 +155,7 @@ def test_the_seed_decides_the_weights_and_the_global_state_does_not(name):
     assert all(torch.isfinite(value).all() for value in first.values())
 
 
-def test_fresh_weights_have_the_spread_of_he_and_idle_norms():
+def test_new_weights_have_he_initialisation_and_idle_norms():
     weights = made("resnet18", norm="batch").state_dict()
     assert float(weights["layer3.1.conv2.weight"].std()) == pytest.approx((2 / (256 * 9)) ** 0.5, rel=0.01)
     assert float(weights["project.weight"].std()) == pytest.approx((1 / 512) ** 0.5, rel=0.05)
@@ -167,7 +167,7 @@ def test_fresh_weights_have_the_spread_of_he_and_idle_norms():
 @pytest.mark.parametrize(
     ("name", "norm"), [("small", "group"), ("small", "batch"), ("resnet18", "group"), ("resnet18", "batch")]
 )
-def test_no_image_changes_anothers_vector_in_evaluation(name, norm):
+def test_images_of_a_batch_are_independent_in_evaluation(name, norm):
     model = made(name, norm=norm).eval()
     images = masks(5)
     with torch.inference_mode():
@@ -176,7 +176,7 @@ def test_no_image_changes_anothers_vector_in_evaluation(name, norm):
     assert (together[0] - together[1]).abs().max() > 1e-3
 
 
-def test_in_training_only_batch_norm_mixes_images():
+def test_only_batch_norm_mixes_images_in_training():
     images, others = masks(4), masks(4, seed=2)
     others[0] = images[0]
     mixes = {norm: made(norm=norm).train() for norm in ("group", "batch")}
@@ -186,7 +186,7 @@ def test_in_training_only_batch_norm_mixes_images():
 
 
 @pytest.mark.parametrize("name", ["small", "resnet18"])
-def test_a_second_plane_is_seen(name):
+def test_a_second_plane_changes_the_vector(name):
     model = made(name, in_channels=2).eval()
     images = torch.cat(
         [masks(2)[:1].repeat(2, 1, 1, 1), torch.tensor([0.2, 0.9])[:, None, None, None].expand(2, 1, 64, 64)], 1
@@ -196,7 +196,7 @@ def test_a_second_plane_is_seen(name):
     assert (shallow - deep).abs().max() > 1e-3
 
 
-def test_a_small_network_learns_to_tell_two_images_apart():
+def test_a_small_network_learns_to_distinguish_two_images():
     model, images = made(channels=4).train(), masks(2)
     optimiser = torch.optim.SGD(model.parameters(), lr=0.05)
     distances = []
@@ -218,13 +218,13 @@ def test_a_small_network_learns_to_tell_two_images_apart():
         ({"norm": "layer"}, ("'layer'", "'batch'", "'group'")),
     ],
 )
-def test_options_that_make_no_network_are_refused(options, values):
+def test_invalid_network_options_are_refused(options, values):
     with pytest.raises(ConfigError, match=naming(*values)):
         made(**options)
 
 
 @pytest.mark.parametrize(("name", "norm"), [("small", "group"), ("small", "batch"), ("resnet18", "batch")])
-def test_weights_come_back_from_a_file_as_they_were(tmp_path, name, norm):
+def test_weights_are_read_back_unchanged(tmp_path, name, norm):
     model, other = made(name, in_channels=2, norm=norm), made(name, seed=1, in_channels=2, norm=norm)
     load_pretrained(other, saved(model.state_dict(), tmp_path / "weights.safetensors"))
     assert same(model.state_dict(), other.state_dict())
@@ -234,7 +234,7 @@ def test_weights_come_back_from_a_file_as_they_were(tmp_path, name, norm):
 
 
 @pytest.mark.parametrize("name", ["resnet18", "resnet50"])
-def test_torchvisions_files_fill_all_but_the_projection(tmp_path, name):
+def test_torchvision_files_fill_all_layers_but_the_projection(tmp_path, name):
     weights = torchvision_weights(name)
     model = made(name, in_channels=3, norm="batch")
     before = copied(model)
@@ -246,14 +246,14 @@ def test_torchvisions_files_fill_all_but_the_projection(tmp_path, name):
     assert all(torch.equal(after[key], before[key]) for key in project)
 
 
-def test_old_files_that_count_no_batches_are_taken(tmp_path):
+def test_files_without_a_batch_count_are_read(tmp_path):
     weights = {key: value for key, value in torchvision_weights("resnet18").items() if not key.endswith("tracked")}
     model = made("resnet18", norm="batch")
     load_pretrained(model, saved(weights, tmp_path / "weights.safetensors"))
     assert torch.equal(model.state_dict()["bn1.running_mean"], weights["bn1.running_mean"])
 
 
-def test_group_norms_take_scale_and_shift_of_the_batch_norms(tmp_path):
+def test_group_norms_load_scale_and_shift_of_batch_norms(tmp_path):
     weights = torchvision_weights("resnet18")
     model = made("resnet18", norm="group")
     load_pretrained(model, saved(weights, tmp_path / "weights.safetensors"))
@@ -264,7 +264,7 @@ def test_group_norms_take_scale_and_shift_of_the_batch_norms(tmp_path):
 
 
 @pytest.mark.parametrize("planes", [1, 2])
-def test_weights_for_colours_answer_as_if_the_mask_were_repeated(tmp_path, planes):
+def test_colour_weights_treat_one_plane_as_three_equal_planes(tmp_path, planes):
     path = saved(torchvision_weights("resnet18"), tmp_path / "weights.safetensors")
     colour, gray = made("resnet18", in_channels=3), made("resnet18", in_channels=planes)
     load_pretrained(colour, path)
@@ -276,7 +276,7 @@ def test_weights_for_colours_answer_as_if_the_mask_were_repeated(tmp_path, plane
 
 
 def refused(model: Backbone, path: Path, *said: str) -> str:
-    """The sentence with which `path` is refused, which names the file and leaves the model untouched."""
+    """Return the message that refuses `path`; the file is named and the model is unchanged."""
     before = copied(model)
     with pytest.raises(WeightsError) as caught:
         load_pretrained(model, path)
@@ -287,7 +287,7 @@ def refused(model: Backbone, path: Path, *said: str) -> str:
     return message
 
 
-def test_another_architecture_is_refused_by_its_first_difference(tmp_path):
+def test_another_architecture_is_refused_with_its_first_difference(tmp_path):
     deep = saved(torchvision_weights("resnet50"), tmp_path / "deep.safetensors")
     refused(made("resnet18"), deep, "resnet18", "'layer1.0.conv1.weight'", "(64, 64, 1, 1)", "(64, 64, 3, 3)")
     shallow = saved(torchvision_weights("resnet18"), tmp_path / "shallow.safetensors")
@@ -324,11 +324,11 @@ def changed(change: str) -> dict[str, torch.Tensor]:
         ("nan", ["'stages.2.0.weight'", "finite"]),
     ],
 )
-def test_weights_that_differ_are_refused_and_leave_the_model_alone(tmp_path, change, said):
+def test_mismatched_weights_are_refused_and_leave_the_model_unchanged(tmp_path, change, said):
     refused(made("small", seed=1), saved(changed(change), tmp_path / "weights.safetensors"), "small", *said)
 
 
-def test_weights_of_another_size_of_map_or_norm_are_refused(tmp_path):
+def test_weights_of_another_map_size_or_norm_are_refused(tmp_path):
     path = saved(made("small", channels=8).state_dict(), tmp_path / "weights.safetensors")
     refused(made("small"), path, "'project.weight'", "(8, 128, 1, 1)", "(16, 128, 1, 1)")
     refused(made("small", channels=None), path, "'project.")
@@ -350,7 +350,7 @@ class Command:
 
 
 @pytest.mark.parametrize("suffix", [".pth", ".pt", ".h5", ""])
-def test_no_file_but_safetensors_is_read_and_none_runs_code(tmp_path, monkeypatch, suffix):
+def test_only_safetensors_files_are_read_and_no_file_runs_code(tmp_path, monkeypatch, suffix):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / f"weights{suffix}"
     torch.save({"stages": Command()}, path)
@@ -360,12 +360,12 @@ def test_no_file_but_safetensors_is_read_and_none_runs_code(tmp_path, monkeypatc
     assert not (tmp_path / "harm-done").exists()
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     refused(made("small"), tmp_path / "weights.safetensors")
     (tmp_path / "folder.safetensors").mkdir()
     refused(made("small"), tmp_path / "folder.safetensors")
 
 
-def test_weights_errors_are_for_people():
+def test_weights_errors_derive_from_the_base_error():
     assert issubclass(WeightsError, TactileLocError)
     assert set(backbones.BACKBONES) == {"small", "resnet18", "resnet50"}

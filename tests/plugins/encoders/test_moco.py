@@ -26,7 +26,7 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 from tactile_loc.testing.problems import make_place_training_problem  # noqa: E402
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
-PLACES = {"epochs": 2, "queries": 32}  # all turns of a place are touches of it
+PLACES = {"epochs": 2, "queries": 32}  # all rotations of a place are touches of it
 FEW = 32  # touches to validate with
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -63,7 +63,7 @@ def same(a: MocoEncoder, b: MocoEncoder) -> bool:
 
 @pytest.fixture(scope="module")
 def learned(problem, one_thread) -> MocoEncoder:
-    """One that has learned without interruption; nothing may be changed in it."""
+    """An encoder that was trained without interruption; tests must not change it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "VALIDATION_TOUCHES", FEW)
         encoder = make()
@@ -87,7 +87,7 @@ class FileCheckpoints(Checkpoints):
             raise KeyboardInterrupt
 
 
-def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
+def test_the_momentum_copy_has_the_statistics_and_averaged_weights_of_the_network():
     fast, slow = (torch.nn.Sequential(torch.nn.Conv2d(1, 2, 3), torch.nn.BatchNorm2d(2)) for _ in range(2))
     before = [weight.detach().clone() for weight in slow.parameters()]
     fast(3.0 + torch.randn(4, 1, 8, 8))  # training mode: the statistics follow
@@ -100,7 +100,7 @@ def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
 
 
 @pytest.mark.slow
-def test_it_learns_to_tell_the_poses_apart(problem):
+def test_the_encoder_learns_to_distinguish_poses(problem):
     encoder = make(epochs=2, queries=256, noise="none")
     encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
@@ -110,7 +110,7 @@ def test_it_learns_to_tell_the_poses_apart(problem):
     touches = encoder_touches(problem, rng)
     vectors = encoder.encode(touches[0], geometry.max_depth_m, geometry)
     hits = ((vectors @ bank.T).argmax(1) == touches[1]).mean()
-    assert hits > 10 / len(problem.grid), "far more often right than by chance"
+    assert hits > 10 / len(problem.grid), "the encoder is hardly better than chance"
     np.testing.assert_allclose(np.linalg.norm(bank, axis=1), 1.0, atol=1e-5)
 
 
@@ -121,7 +121,7 @@ def encoder_touches(problem, rng):
     return problem.scene.render_contact_depths(poses), problem.grid.nearest(poses)[1]
 
 
-def test_the_same_seed_learns_the_same_and_another_one_does_not(problem, learned):
+def test_equal_seeds_learn_equal_weights_and_other_seeds_learn_others(problem, learned):
     again, other = make(), make(seed=1)
     for encoder in (again, other):
         encoder.fit(problem)
@@ -130,7 +130,7 @@ def test_the_same_seed_learns_the_same_and_another_one_does_not(problem, learned
 
 
 @pytest.mark.parametrize("stop_at", [1, 2])
-def test_an_interrupted_training_ends_as_an_uninterrupted_one(problem, learned, tmp_path, stop_at):
+def test_an_interrupted_training_ends_like_an_uninterrupted_one(problem, learned, tmp_path, stop_at):
     stopped = dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at))
     with pytest.raises(KeyboardInterrupt):
         make().fit(stopped)
@@ -139,7 +139,7 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one(problem, learned, 
     assert same(learned, resumed)
 
 
-def test_stopping_early_keeps_the_best(problem, monkeypatch):
+def test_early_stopping_keeps_the_best_network(problem, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     seen = []
     monkeypatch.setattr(training.Trainer, "_validate", lambda self, v: (next(losses), 0.0))
@@ -152,17 +152,17 @@ def test_stopping_early_keeps_the_best(problem, monkeypatch):
     monkeypatch.setattr(training.Trainer, "_judge", judge_and_keep)
     encoder = make(epochs=6, patience=2)
     encoder.fit(problem)
-    assert len(seen) == 4  # two epochs without a better one after the second
+    assert len(seen) == 4  # two epochs after the second one bring no improvement
     assert all(np.array_equal(v, seen[1][k].numpy()) for k, v in weights(encoder).items())
 
 
-def test_a_loss_that_is_no_number_in_the_first_epoch_stops_with_advice(problem, monkeypatch):
+def test_a_nan_loss_in_the_first_epoch_stops_with_advice(problem, monkeypatch):
     monkeypatch.setattr(training.Trainer, "_step", lambda *a: float("nan"))
     with pytest.raises(TrainingError, match=naming("NaN", "encoder.rate")):
         make().fit(problem)
 
 
-def test_a_loss_that_is_no_number_later_keeps_the_last_good_network(problem, monkeypatch, caplog):
+def test_a_later_nan_loss_keeps_the_last_good_network(problem, monkeypatch, caplog):
     good = make(epochs=1)
     step = training.Trainer._step
     monkeypatch.setattr(training.Trainer, "_step", lambda self, *a: step(self, *a) if self.epoch == 0 else float("nan"))
@@ -174,7 +174,7 @@ def test_a_loss_that_is_no_number_later_keeps_the_last_good_network(problem, mon
     assert good.recipe.epochs == 1
 
 
-def test_weights_survive_a_file(problem, tmp_path):
+def test_weights_are_read_back_from_a_file(problem, tmp_path):
     encoder = make(epochs=1)
     encoder.fit(problem)
     encoder.save_weights(tmp_path / "w.safetensors")
@@ -198,26 +198,26 @@ def test_weights_that_do_not_fit_are_refused(problem, tmp_path, damage):
         reader.load_weights(path)
 
 
-def test_asking_for_an_absent_gpu_says_so(problem, monkeypatch):
+def test_a_missing_gpu_is_refused(problem, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     encoder = make(device="cuda")
     with pytest.raises(ConfigError, match=naming("'moco'", "CUDA", "encoder.device")):
         encoder.fit(problem)
 
 
-def test_a_grid_too_large_for_memory_says_how_much_it_needs(problem, monkeypatch):
+def test_a_grid_too_large_for_memory_is_refused_with_the_memory_it_needs(problem, monkeypatch):
     monkeypatch.setattr(module, "_find_available_bytes", lambda: 1000)
     with pytest.raises(GridError, match=naming("GiB", "encoder.negatives", "encoder.batch", "grid.spacing_mm")):
         make().fit(problem)
 
 
-def test_it_must_be_trained_before_it_encodes(problem):
+def test_an_untrained_encoder_refuses_to_encode(problem):
     depth = np.concatenate(list(problem.shapes()))[:1]
     with pytest.raises(ConfigError, match="'moco'"):
         make().encode(depth, 1e-3, problem.scene.geometry)
 
 
-def test_sampled_softmax_keeps_the_right_keys_in_the_right_place():
+def test_sampled_softmax_keeps_every_target_key():
     keys = torch.arange(50.0)[:, None].repeat(1, 3)
     targets = torch.tensor([7, 3, 7, 40])
     kept, places = training._sample_keys(keys, targets, 10, np.random.default_rng(0))
@@ -225,13 +225,13 @@ def test_sampled_softmax_keeps_the_right_keys_in_the_right_place():
     assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
 
 
-def test_sampled_softmax_trains(problem):
+def test_sampled_softmax_can_train(problem):
     encoder = make(epochs=1, negatives=8)
     encoder.fit(problem)
     assert all(np.isfinite(v).all() for v in weights(encoder).values())
 
 
-def test_the_input_is_the_observed_contact_averaged_and_the_press(problem):
+def test_the_input_holds_the_averaged_observed_contact_and_the_press(problem):
     geometry = problem.scene.geometry
     depth = np.full((1, *geometry.shape), geometry.max_depth_m, np.float32)
     depth[0, : geometry.height_px // 2] = 0.0
@@ -248,7 +248,7 @@ def test_the_input_is_the_observed_contact_averaged_and_the_press(problem):
     assert torch.equal(mask_alone, planes[:, [0, 2]])
 
 
-def test_a_localizer_trains_once_and_reads_it_back(store):
+def test_a_localizer_trains_once_and_reads_the_weights_back(store):
     settings = {"grid": {"name": "face", "spacing_mm": 12}, "encoder": {"name": "moco", **TINY, "epochs": 1}}
     first = Localizer.create("pin", store=store, **settings)
     touch = first.simulate(seed=2)[0]
@@ -275,7 +275,7 @@ def some_seen(problem, rng):
     return keys, rng.random(keys.shape) < 0.7
 
 
-def test_places_are_embedded_by_what_is_seen_of_them(places):
+def test_the_embedding_of_a_place_ignores_unobserved_pixels(places):
     encoder, problem = places
     keys, seen = some_seen(problem, np.random.default_rng(0))
     garbage = np.where(seen, keys, np.float32(2e-4))
@@ -284,10 +284,10 @@ def test_places_are_embedded_by_what_is_seen_of_them(places):
     np.testing.assert_array_equal(weights, 1.0)
     np.testing.assert_allclose(np.linalg.norm(one, axis=1), 1.0, atol=1e-5)
     out_of_contact = encoder.encode(np.where(seen, keys, np.float32(1e-3)), 1e-3, problem.geometry)
-    assert np.abs(one - out_of_contact).max() > 1e-3, "what is not seen is not what is out of contact"
+    assert np.abs(one - out_of_contact).max() > 1e-3, "unobserved pixels count as pixels without contact"
 
 
-def test_what_was_learned_of_places_survives_a_file(places, tmp_path):
+def test_an_encoder_of_places_is_read_back_from_a_file(places, tmp_path):
     encoder, problem = places
     encoder.save_weights(tmp_path / "w.safetensors")
     other = make(**PLACES)
@@ -298,7 +298,7 @@ def test_what_was_learned_of_places_survives_a_file(places, tmp_path):
 
 
 @pytest.mark.parametrize("stop_at", [1])
-def test_an_interrupted_training_on_places_ends_as_an_uninterrupted_one(places, tmp_path, stop_at):
+def test_an_interrupted_training_on_places_ends_like_an_uninterrupted_one(places, tmp_path, stop_at):
     encoder, problem = places
     with pytest.raises(KeyboardInterrupt):
         make(**PLACES).fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at)))
@@ -307,7 +307,7 @@ def test_an_interrupted_training_on_places_ends_as_an_uninterrupted_one(places, 
     assert same(encoder, resumed)
 
 
-def test_files_of_weights_without_a_number_of_planes_are_of_shapes_that_are_wholly_seen(problem, learned, tmp_path):
+def test_weight_files_without_a_plane_count_have_one_plane(problem, learned, tmp_path):
     from safetensors.torch import save_file
 
     state = {name: tensor.contiguous() for name, tensor in learned._network.state_dict().items()}
@@ -317,7 +317,7 @@ def test_files_of_weights_without_a_number_of_planes_are_of_shapes_that_are_whol
     assert same(learned, other)
 
 
-def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
+def test_decoys_count_as_wrong_answers_unless_they_are_equivalent(places):
     encoder, problem = places
     network = encoder._make_network(0, True)
     trainer = training.Trainer(encoder.recipe, problem, network, torch.device("cpu"), decoys=2)
@@ -330,17 +330,17 @@ def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
     assert np.isfinite(trainer._step(batch, keys, 0, np.random.default_rng(2)))
 
 
-def test_decoys_change_what_is_learned_and_its_key(places):
+def test_decoys_change_the_learned_weights_and_the_key(places):
     encoder, problem = places
     other = make(**PLACES, decoys=2)
     other.fit(problem)
     assert not same(encoder, other)
     assert encoder.describe() != other.describe()
-    assert "decoys" not in encoder.describe()["options"], "keys are as before there were decoys"
+    assert "decoys" not in encoder.describe()["options"], "the default number of decoys is part of the key"
 
 
 @pytest.mark.slow
-def test_it_learns_to_tell_places_apart(places):
+def test_the_encoder_learns_to_distinguish_places(places):
     _, problem = places
     encoder = make(epochs=2, queries=128, noise="none")
     encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
@@ -350,7 +350,7 @@ def test_it_learns_to_tell_places_apart(places):
     keys = encoder.encode(np.concatenate(list(problem.clean_keys(press_m))), press_m, problem.geometry)
     vectors, _ = encoder.encode_seen(batch.depth_m[:, 0], batch.seen[:, 0], press_m, problem.geometry)
     ranks = (vectors @ keys.T > np.sum(vectors * keys[batch.labels], axis=1)[:, None]).sum(axis=1)
-    assert np.median(ranks) < 0.025 * len(problem), "a network that has learned nothing comes to 0.04 and more"
+    assert np.median(ranks) < 0.025 * len(problem), "an untrained network reaches 0.04 and more"
 
 
 TWO = """
@@ -368,7 +368,7 @@ crew.leave()
 """
 
 
-def test_two_processes_average_add_and_agree(tmp_path):
+def test_two_processes_average_add_and_share_values(tmp_path):
     (tmp_path / "two.py").write_text(TWO)
     words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "two.py"]
     done = subprocess.run(
@@ -377,7 +377,7 @@ def test_two_processes_average_add_and_agree(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_one_process_alone_sends_nothing():
+def test_a_single_process_communicates_nothing():
     crew = training.Crew(torch.device("cpu"))
     tensor = torch.tensor([2.0])
     crew.average([tensor])

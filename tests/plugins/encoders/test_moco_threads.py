@@ -51,11 +51,11 @@ def train(store: Path, first: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_it_learns_the_same_whether_numba_or_torch_started_first(tmp_path):
+def test_training_does_not_depend_on_whether_numba_or_torch_started_first(tmp_path):
     before, *learned = train(tmp_path / "numba", "numba first")
     changed, *again = train(tmp_path / "torch", "torch first")
     assert before == "1"
     assert learned[0] == "1"
     assert again == learned
     if changed == "1":
-        pytest.skip("this numba leaves torch's number of threads alone: nothing was put to the test")
+        pytest.skip("this numba leaves torch's number of threads alone: this test has nothing to check")

@@ -31,7 +31,7 @@ def binary(shapes: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("width", "height"), [(47, 33), (33, 47), (40, 40), (80, 20)])
 @pytest.mark.parametrize("cells", [7, 20, 33])
 def test_averaging_conserves_area_for_any_ratio(width, height, cells):
-    """The mean over cells is the share of the image in contact, also when a pixel falls into several cells."""
+    """The mean over cells is the share of the image in contact, even if a pixel lies in several cells."""
     geometry = sensor(width, height)
     shapes = random_shapes(5, geometry)
     vectors = pixel(cells).encode(shapes, PRESS_M, geometry)
@@ -50,7 +50,7 @@ def test_a_cell_is_the_mean_of_its_pixels():
     np.testing.assert_allclose(pixel(6).encode(shapes, PRESS_M, geometry) * np.sqrt(24), expected, atol=1e-6)
 
 
-def test_cells_share_the_pixels_between_them():
+def test_a_pixel_between_two_cells_is_shared_by_them():
     """Three pixels in two cells: the middle one counts half in each."""
     geometry = sensor(6, 6)
     shape = np.full((1, 6, 6), PRESS_M, np.float32)
@@ -68,7 +68,7 @@ def test_squared_distance_is_the_mean_squared_difference(signal):
     assert ((a - b) ** 2).sum() == pytest.approx(((values[0] - values[1]) ** 2).mean(), rel=1e-5)
 
 
-def test_binary_regards_the_outline_only_and_depth_the_penetration():
+def test_binary_cells_hold_the_outline_and_depth_cells_the_penetration():
     geometry = sensor(20, 20)
     shallow = np.full((1, 20, 20), PRESS_M, np.float32)
     shallow[0, 5:15, 5:15] = 0.5 * PRESS_M
@@ -78,14 +78,14 @@ def test_binary_regards_the_outline_only_and_depth_the_penetration():
     np.testing.assert_allclose(full, 2 * half, atol=1e-6)
 
 
-def test_no_contact_is_nothing():
+def test_an_empty_shape_gives_a_zero_vector():
     geometry = sensor(20, 20)
     for signal in ("binary", "depth"):
         assert not pixel(10, signal).encode(np.full((1, 20, 20), PRESS_M, np.float32), PRESS_M, geometry).any()
 
 
 @pytest.mark.parametrize("signal", ["binary", "depth"])
-def test_pixels_that_are_not_observed_do_not_count(signal):
+def test_unobserved_pixels_are_ignored(signal):
     observed = np.ones((20, 30), bool)
     observed[:, 18:] = False
     geometry = dataclasses.replace(sensor(30, 20), observed=observed)
@@ -97,7 +97,7 @@ def test_pixels_that_are_not_observed_do_not_count(signal):
     assert not np.array_equal(encode(shapes, PRESS_M, sensor(30, 20)), encode(other, PRESS_M, sensor(30, 20)))
 
 
-def test_a_batch_is_its_shapes_one_by_one():
+def test_a_batch_gives_the_vectors_of_its_single_shapes():
     geometry = sensor(47, 33)
     shapes = random_shapes(6, geometry)
     encoder = pixel(11)
@@ -109,14 +109,14 @@ def test_a_batch_is_its_shapes_one_by_one():
 @pytest.mark.parametrize(("width", "height"), [(470, 470), (320, 240), (240, 320), (298, 201), (640, 333)])
 @pytest.mark.parametrize("cells", [4, 20, 90])
 @pytest.mark.parametrize("long_side", [16, 60, 80, 128])
-def test_touch_and_bank_have_the_same_cells_whatever_their_resolutions(width, height, cells, long_side):
+def test_touch_and_bank_have_the_same_cells_at_any_resolution(width, height, cells, long_side):
     fine = sensor(width, height)
     coarse = fine.resize_long_side(long_side)
     dimensions = {pixel(cells).encode(np.zeros((1, *g.shape), np.float32), PRESS_M, g).shape for g in (fine, coarse)}
     assert len(dimensions) == 1
 
 
-def test_the_same_view_at_another_resolution_is_close():
+def test_the_same_view_at_another_resolution_gives_a_similar_vector():
     fine = sensor(160, 120)
     coarse = fine.resize(80, 60)
     vectors = []
@@ -128,6 +128,6 @@ def test_the_same_view_at_another_resolution_is_close():
     assert (vectors[0] ** 2).sum() > 0.05
 
 
-def test_its_bank_follows_the_press():
+def test_the_bank_follows_the_press_depth():
     assert PixelEncoder.capabilities.follows_press_depth
     assert not PixelEncoder.capabilities.needs_training

@@ -15,13 +15,13 @@ T_BASE = [np.eye(4), make_transform(rotation_about([-1, 0, 2], 2.1), [0.21, -0.1
 
 
 def line(box, places: list[int], log_p: list[float], sensor: int = 0) -> PosePosterior:
-    """Poses 3 mm apart, as the first sensor has them, seen by `sensor`."""
+    """Poses 3 mm apart in the frame of the first sensor, as `sensor` sees them."""
     x = 0.003 * np.array(places, float)
     in_first = make_translation(np.column_stack([x, 0 * x, 0 * x]))
     return PosePosterior(PoseGrid(invert(T_BASE[sensor]) @ in_first, PoseMetric(box)), np.array(log_p, float))
 
 
-def test_what_touches_all_sensors_is_equally_probable(box):
+def test_all_poses_that_touch_all_sensors_are_equally_probable(box):
     touches = [line(box, [0, 1, 2, 3], [0, -9, -np.inf, -5]), line(box, [3, 8, 2, 1], [-40, 0, 0, 0], 1)]
     fused = KinematicFuser(KinematicFuser.Options(reach=0.4)).fuse(touches, T_BASE)
     np.testing.assert_allclose(fused.probabilities, [0, 1 / 3, 1 / 3, 1 / 3], atol=1e-12)
@@ -29,19 +29,19 @@ def test_what_touches_all_sensors_is_equally_probable(box):
     assert KinematicFuser.capabilities.contact_only
 
 
-def test_the_prior_weighs_them(box):
+def test_the_prior_weights_the_poses(box):
     touches = [line(box, [0, 1, 2], [0, 0, 0]), line(box, [1, 2], [0, 0], 1)]
     fused = KinematicFuser(KinematicFuser.Options(reach=0.4)).fuse(touches, T_BASE, lambda T: np.log([0.7, 0.1, 0.2]))
     np.testing.assert_allclose(fused.probabilities, [0, 1 / 3, 2 / 3], atol=1e-12)
 
 
-def test_it_excludes_the_same_poses_as_the_product(box):
+def test_the_kinematic_fuser_excludes_the_same_poses_as_the_product(box):
     touches = [line(box, [0, 1, 2, 3], [0, -1, -2, -3]), line(box, [2, 5, 3], [-1, -1, -2], 1)]
     supports = [np.isfinite(f.fuse(touches, T_BASE).log_p).tolist() for f in (KinematicFuser(), ProductFuser())]
     assert supports[0] == supports[1]
 
 
-def test_no_common_pose_and_unknown_sensors_are_errors(box):
+def test_a_missing_common_pose_and_unknown_sensor_poses_are_errors(box):
     touches = [line(box, [0, 1], [0, 0]), line(box, [30, 31], [0, 0], 1)]
     with pytest.raises(GridError, match=naming("contact 2", "T_base_sensor")):
         KinematicFuser().fuse(touches, T_BASE)

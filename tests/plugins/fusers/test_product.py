@@ -19,12 +19,12 @@ def posterior(box) -> PosePosterior:
     return PosePosterior(grid, np.log([0.1, 0.2, 0.3, 0.4]))
 
 
-def test_without_a_prior_the_touch_has_the_word(posterior):
+def test_a_single_touch_without_a_prior_keeps_its_probabilities(posterior):
     fused = ProductFuser().fuse([posterior], [None])
     np.testing.assert_allclose(fused.probabilities, [0.1, 0.2, 0.3, 0.4])
 
 
-def test_a_prior_weighs_each_pose_by_where_it_is(posterior):
+def test_a_prior_weights_each_pose_by_its_position(posterior):
     weights = np.array([4.0, 3.0, 2.0, 1.0])
     fused = ProductFuser().fuse([posterior], [None], lambda T: np.log(weights[np.rint(T[:, 0, 3] / 0.001).astype(int)]))
     product = np.array([0.4, 0.6, 0.6, 0.4])
@@ -32,28 +32,28 @@ def test_a_prior_weighs_each_pose_by_where_it_is(posterior):
     assert fused.grid is posterior.grid
 
 
-def test_the_priors_scale_does_not_matter(posterior):
+def test_the_scale_of_the_prior_does_not_matter(posterior):
     a, b = (ProductFuser().fuse([posterior], [None], lambda T, c=c: T[:, 0, 3] * 500 + c) for c in (0.0, 1e5))
     np.testing.assert_allclose(a.probabilities, b.probabilities, rtol=1e-9)
 
 
-def test_a_prior_may_exclude(posterior):
+def test_a_prior_may_exclude_poses(posterior):
     fused = ProductFuser().fuse([posterior], [None], lambda T: np.where(T[:, 0, 3] < 0.0015, 0.0, -np.inf))
     np.testing.assert_allclose(fused.probabilities, [1 / 3, 2 / 3, 0, 0])
 
 
-def test_a_prior_that_excludes_everything_is_told(posterior):
+def test_a_prior_that_excludes_everything_is_refused(posterior):
     with pytest.raises(GridError, match=naming("prior", 4)):
         ProductFuser().fuse([posterior], [None], lambda T: np.full(len(T), -np.inf))
 
 
 @pytest.mark.parametrize("weights", [0.0, np.zeros(3), np.zeros((4, 1)), np.full(4, np.nan), [0.0, 0.0, np.inf, 0.0]])
-def test_a_prior_that_is_no_log_weight_a_pose_is_refused(posterior, weights):
+def test_a_prior_without_one_log_weight_per_pose_is_refused(posterior, weights):
     with pytest.raises(ConfigError, match=naming("prior", np.shape(weights), 4, "(N,)")):
         ProductFuser().fuse([posterior], [None], lambda T: weights)
 
 
-def test_without_doubt_no_logarithm_of_nothing_is_taken(box):
+def test_a_doubt_of_zero_takes_no_logarithm_of_zero(box):
     with np.errstate(all="raise"):
         ProductFuser().fuse(toys(box, 2), T_BASE[:2])
 
@@ -63,13 +63,13 @@ def test_one_touch_needs_no_sensor_pose(posterior):
         assert np.array_equal(ProductFuser().fuse([posterior], [T]).log_p, posterior.log_p)
 
 
-def test_it_leaves_its_input_alone(posterior):
+def test_the_fuser_does_not_change_its_input(posterior):
     before = posterior.log_p.copy()
     ProductFuser().fuse([posterior], [None], lambda T: np.arange(4.0))
     assert np.array_equal(posterior.log_p, before)
 
 
-def test_one_touch_is_weighed_by_what_it_was_learned_from(posterior):
+def test_a_touch_is_divided_by_its_training_distribution(posterior):
     trained = PosePosterior(posterior.grid, posterior.log_p, np.log([4.0, 3.0, 2.0, 1.0]))
     ratio = np.array([0.1, 0.2, 0.3, 0.4]) / [4.0, 3.0, 2.0, 1.0]
     fused = ProductFuser().fuse([trained], [None])
@@ -85,7 +85,7 @@ T_BASE = [
 
 
 def toy(box, places: list[int], weights: list[float], sensor: int = 0, trained: list[float] | None = None):
-    """Poses on a line, `places` steps of 3 mm along it in the first sensor's frame, as another sensor sees them."""
+    """Poses on a line, at `places` steps of 3 mm in the first sensor's frame, as another sensor sees them."""
     x = STEP_M * np.array(places, float)
     in_first = make_translation(np.column_stack([x, 0 * x, 0 * x]))
     grid = PoseGrid(invert(T_BASE[sensor]) @ T_BASE[0] @ in_first, PoseMetric(box))
@@ -93,7 +93,7 @@ def toy(box, places: list[int], weights: list[float], sensor: int = 0, trained: 
 
 
 def toys(box, count: int) -> list[PosePosterior]:
-    """Three grids that share the places 1 and 2 (all of them) and 3 (the first two), in other orders."""
+    """Three grids in different orders: all share the places 1 and 2, and the first two also share 3."""
     first = toy(box, [0, 1, 2, 3], [0.1, 0.2, 0.3, 0.4], 0, [0.4, 0.1, 0.25, 0.25])
     second = toy(box, [3, 2, 1], [0.5, 0.3, 0.2], 1, [0.5, 0.25, 0.25])
     third = toy(box, [1, 5, 2], [0.25, 0.5, 0.25], 2)
@@ -114,32 +114,36 @@ def task(T: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("prior", [None, task])
-def test_it_is_the_formula_summed_by_hand(box, count, prior):
+def test_the_product_equals_the_formula_by_hand(box, count, prior):
     fused = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(toys(box, count), T_BASE[:count], prior)
     product = np.array(BY_HAND[count]) * (1 if prior is None else TASK)
     np.testing.assert_allclose(fused.probabilities, product / product.sum(), rtol=0, atol=1e-9)
 
 
-def test_a_pose_counts_where_it_is_nearest(box):
-    """Grids half a step apart: each pose takes the nearer one's word, and one beyond reach is dropped."""
+def test_a_pose_takes_the_probability_of_the_nearest_pose(box):
+    """The second grid is shifted: each pose takes the nearest probability, and a pose beyond reach is dropped."""
     touches = [toy(box, [0, 1, 2], [0.2, 0.3, 0.5]), toy(box, [0.1, 1.3, 6], [0.3, 0.6, 0.1], 1)]
     fused = ProductFuser(ProductFuser.Options(reach=0.2)).fuse(touches, T_BASE[:2])
     np.testing.assert_allclose(fused.probabilities, np.array([0.06, 0.18, 0]) / 0.24, atol=1e-9)
 
 
-def test_reach_is_in_spacings_of_the_coarser_grid(box):
+def test_the_reach_is_measured_in_spacings_of_the_coarser_grid(box):
     every_quarter = list(np.arange(0, 4, 0.25))
     reach = ProductFuser(ProductFuser.Options(reach=0.55))
     seen = reach.fuse([toy(box, every_quarter, [1.0] * 16), toy(box, [0, 2], [0.5, 0.5], 1)], T_BASE[:2])
-    assert np.isfinite(seen.log_p).sum() == 13, "0.55 of two steps: up to 3"
+    assert np.isfinite(seen.log_p).sum() == 13, "the reach is 0.55 of two steps, so that poses up to 3 count"
     seen = reach.fuse([toy(box, [0, 2.9, 5.8], [1.0] * 3), toy(box, every_quarter, [1.0] * 16, 1)], T_BASE[:2])
-    assert np.isfinite(seen.log_p).tolist() == [True, True, False], "0.55 of 2.9 steps: up to 5.3"
+    assert np.isfinite(seen.log_p).tolist() == [True, True, False], (
+        "the reach is 0.55 of 2.9 steps, so that the last pose is too far away"
+    )
     fine, half, coarse = every_quarter, every_quarter[:9], [0, 2, 4]
     each = [toy(box, places, [1.0] * len(places), k) for k, places in enumerate((fine, half, coarse))]
-    assert np.isfinite(reach.fuse(each, T_BASE).log_p).sum() == 9, "0.55 of a quarter, however coarse the third is"
+    assert np.isfinite(reach.fuse(each, T_BASE).log_p).sum() == 9, (
+        "the reach between the first two grids is 0.55 of a quarter step, for any third grid"
+    )
 
 
-def test_where_the_base_is_does_not_matter(box):
+def test_the_position_of_the_base_does_not_matter(box):
     touches, elsewhere = toys(box, 3), make_transform(rotation_about([2, 1, 1], 1.9), [3.0, -2.0, 0.7])
     one, other = (ProductFuser().fuse(touches, [X @ T for T in T_BASE]) for X in (np.eye(4), elsewhere))
     np.testing.assert_allclose(one.probabilities, other.probabilities, atol=1e-9)
@@ -152,23 +156,23 @@ def test_the_order_of_later_touches_does_not_matter(box):
     np.testing.assert_allclose(one.probabilities, other.probabilities, atol=1e-12)
 
 
-def test_with_another_touch_first_it_is_the_same_over_the_other_grid(box):
+def test_another_first_touch_gives_the_same_product_over_its_grid(box):
     touches = toys(box, 2)
     ahead = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(touches, T_BASE[:2])
     behind = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(touches[::-1], T_BASE[1::-1])
     np.testing.assert_allclose(behind.probabilities, ahead.probabilities[[3, 2, 1]], atol=1e-9)
 
 
-def test_one_sensor_that_touches_twice_needs_no_lookup(box, monkeypatch):
+def test_two_touches_of_one_sensor_pose_need_no_lookup(box, monkeypatch):
     first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
     again = PosePosterior(first.grid, np.log([0.5, 0.3, 0.2]))
-    monkeypatch.setattr(PoseGrid, "nearest", lambda *_: pytest.fail("looked up"))
+    monkeypatch.setattr(PoseGrid, "nearest", lambda *_: pytest.fail("the fuser looked poses up"))
     fused = ProductFuser().fuse([first, again], [T_BASE[0]] * 2)
     np.testing.assert_allclose(fused.probabilities, np.array([0.1, 0.09, 0.1]) / 0.29, atol=1e-12)
 
 
 @pytest.mark.parametrize("symmetry", ["z2", "zinf*x2"])
-def test_equivalent_poses_are_one(make_box, cylinder, symmetry):
+def test_equivalent_poses_count_as_one(make_box, cylinder, symmetry):
     """The second grid holds other equivalents of the same poses."""
     obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.012, symmetry=symmetry)
     plain = toy(obj, [0, 1, 2], [0.2, 0.3, 0.5])
@@ -190,8 +194,8 @@ def test_very_small_probabilities_neither_vanish_nor_overflow(box):
     assert fused.log_p[1] == pytest.approx(-4000)
 
 
-def test_one_grid_seen_from_elsewhere_is_looked_up(box):
-    """A sensor that has moved on by a step: a pose is where the one before it was."""
+def test_one_grid_seen_from_another_sensor_pose_is_looked_up(box):
+    """The sensor has moved by one step, so that each pose lies where the pose before it was."""
     first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
     T_moved = T_BASE[0] @ make_translation([STEP_M, 0, 0])
     fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([first, first], [T_BASE[0], T_moved])
@@ -204,7 +208,7 @@ def test_no_common_pose_names_the_contact(box):
         ProductFuser(ProductFuser.Options(reach=0.1)).fuse(touches, T_BASE)
 
 
-def test_touches_that_contradict_one_another_say_so_or_are_doubted(box):
+def test_contradicting_touches_give_an_error_or_are_doubted(box):
     one, other = toy(box, [0, 1], [1.0, 1.0]), toy(box, [0, 1], [1.0, 1.0], 1)
     yes, no = PosePosterior(one.grid, [0.0, -np.inf]), PosePosterior(other.grid, [-np.inf, 0.0])
     with pytest.raises(GridError, match=naming(2, 1, "fuser.doubt")):
@@ -215,7 +219,7 @@ def test_touches_that_contradict_one_another_say_so_or_are_doubted(box):
     np.testing.assert_allclose(fused.probabilities, ratio / ratio.sum(), atol=1e-9)
 
 
-def test_a_pose_that_touches_nothing_is_dropped_for_all_doubt(box):
+def test_a_pose_without_contact_is_dropped_in_spite_of_doubt(box):
     fused = ProductFuser(ProductFuser.Options(reach=0.4, doubt=0.9)).fuse(toys(box, 3), T_BASE)
     assert (fused.probabilities > 0).tolist() == [False, True, True, False]
 

@@ -19,7 +19,7 @@ def face(side: str = "auto", **options) -> FaceGrid:
 
 
 def wedge_shaped(make_object, shift_m) -> ObjectModel:
-    """A box whose origin is elsewhere: which face is nearest is to be told from its centroid."""
+    """A box whose origin is not its centroid: the nearest face depends on the centroid."""
     return make_object(trimesh.creation.box([0.03, 0.02, 0.012]).apply_translation(shift_m))
 
 
@@ -32,14 +32,14 @@ def test_the_named_side_points_into_the_sensor(pinhole, box, side):
 
 
 @pytest.mark.parametrize("shift_m", [(0, 0, 0), (0.2, -0.1, 0.05)])
-def test_auto_is_the_face_nearest_to_the_centroid(pinhole, make_object, shift_m):
-    """Of a 30 x 20 x 12 mm box one of the largest two; of these equals, that of the greater normal."""
+def test_auto_chooses_the_face_nearest_to_the_centroid(pinhole, make_object, shift_m):
+    """For a 30 x 20 x 12 mm box, this is one of the two largest faces: the one with the greater normal."""
     obj = wedge_shaped(make_object, shift_m)
     np.testing.assert_allclose(find_resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m), [0, 0, 1], atol=1e-9)
     assert np.array_equal(face("auto").sample(obj, pinhole, 0.01), face("+z").sample(obj, pinhole, 0.01))
 
 
-def test_auto_of_a_tetrahedron_is_its_side_nearest_the_centroid():
+def test_auto_chooses_the_side_of_a_tetrahedron_nearest_to_the_centroid():
     vertices = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.04, 0], [0, 0, 0.02]])
     normals = np.array([[0, 0, -1.0], [0, -1, 0], [-1, 0, 0], [1 / 0.05, 1 / 0.04, 1 / 0.02]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -51,7 +51,7 @@ def test_auto_of_a_tetrahedron_is_its_side_nearest_the_centroid():
     np.testing.assert_allclose(found, normals[distances.argmin()], atol=1e-9)
 
 
-def test_auto_turns_with_the_object(box):
+def test_auto_rotates_with_the_object(box):
     R = rotation_about([1, 2, 3], 0.8)
     found = find_resting_normal(box.mesh.vertices_m @ R.T, box.mesh.centroid_m)
     assert abs(found @ R @ [0, 0, 1]) == pytest.approx(1.0)
@@ -83,17 +83,17 @@ def test_an_unknown_face_is_refused(pinhole, box):
 
 
 @pytest.mark.parametrize("spacing_m", [0.003, 0.006])
-def test_neighbours_are_a_spacing_apart(pinhole, box, spacing_m):
+def test_neighbours_are_one_spacing_apart(pinhole, box, spacing_m):
     T = face("+z").sample(box, pinhole, spacing_m)
     spacing = PoseGrid(T, PoseMetric(box)).neighbour_spacing()
-    assert spacing.mean() == pytest.approx(spacing_m, rel=0.15), "a whole number of yaws goes round"
-    assert spacing.max() <= spacing_m * (1 + 1e-9), "the lattice's own pitch"
+    assert spacing.mean() == pytest.approx(spacing_m, rel=0.15), "a circle must hold a whole number of yaws"
+    assert spacing.max() <= spacing_m * (1 + 1e-9), "the spacing exceeds the pitch of the lattice"
     yaws = np.unique(np.arctan2(T[:, 1, 0], T[:, 0, 0]).round(9))
     lever_m = np.sqrt(np.trace(box.mesh.covariance_m2[:2, :2]))
     assert 2 * np.pi * lever_m / len(yaws) == pytest.approx(spacing_m, rel=0.15)
 
 
-def test_the_lattice_covers_all_places_where_the_object_can_be_over_the_sensor(flat_camera, box):
+def test_the_lattice_covers_every_position_over_the_sensor(flat_camera, box):
     T = face("+z").sample(box, flat_camera, 0.004)
     straight = T[np.isclose(T[:, 0, 0], 1.0)]
     x0, x1, y0, y1 = flat_camera.rectangle
@@ -102,7 +102,7 @@ def test_the_lattice_covers_all_places_where_the_object_can_be_over_the_sensor(f
     np.testing.assert_allclose([low[1], high[1]], [y0 - 0.010, y1 + 0.010], atol=0.004)
 
 
-def test_tilts_are_about_the_sensors_axes_and_no_larger_than_asked(pinhole, box):
+def test_tilts_are_about_the_sensors_axes_and_within_the_limit(pinhole, box):
     flat = face("+z").sample(box, pinhole, 0.01)
     T = face("+z", tilt_deg=8.0, tilt_steps=3).sample(box, pinhole, 0.01)
     assert is_rigid(T)
@@ -114,8 +114,8 @@ def test_tilts_are_about_the_sensors_axes_and_no_larger_than_asked(pinhole, box)
     assert 8 * len(flat) < len(T) < 11 * len(flat)
 
 
-def test_yaws_have_lattices_that_fill_one_another_s_gaps(flat_camera, box):
-    """Otherwise a narrow ledge beside a face falls between the same rows at every yaw."""
+def test_lattices_of_different_yaws_fill_each_others_gaps(flat_camera, box):
+    """Otherwise a narrow ledge beside a face lies between the same rows at every yaw."""
     T = face("+z").sample(box, flat_camera, 0.005)
     for axis in range(2):
         rows = np.unique((T[:, axis, 3] % 0.005).round(6))
@@ -130,17 +130,17 @@ def test_random_tilts_are_within_the_limit_and_uniform(pinhole, box):
         assert tilt.std() == pytest.approx(16 / np.sqrt(12), rel=0.05)
 
 
-def test_random_poses_fill_the_same_set(pinhole, box):
+def test_random_poses_cover_the_same_set_as_the_grid(pinhole, box):
     T = face("-x").random(box, pinhole, 4000, np.random.default_rng(1))
     np.testing.assert_allclose(T[:, :3, :3] @ [-1, 0, 0], np.broadcast_to([0, 0, -1.0], (4000, 3)), atol=1e-12)
     grid = face("-x").sample(box, pinhole, 0.004)
     gap = PoseGrid(grid, PoseMetric(box)).nearest(T)[0]
     assert gap.max() < 1.2 * 0.004
     steps = rotation_angle(T[1:, :3, :3] @ T[0, :3, :3].T)
-    assert steps.mean() == pytest.approx(np.pi / 2, rel=0.05), "yaws go all the way round"
+    assert steps.mean() == pytest.approx(np.pi / 2, rel=0.05), "the yaws do not cover the circle"
 
 
-def test_random_yaws_are_as_frequent_as_their_places(flat_camera, make_box):
+def test_random_yaws_are_as_frequent_as_their_positions(flat_camera, make_box):
     """A rod has more places over the sensor when it lies across; grid and random poses agree on this."""
     rod, side = make_box(0.06, 0.004, 0.006), np.subtract(flat_camera.rectangle[1::2], flat_camera.rectangle[::2])
     T = face("+z").random(rod, flat_camera, 20_000, np.random.default_rng(1))
@@ -149,7 +149,9 @@ def test_random_yaws_are_as_frequent_as_their_places(flat_camera, make_box):
     area_m2 = (side[0] + 0.06 * cosine + 0.004 * sine) * (side[1] + 0.06 * sine + 0.004 * cosine)
     weights = 1 / area_m2 / (1 / area_m2).sum()
     for k in (1, 2, 4):
-        assert abs((weights * np.exp(1j * k * yaw)).sum()) < 0.03, "uniform but for the area"
+        assert abs((weights * np.exp(1j * k * yaw)).sum()) < 0.03, (
+            "the yaws are not uniform after weighting by the area"
+        )
         assert abs(np.exp(4j * yaw).mean()) > 0.05
 
 
@@ -168,10 +170,10 @@ def test_symmetric_yaws_coincide(pinhole, make_box, make_object):
     ("none", [0, 0, 1], 1), ("z6", [0, 0, 1], 6), ("z6", [0, 0, -1], 6), ("z6", [1, 0, 0], 1), ("z6*x2", [0, 0, 1], 6),
     ("z6*x2", [1, 0, 0], 2), ("zinf", [0, 0, 1], np.inf), ("zinf", [1, 0, 0], 1), ("zinf*x2", [0.6, 0.8, 0], 2),
 ])  # fmt: skip
-def test_turns_that_look_alike(symmetry, normal, turns):
+def test_equivalent_rotations_about_a_normal_are_counted(symmetry, normal, turns):
     assert count_turns_alike(SymmetryGroup.parse(symmetry, np.zeros(3)), np.array(normal, float)) == turns
 
 
-def test_same_seed_same_poses(pinhole):
+def test_equal_seeds_give_equal_poses(pinhole):
     hook = load_object("hook")
     assert np.array_equal(*(face().random(hook, pinhole, 5, np.random.default_rng(2)) for _ in range(2)))

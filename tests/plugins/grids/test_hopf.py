@@ -58,31 +58,31 @@ def centroids(obj: ObjectModel, T: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("obj", [BRICK, ROD, PLATE, model(trimesh.creation.icosphere(2, 0.02))])
 @pytest.mark.parametrize("spacing_m", [0.004, 0.005])
-def test_neighbouring_rotations_are_a_spacing_apart_whatever_the_shape(obj, spacing_m):
+def test_neighbouring_rotations_are_one_spacing_apart_for_any_shape(obj, spacing_m):
     R = make_rotation_grid(obj, spacing_m).all_representatives()
     turned = PoseGrid(make_transform(R, -R @ obj.mesh.centroid_m), PoseMetric(obj))
     assert 0.85 < np.median(turned.neighbour_spacing()) / spacing_m < 1.15
 
 
-def test_poses_are_a_spacing_apart():
+def test_poses_are_one_spacing_apart():
     T = HopfGrid().sample(BRICK, GEOMETRY, 0.012)
     grid = PoseGrid(T, PoseMetric(BRICK))
     assert is_rigid(T)
     assert 0.85 < np.median(grid.neighbour_spacing()) / 0.012 < 1.15
 
 
-def test_spin_is_about_the_axis_that_stands_out():
+def test_the_spin_axis_is_the_distinct_principal_axis():
     for obj, axis in ((ROD, [1, 0, 0]), (PLATE, [0, 0, 1])):
         found, about_m, across_m = find_spin_axis(obj)
         np.testing.assert_allclose(np.abs(found), axis, atol=1e-9)
         assert (about_m < across_m) == (obj is ROD)
     _, about_m, across_m = find_spin_axis(box(0.03, 0.03, 0.03))
-    mean_square = 0.03**2 * (2 * 1 / 4 + 4 * 1 / 12) / 6  # two faces at a / 2, four spread evenly from -a / 2 to a / 2
+    mean_square = 0.03**2 * (2 * 1 / 4 + 4 * 1 / 12) / 6  # two faces at a / 2, four uniform from -a / 2 to a / 2
     np.testing.assert_allclose([about_m, across_m], np.sqrt(2 * mean_square))
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_level_sets_the_rotations_and_the_spacing_only_the_plane(level):
+def test_a_level_sets_the_rotations_and_the_spacing_sets_the_plane(level):
     T = HopfGrid(HopfGrid.Options(level=level)).sample(BRICK, GEOMETRY, 0.02)
     assert len(np.unique(T[:, :3, :3].reshape(-1, 9), axis=0)) == 72 * 8**level
     at_one_rotation = centroids(BRICK, T[(T[:, :3, :3] == T[0, :3, :3]).all(axis=(1, 2))])
@@ -90,7 +90,7 @@ def test_a_level_sets_the_rotations_and_the_spacing_only_the_plane(level):
     np.testing.assert_allclose(apart.min(), 0.02)
 
 
-def test_only_without_a_level_is_the_spacing_that_of_the_whole_grid():
+def test_the_spacing_describes_the_whole_grid_only_without_a_level():
     assert HopfGrid().spacing_is_mean
     assert not HopfGrid(HopfGrid.Options(level=1)).spacing_is_mean
 
@@ -109,7 +109,7 @@ def test_the_plane_is_covered_wherever_boxes_overlap():
     assert counts.min() >= 1
 
 
-def test_poses_beyond_the_range_have_no_contact_and_most_within_have():
+def test_poses_outside_the_range_have_no_contact_and_most_inside_have():
     R = draw_rotations(100, np.random.default_rng(3))
     low, high = find_centroid_range(BRICK, R, GEOMETRY)
     for limit_m in (low - 1e-4, high + 1e-4):
@@ -119,7 +119,7 @@ def test_poses_beyond_the_range_have_no_contact_and_most_within_have():
     assert bring_to_contact(BRICK.mesh, poses, GEOMETRY)[1].mean() > 0.5
 
 
-def test_grid_does_not_depend_on_where_the_origin_is():
+def test_the_grid_does_not_depend_on_the_origin_of_the_mesh():
     shift = (0.03, -0.02, 0.05)
     T = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
     moved = HopfGrid().sample(box(0.06, 0.04, 0.03, shift_m=shift), GEOMETRY, 0.015)
@@ -131,7 +131,7 @@ def test_a_box_needs_a_quarter_of_the_poses():
     assert len(symmetric) / len(alone) == pytest.approx(0.25, abs=0.02)
 
 
-def test_half_turns_about_the_spin_axis_take_exactly_half():
+def test_a_symmetry_of_half_turns_about_the_spin_axis_halves_the_grid():
     obj = box(0.08, 0.012, 0.01, "x2")
     grid = make_rotation_grid(obj, 0.006)
     assert grid.n_psi % 2 == 0
@@ -140,7 +140,7 @@ def test_half_turns_about_the_spin_axis_take_exactly_half():
 
 @pytest.mark.parametrize("level", [None, 1])
 @pytest.mark.parametrize(("symmetry", "share"), [("zinf", 1.0), ("zinf*x2", 0.5)])
-def test_a_turned_part_has_one_rotation_for_each_direction(symmetry, share, level):
+def test_a_round_part_has_one_rotation_for_each_direction(symmetry, share, level):
     obj = model(trimesh.creation.cylinder(0.008, 0.05), symmetry)
     grid = make_rotation_grid(obj, 0.004, level)
     R = grid.all_representatives()
@@ -149,7 +149,7 @@ def test_a_turned_part_has_one_rotation_for_each_direction(symmetry, share, leve
     assert len(np.unique(axes.round(6), axis=0)) == len(R)
 
 
-def test_no_pose_is_far_from_the_grid_or_an_equivalent():
+def test_every_pose_is_near_the_grid_or_an_equivalent():
     for obj in (box(0.06, 0.04, 0.03, "x2*y2"), model(trimesh.creation.cylinder(0.008, 0.05), "zinf*x2")):
         T = HopfGrid().sample(obj, GEOMETRY, 0.01)
         queries = HopfGrid().random(obj, GEOMETRY, 500, np.random.default_rng(0))
@@ -161,7 +161,7 @@ def test_no_pose_is_far_from_the_grid_or_an_equivalent():
         assert distance.mean() < 0.8 * 0.01
 
 
-def test_too_many_poses_are_refused_with_their_count_and_a_spacing_that_is_not():
+def test_too_many_poses_are_refused_with_their_count_and_a_valid_spacing():
     sampler = HopfGrid(HopfGrid.Options(max_poses=20_000))
     with pytest.raises(GridError, match=naming("part", "2 mm", "20,000", "max_poses")) as refused:
         sampler.sample(BRICK, GEOMETRY, 0.002)
@@ -170,25 +170,25 @@ def test_too_many_poses_are_refused_with_their_count_and_a_spacing_that_is_not()
     assert 10_000 < len(sampler.sample(BRICK, GEOMETRY, enough_mm * 1e-3)) <= 20_000
 
 
-def test_the_count_that_is_stated_is_what_would_come():
+def test_the_stated_count_equals_the_real_count():
     true = len(HopfGrid().sample(BRICK, GEOMETRY, 0.012))
     assert len(HopfGrid(HopfGrid.Options(max_poses=true)).sample(BRICK, GEOMETRY, 0.012)) == true
     with pytest.raises(GridError, match=naming(f"{true:,}", f"{true - 1:,}", "max_poses")):
         HopfGrid(HopfGrid.Options(max_poses=true - 1)).sample(BRICK, GEOMETRY, 0.012)
 
 
-def test_a_level_too_high_says_so():
+def test_a_level_too_high_is_refused():
     with pytest.raises(GridError, match=naming("part", "10 mm", "level", "max_poses")):
         HopfGrid(HopfGrid.Options(level=8)).sample(BRICK, GEOMETRY, 0.01)
 
 
 @pytest.mark.parametrize("spacing_m", [0.0, -1.0, np.nan, np.inf, 1e-9])
-def test_impossible_spacing_is_refused(spacing_m):
+def test_an_impossible_spacing_is_refused(spacing_m):
     with pytest.raises(GridError, match=naming("0.001 mm")):
         HopfGrid().sample(BRICK, GEOMETRY, spacing_m)
 
 
-def test_a_flat_surface_is_sampled_too():
+def test_a_flat_surface_is_sampled():
     surface = TriangleMesh(np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]]), np.array([[0, 1, 2]]))
     sheet = ObjectModel("sheet", surface, SymmetryGroup.parse("none", np.zeros(3)))
     assert is_rigid(HopfGrid().sample(sheet, GEOMETRY, 0.01))
@@ -252,14 +252,14 @@ def to_nearest(R: np.ndarray, grid: np.ndarray, k: int = 1) -> tuple[np.ndarray,
     return 4 * np.arcsin(chord[:, 0] / 2), index[:, 0] % len(grid)
 
 
-def test_base_pixels_are_where_healpix_has_them():
+def test_base_pixels_have_the_positions_of_healpix():
     z, azimuth_rad = compute_pixel_angles(1, np.arange(12))
     np.testing.assert_allclose(z, np.repeat([2 / 3, 0, -2 / 3], 4), atol=1e-15)
     north, equator = [45, 135, 225, 315], [0, 90, 180, 270]
     np.testing.assert_allclose(np.degrees(azimuth_rad) % 360, [*north, *equator, *north])
 
 
-def test_known_pixels_of_nside_2():
+def test_pixels_of_nside_2_have_their_known_positions():
     z, azimuth_rad = compute_pixel_angles(2, np.arange(48))
     rings, counts = np.unique(z.round(12), return_counts=True)
     np.testing.assert_allclose(rings, [-11 / 12, -2 / 3, -1 / 3, 0, 1 / 3, 2 / 3, 11 / 12], atol=1e-12)
@@ -270,7 +270,7 @@ def test_known_pixels_of_nside_2():
 
 
 @pytest.mark.parametrize("nside", [1, 2, 3, 5, 8])
-def test_centres_are_those_of_the_ring_scheme_for_any_nside(nside):
+def test_centres_follow_the_ring_scheme_for_any_nside(nside):
     ours, theirs = centres(nside), ring_scheme(nside)
     distance, index = cKDTree(theirs).query(ours)
     assert distance.max() < 1e-12
@@ -288,13 +288,15 @@ def test_pixels_have_equal_area():
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_counts_and_proper_distinct_rotations(level):
+def test_rotations_are_proper_distinct_and_complete(level):
     n = 2**level
     R = all_rotations(n, 6 * n)
     assert len(R) == 72 * 8**level
     np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(R), 1)
-    np.testing.assert_allclose(R[:: 6 * n, :, 2], centres(n), atol=1e-12)  # z turns to the pixel's centre
+    np.testing.assert_allclose(
+        R[:: 6 * n, :, 2], centres(n), atol=1e-12
+    )  # the rotation maps z to the centre of the pixel
 
 
 @pytest.mark.parametrize(("nside", "spacing_deg"), [(1, 60.0), (2, 30.0), (3, 20.0), (4, 15.0)])
@@ -302,12 +304,12 @@ def test_neighbours_are_at_the_published_spacing(nside, spacing_deg):
     R = all_rotations(nside, 6 * nside)
     nearest_deg = np.degrees(to_nearest(R, R, k=2)[0])
     assert 0.93 * spacing_deg < nearest_deg.mean() <= spacing_deg * (1 + 1e-9)
-    assert nearest_deg.max() <= spacing_deg * (1 + 1e-9)  # the next spin is never farther
+    assert nearest_deg.max() <= spacing_deg * (1 + 1e-9)  # the next spin is never farther away
     assert nearest_deg.min() > 0.8 * spacing_deg
 
 
 @pytest.mark.parametrize("nside", [1, 2, 3, 4])
-def test_no_rotation_is_farther_than_a_cell_reaches(nside):
+def test_every_rotation_lies_within_the_radius_of_a_cell(nside):
     """Bound the distance by rotating to the pixel's centre, then to the nearest spin.
 
     The axes are at right angles, so the cosines of the half angles multiply.
@@ -318,15 +320,17 @@ def test_no_rotation_is_farther_than_a_cell_reaches(nside):
 
 
 @pytest.mark.parametrize("nside", [1, 2])
-def test_each_rotation_is_nearest_to_its_share(nside):
+def test_each_rotation_is_nearest_to_an_equal_share(nside):
     grid = all_rotations(nside, 6 * nside)
     _, index = to_nearest(draw_rotations(20_000, np.random.default_rng(1)), grid)
     share = np.bincount(index, minlength=len(grid)) * (len(grid) / 20_000)
     chance = np.sqrt(len(grid) / 20_000)
     assert np.abs(share - 1).max() < 4.5 * chance
-    assert share.std() < 1.1 * np.hypot(chance, 0.1)  # cells differ by some per cent beside the draw's own noise
+    assert share.std() < 1.1 * np.hypot(
+        chance, 0.1
+    )  # cells differ by a few per cent, in addition to the noise of the draw
 
 
-def test_indices_pick_from_the_whole():
+def test_indices_select_from_the_whole_grid():
     some = np.array([5, 700, 0, 5])
     np.testing.assert_array_equal(make_hopf_rotations(4, 11, some), all_rotations(4, 11)[some])

@@ -30,7 +30,7 @@ def ball():
     return of(TriangleMesh(np.array(surface.vertices), np.array(surface.faces, np.int64)))
 
 
-def test_directions_are_spread_evenly():
+def test_directions_are_evenly_distributed():
     found = make_sphere(2000)
     assert np.linalg.norm(found, axis=1) == pytest.approx(1)
     assert np.abs(found.mean(axis=0)).max() < 1e-3
@@ -39,19 +39,21 @@ def test_directions_are_spread_evenly():
     assert step_deg.min() > 0.7 * np.degrees(np.sqrt(4 * np.pi / 2000))
 
 
-def test_a_ball_has_one_place_a_direction_and_its_patch_is_a_sphere(ball):
+def test_a_ball_has_one_place_per_direction_with_a_spherical_patch(ball):
     places = places_of(ball)
-    assert len(places) == 200  # no facet is 4 mm^2
+    assert len(places) == 200  # no facet has 4 mm^2
     offset_m = (np.arange(PATCH_PX) - PATCH_PX // 2) * PITCH_M
     across2 = offset_m[:, None] ** 2 + offset_m**2
     rise_m = 0.01 - np.sqrt(np.maximum(0.01**2 - across2, 0))
     inside = across2 < 0.004**2  # 0.8 mm higher than the top
     steps = places.patches[:, inside].astype(float) - BELOW
-    assert np.abs(steps * STEP_M - rise_m[inside]).max() < 2.5e-4  # a pixel off the top, facets
+    assert (
+        np.abs(steps * STEP_M - rise_m[inside]).max() < 2.5e-4
+    )  # the top may be a pixel away, and the ball has facets
     assert (places.patches[:, across2 > 0.0105**2] == FAR).all()
 
 
-def test_the_corners_of_a_box_touch_first_and_faces_nearly_level():
+def test_corners_of_a_box_touch_first_unless_a_face_is_level():
     mesh = make_box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
     places = places_of(of(mesh)).T_place_object
     where = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3])
@@ -61,7 +63,7 @@ def test_the_corners_of_a_box_touch_first_and_faces_nearly_level():
     assert (np.abs(where) <= np.array([0.01, 0.006, 0.004]) + 1e-6).all()
 
 
-def test_along_an_edge_that_lies_level_there_are_places():
+def test_a_level_edge_has_places_along_its_length():
     long = make_box((-0.02, -0.003, -0.003), (0.02, 0.003, 0.003))
     sampler = WholeGrid(WholeGrid.Options(apart_mm=2.0))
     heights = np.full((60, 120), np.inf, np.float32)
@@ -72,7 +74,7 @@ def test_along_an_edge_that_lies_level_there_are_places():
     assert len(long.faces) == 12
 
 
-def test_directions_that_look_alike_are_searched_once():
+def test_equivalent_directions_are_searched_once():
     obj = of(make_box((-0.01, -0.01, -0.004), (0.01, 0.01, 0.004)), symmetry=SymmetryGroup.parse("z4", np.zeros(3)))
     directions = make_sphere(4000)
     kept = find_distinct_directions(directions, obj, STEP_RAD)
@@ -80,14 +82,14 @@ def test_directions_that_look_alike_are_searched_once():
     S = obj.symmetry.list_elements()[:, :3, :3]
     alike = np.einsum("kij,nj->nki", S, directions)
     nearest_deg = np.degrees(np.arccos(np.clip((alike @ kept.T).max(axis=(1, 2)), -1, 1)))
-    assert nearest_deg.max() < 4.0  # each has one that looks alike among them
+    assert nearest_deg.max() < 4.0  # every direction has an equivalent among the kept ones
 
 
-def test_without_symmetry_all_directions_are_searched():
+def test_all_directions_are_searched_without_symmetry():
     assert len(find_distinct_directions(make_sphere(500), make_block(), 0.1)) == 500
 
 
-def test_no_poses_are_listed():
+def test_the_whole_grid_refuses_to_list_poses():
     with pytest.raises(ConfigError, match="--grid face"):
         WholeGrid().sample(make_block(), CAMERAS["orthographic"], 0.003)
 
@@ -115,14 +117,14 @@ def test_more_places_than_fit_are_refused_with_a_number_that_fits():
     assert fewer == 100
 
 
-def test_the_faces_of_a_box_are_looked_at_straight_on():
+def test_the_directions_contain_the_normals_of_flat_faces():
     mesh = make_box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
     flat = find_flat_directions(mesh, 4e-6)
     assert sorted(map(tuple, np.rint(flat).astype(int).tolist())) == sorted(
         [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
     )
     assert np.abs(flat).max(axis=1) == pytest.approx(1)
-    assert len(find_flat_directions(mesh, 2e-4)) == 2  # those of 20 x 12 mm
+    assert len(find_flat_directions(mesh, 2e-4)) == 2  # the faces of 20 x 12 mm
     places = places_of(of(mesh))
     level = (places.patches[:, 18:23, 18:23] == BELOW).all(axis=(1, 2))
-    assert level.sum() > 50  # faces, 2 mm apart
+    assert level.sum() > 50  # places on the faces, 2 mm apart

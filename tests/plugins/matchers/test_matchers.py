@@ -69,7 +69,7 @@ def dense_of(bank: np.ndarray) -> DenseMatcher:
     return matcher
 
 
-def test_dense_is_brute_force(random_bank, real_bank):
+def test_dense_equals_brute_force(random_bank, real_bank):
     for many, bank in (random_bank, real_bank):
         queries = many[:20]
         scores = dense_of(bank).scores(queries)
@@ -77,7 +77,7 @@ def test_dense_is_brute_force(random_bank, real_bank):
         np.testing.assert_allclose(scores, brute_force(queries, bank), atol=1e-4, rtol=1e-4)
 
 
-def test_weighted_dense_is_brute_force(place_bank):
+def test_weighted_dense_equals_brute_force(place_bank):
     queries, weights, bank = place_bank
     scores = dense_of(bank).scores(queries, weights)
     np.testing.assert_allclose(scores, weighted_brute_force(queries, bank, weights), atol=1e-6)
@@ -95,7 +95,7 @@ def test_a_row_matches_itself_best(real_bank):
     np.testing.assert_allclose(scores.max(axis=1), 0, atol=1e-5)
 
 
-def test_dense_does_not_change_with_its_batch(random_bank):
+def test_dense_scores_do_not_depend_on_the_batch(random_bank):
     queries, bank = random_bank
     matcher = dense_of(bank)
     np.testing.assert_allclose(matcher.scores(queries[3:4])[0], matcher.scores(queries)[3], atol=1e-5)
@@ -109,17 +109,17 @@ def test_dense_takes_any_memory_layout_and_keeps_the_bank(random_bank):
     assert np.array_equal(bank, before)
 
 
-def test_faiss_flat_is_dense_on_its_top(real_bank):
+def test_faiss_flat_equals_dense_for_the_best_rows(real_bank):
     queries, bank = real_bank
     exact, found = dense_of(bank).scores(queries), matcher_of(bank, top_k=50).scores(queries)
     assert (np.isfinite(found).sum(axis=1) == 50).all()
     for row, scores in zip(exact, found, strict=True):
         kept = np.isfinite(scores)
         np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5)
-        assert row[kept].min() >= row[~kept].max() - 1e-5, "nothing better was left out"
+        assert row[kept].min() >= row[~kept].max() - 1e-5, "a better row was left out"
 
 
-def test_weighted_faiss_flat_is_dense_on_its_top(place_bank):
+def test_weighted_faiss_flat_equals_dense_for_the_best_rows(place_bank):
     """The scores agree to 1e-5 of the best rows' scores, the precision of float32 sums."""
     queries, weights, bank = place_bank
     exact, found = dense_of(bank).scores(queries, weights), matcher_of(bank, top_k=50).scores(queries, weights)
@@ -127,7 +127,7 @@ def test_weighted_faiss_flat_is_dense_on_its_top(place_bank):
     for row, scores in zip(exact, found, strict=True):
         kept = np.isfinite(scores)
         np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5 * np.abs(row[kept]).max())
-        assert row[kept].min() >= row[~kept].max() - 1e-7, "nothing better was left out"
+        assert row[kept].min() >= row[~kept].max() - 1e-7, "a better row was left out"
 
 
 def test_a_bank_far_from_the_origin_costs_weighted_faiss_no_accuracy(random_bank):
@@ -159,13 +159,13 @@ def test_weighted_and_plain_queries_may_alternate(random_bank):
             np.testing.assert_allclose(matcher.scores(queries, half), 0.5 * brute_force(queries, rows), atol=1e-4)
 
 
-def test_a_small_bank_is_indexed_without_a_word(random_bank, capfd):
+def test_a_small_bank_is_indexed_without_output(random_bank, capfd):
     queries, bank = random_bank
     matcher_of(bank[:200], kind="ivf").scores(queries)
     assert capfd.readouterr() == ("", "")
 
 
-def test_faiss_takes_a_bank_smaller_than_its_top(random_bank):
+def test_faiss_accepts_a_bank_smaller_than_top_k(random_bank):
     queries, bank = random_bank
     for kind in ("flat", "hnsw", "ivf"):
         scores = matcher_of(bank[:60], kind=kind, top_k=1000, effort=256).scores(queries)
@@ -183,7 +183,7 @@ def test_approximate_search_finds_the_best(real_bank, kind):
     np.testing.assert_allclose(found[kept], exact[kept], atol=1e-5)
 
 
-def test_ivf_looks_only_where_it_was_told(real_bank):
+def test_ivf_scores_more_rows_with_more_effort(real_bank):
     queries, bank = real_bank
     little, much = (
         np.isfinite(matcher_of(bank, kind="ivf", effort=e, top_k=len(bank)).scores(queries)).sum() for e in (1, 20)
@@ -191,6 +191,6 @@ def test_ivf_looks_only_where_it_was_told(real_bank):
     assert little < much
 
 
-def test_faiss_says_that_it_scores_only_some():
+def test_faiss_declares_that_it_scores_only_the_best_rows():
     assert FaissMatcher.capabilities.top_k_only
     assert not DenseMatcher.capabilities.top_k_only

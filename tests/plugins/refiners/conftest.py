@@ -56,7 +56,7 @@ def error_mm(pin_scene) -> ErrorMm:
 
 @pytest.fixture
 def elsewhere(pin_scene, pin_touches) -> tuple[Touch, Candidate]:
-    """A touch in the sensor's corner, and a candidate in its middle: no point of one is near the other."""
+    """A touch in the sensor's corner, and a candidate in its centre: no point of one is near the other."""
     touch, g = pin_touches[3], pin_scene.geometry
     depth = np.full(g.shape, touch.press_depth_m, np.float32)
     depth[:4, :4] = 0.0

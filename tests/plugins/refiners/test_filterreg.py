@@ -41,7 +41,7 @@ def normal_equations(source: Cloud, observed, along: float = 0.0) -> np.ndarray:
     return result[0]
 
 
-def test_the_sums_are_those_of_all_points_within_reach():
+def test_the_sums_equal_those_over_all_points_within_reach():
     """The table, its columns and the cut-off against a plain sum over a KD-tree's neighbours."""
     target, sigma = bowl(), 0.4
     observed = Mixtures(target, 0.1).make_mixture(sigma, merged=False)
@@ -55,8 +55,8 @@ def test_the_sums_are_those_of_all_points_within_reach():
 
 
 @pytest.mark.parametrize("along", [0.0, 0.3, 1.0])
-def test_the_normal_equations_are_the_costs_derivatives(along):
-    """By finite differences of the weighted cost, its correspondences held."""
+def test_the_normal_equations_are_the_derivatives_of_the_cost(along):
+    """Compare with finite differences of the weighted cost at fixed correspondences."""
     target, source = bowl(), moved(bowl(60, seed=1), small_motion())
     observed = Mixtures(target, 0.1).make_mixture(0.5, merged=False)
     x, n, y = source.points_mm, source.normals, target.points_mm
@@ -109,7 +109,7 @@ def test_a_known_motion_is_undone():
     np.testing.assert_allclose(transform_points(found.T_mm @ T, bowl().points_mm), bowl().points_mm, atol=0.03)
 
 
-def test_outliers_are_forgiven():
+def test_the_registration_is_robust_to_outliers():
     T, rng = small_motion(0.7), np.random.default_rng(5)
     source = moved(bowl(600, seed=1), T)
     stray = bowl(150, seed=2)
@@ -136,8 +136,8 @@ def test_point_to_plane_slides_where_point_to_point_sticks():
     assert left() < 0.5 * left(point_weight=1.0)
 
 
-def test_units_scale():
-    """All lengths doubled, options too: the same motion, doubled, to rounding."""
+def test_the_registration_scales_with_the_unit():
+    """If all lengths and options are doubled, the motion is doubled up to rounding."""
     T = small_motion()
     source, target = moved(bowl(600, seed=1), T), bowl(2000)
     twice = [Cloud(2 * c.points_mm, c.normals, 2 * c.spacing_mm) for c in (source, target)]
@@ -147,8 +147,8 @@ def test_units_scale():
     np.testing.assert_allclose(two[:3, 3], 2 * one[:3, 3], atol=1e-8)
 
 
-def test_many_are_registered_as_one_by_one():
-    """Also when one settles early, one late and one has nothing in reach: none disturbs another."""
+def test_a_batch_has_the_results_of_single_registrations():
+    """One registration converges early, one late, and one is out of reach: none affects another."""
     target, refiner = bowl(2000), FilterRegRefiner(Options(sigma_mm=0.4))
     sources = [moved(bowl(300 + 50 * i, seed=i), small_motion(scale)) for i, scale in enumerate((0.0, 1.0, 0.3))]
     sources.insert(1, moved(bowl(100), make_translation([100.0, 0, 0])))
@@ -163,7 +163,7 @@ def test_many_are_registered_as_one_by_one():
     assert refiner.register_many([], target) == []
 
 
-def test_nothing_in_reach_is_no_registration():
+def test_clouds_out_of_reach_are_not_registered():
     found = FilterRegRefiner().register(moved(bowl(), make_translation([0, 0, 50.0])), bowl())
     assert (found.T_mm, found.converged, found.iterations) == (None, False, 1)
 
@@ -177,7 +177,7 @@ def test_few_iterations_do_not_claim_to_have_converged():
 
 
 @pytest.mark.parametrize("kind", ["line", "diagonal", "plane", "one place"])
-def test_clouds_that_fix_hardly_a_direction_stay_finite(kind):
+def test_degenerate_clouds_give_finite_motions(kind):
     rng = np.random.default_rng(0)
     along = {"line": np.diag([1.0, 0, 0]), "diagonal": np.ones((3, 3)), "plane": np.diag([1.0, 1, 0])}
     points = rng.normal(size=(50, 3)) @ along.get(kind, np.zeros((3, 3)))
@@ -188,8 +188,8 @@ def test_clouds_that_fix_hardly_a_direction_stay_finite(kind):
         assert np.abs(T[:3, 3]).max() < 2.0
 
 
-def test_a_plane_stays_where_it_lies():
-    """Nothing tells where along a plane its cloud belongs, so that it is moved onto it and no farther."""
+def test_a_plane_does_not_slide():
+    """A plane does not determine a position along itself, so the cloud only moves onto the plane."""
     x, y = np.random.default_rng(0).uniform(-5, 5, (2, 2000))
     plane = Cloud(np.column_stack([x, y, 0 * x]), np.tile([0.0, 0.0, -1.0], (2000, 1)), 0.2)
     inner = Cloud(plane.points_mm[(abs(x) < 3) & (abs(y) < 3)][::3], plane.normals[:300], 0.4)
@@ -217,14 +217,14 @@ def test_the_same_input_gives_the_same_pose(pin_scene, pin_touches, off_by):
     assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
 
 
-def test_a_touch_far_from_the_candidate_is_no_success(pin_scene, elsewhere):
+def test_a_touch_far_from_the_candidate_does_not_converge(pin_scene, elsewhere):
     touch, candidate = elsewhere
     refined = FilterRegRefiner().refine(touch, candidate, pin_scene)
     assert (refined.converged, refined.contact_iou) == (False, 0.0)
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 
-def test_pixels_that_are_not_a_number_are_no_contact(pin_scene, pin_touches, off_by):
+def test_nan_pixels_are_no_contact(pin_scene, pin_touches, off_by):
     touch = pin_touches[0]
     depth = touch.contact_shape.depth_m.copy()
     depth[~touch.contact_shape.contact] = np.nan
@@ -248,7 +248,7 @@ def test_candidates_of_one_touch_are_refined_together(pin_scene, pin_touches, of
     assert FilterRegRefiner().refine_many(touch, [], pin_scene) == []
 
 
-def test_the_candidate_is_not_written_to(pin_scene, pin_touches):
+def test_the_candidate_is_not_changed(pin_scene, pin_touches):
     touch = pin_touches[0]
     given = touch.T_sensor_object.copy()
     FilterRegRefiner().refine_many(touch, [Candidate(given, 0, 0.0)] * 2, pin_scene)

@@ -50,7 +50,7 @@ def error_mm(touch: Touch, T: np.ndarray, scene: Scene) -> float:
     return 1e3 * float(PoseMetric(scene.object).distance(T, touch.T_sensor_object))
 
 
-def test_a_candidate_off_the_sensor_is_brought_to_contact(scene, touches):
+def test_a_candidate_above_the_sensor_is_brought_to_contact(scene, touches):
     """The contact is registered, so the candidate's z must not matter."""
     touch = touches[0]
     candidate = off_by(touch, scene, 0.5, 2.0, 1.0)
@@ -81,8 +81,8 @@ def test_a_known_offset_is_undone(scene, touches):
     assert max(errors) < 0.5 * min(before)
 
 
-def test_it_moves_the_way_the_touch_lies(scene, touches):
-    """A transform taken the wrong way round would double the offset."""
+def test_the_pose_moves_towards_the_touch(scene, touches):
+    """An inverted transform would double the offset."""
     touch = touches[0]
     for mm, degrees in ((1.0, 0.0), (0.0, 3.0)):
         candidate = off_by(touch, scene, mm, degrees, direction=0.7)
@@ -90,7 +90,7 @@ def test_it_moves_the_way_the_touch_lies(scene, touches):
         assert error_mm(touch, refined.T_sensor_object, scene) < 0.3 * error_mm(touch, candidate.T_sensor_object, scene)
 
 
-def test_nothing_is_changed_but_returned(scene, touches):
+def test_the_refiner_does_not_change_its_inputs(scene, touches):
     touch = touches[1]
     candidate = off_by(touch, scene, 1.0, 3.0, 0.0)
     before = candidate.T_sensor_object.copy(), touch.contact_shape.depth_m.copy(), touch.T_sensor_object.copy()
@@ -108,8 +108,8 @@ def test_the_same_input_gives_the_same_pose(scene, touches):
     assert (a.contact_iou, a.converged, a.iterations) == (b.contact_iou, b.converged, b.iterations)
 
 
-def test_a_touch_far_from_the_candidate_is_no_success(scene, touches):
-    """Nothing lies within reach: the candidate comes back as it was."""
+def test_a_touch_far_from_the_candidate_does_not_converge(scene, touches):
+    """No point lies within reach, so the candidate is returned unchanged."""
     touch = touches[3]
     g = scene.geometry
     depth = np.full(g.shape, touch.press_depth_m, np.float32)
@@ -124,7 +124,7 @@ def test_a_touch_far_from_the_candidate_is_no_success(scene, touches):
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 
-def test_a_cloud_of_hardly_a_point_is_no_success(scene):
+def test_a_contact_of_one_pixel_does_not_converge(scene):
     g = scene.geometry
     depth = np.full(g.shape, 0.001, np.float32)
     depth[100, 100] = 0.0
@@ -135,7 +135,7 @@ def test_a_cloud_of_hardly_a_point_is_no_success(scene):
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 
-def test_the_objects_frame_does_not_matter(scene, touches):
+def test_the_frame_of_the_object_does_not_matter(scene, touches):
     X = make_transform(rotation_about([1, 2, 0.5], 1.1), [0.3, -0.2, 0.1])
     mesh = scene.object.mesh
     elsewhere = TriangleMesh(transform_points(X, mesh.vertices_m), mesh.faces)
@@ -147,8 +147,8 @@ def test_the_objects_frame_does_not_matter(scene, touches):
 
 
 @pytest.mark.parametrize("camera", ["pinhole", "orthographic"])
-def test_tilt_and_height_are_refined_too(camera):
-    """A wavy block: turned about x and y and lifted, it must come back in all six directions."""
+def test_tilt_and_height_are_refined(camera):
+    """A wavy block is rotated about x and y and lifted; the refiner must undo this in all six directions."""
     scale = (300.0, 290.0) if camera == "pinhole" else (300.0 / 0.025, 290.0 / 0.025)
     g = SensorGeometry(camera, 200, 180, *scale, 98.0, 92.0, 0.025, 0.002)
     ball = trimesh.creation.icosphere(4, 0.006)
@@ -177,7 +177,7 @@ def test_tilt_and_height_are_refined_too(camera):
     assert after < 0.2 * before
 
 
-def test_no_refiner_leaves_the_candidate(scene, touches):
+def test_the_none_refiner_returns_the_candidate(scene, touches):
     candidate = off_by(touches[5], scene, 1.0, 3.0, 0.0)
     refined = NoRefiner().refine(touches[5], candidate, scene)
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)

@@ -24,11 +24,11 @@ CAMERAS = {
     "orthographic": SensorGeometry("orthographic", 96, 72, 5000.0, 5000.0, 48.0, 36.0, 0.010, 0.002),
     "pinhole": SensorGeometry("pinhole", 96, 96, 105.0, 105.0, 48.0, 48.0, 0.025, 0.002),
 }
-DIRECTIONS = ([0, 0, 1], [1, 0, 0], [0.3, 1, 0.2])  # of the object, that are pressed into a sensor
+DIRECTIONS = ([0, 0, 1], [1, 0, 0], [0.3, 1, 0.2])  # of the object; each is pressed into a sensor
 
 
 def pressed(obj, geometry, R, xy_m, press_m) -> Touch:
-    """The touch of an object turned by R, its centroid at x, y over the sensor, pressed in."""
+    """The touch of an object rotated by R and pressed in, with its centroid at x, y over the sensor."""
     scene = Scene(obj, geometry.press(press_m), ReferenceRenderer())
     start = make_transform(R, [*xy_m, 0.0] - R @ obj.mesh.centroid_m)
     T = scene.bring_to_contact(start[None])[0]
@@ -45,7 +45,7 @@ def views_of(obj, touches, **errors) -> list[View]:
 
 
 def towards(direction) -> np.ndarray:
-    """A rotation that turns a direction of the object into the sensor, -z."""
+    """A rotation that maps a direction of the object to -z, into the sensor."""
     d = np.array(direction, float) / np.linalg.norm(direction)
     axis, angle = np.cross(d, [0, 0, -1]), np.arccos(-d[2])
     return (
@@ -68,7 +68,7 @@ def block(make_object):
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_three_pressed_touches_bring_a_candidate_home(block, camera):
+def test_three_touches_refine_a_candidate_to_the_true_pose(block, camera):
     touches = [pressed(block, CAMERAS[camera], towards(d), (0.0005, -0.0003), 0.001) for d in DIRECTIONS]
     truth = touches[0].T_sensor_object
     away = (
@@ -84,8 +84,8 @@ def test_three_pressed_touches_bring_a_candidate_home(block, camera):
 
 
 @pytest.mark.parametrize("press_m", [0.0005, 0.001, 0.002])
-def test_a_block_between_two_fingers_is_as_thick_as_it_is(make_box, press_m):
-    """Both fingers press a block of 12 mm: between their surfaces are 12 mm less both presses, and z is right."""
+def test_a_block_between_two_fingers_has_its_true_thickness(make_box, press_m):
+    """Both fingers press a block of 12 mm: their surfaces are 12 mm minus both presses apart, and z is right."""
     box = make_box(0.030, 0.020, 0.012)
     below, above = (towards([0, 0, side]) for side in (-1, 1))
     geometry = CAMERAS["orthographic"]
@@ -101,8 +101,8 @@ def test_a_block_between_two_fingers_is_as_thick_as_it_is(make_box, press_m):
 
 
 @pytest.mark.parametrize("corner", [False, True])
-def test_a_ball_is_where_its_imprint_is(make_object, corner):
-    """In the middle, and in a corner of the sensor, which cuts three quarters of its imprint off."""
+def test_a_ball_is_located_at_its_imprint(make_object, corner):
+    """The ball is in the centre, or in a corner of the sensor, which cuts off three quarters of the imprint."""
     ball = make_object(trimesh.creation.icosphere(4, 0.006), "none", "ball")
     geometry = CAMERAS["orthographic"]
     _, x1, _, y1 = geometry.rectangle
@@ -115,8 +115,8 @@ def test_a_ball_is_where_its_imprint_is(make_object, corner):
         np.testing.assert_allclose(found.T_sensor_object[:3, 3], [x, y, 0.010 - 0.001 + 0.006], atol=5e-5)
 
 
-def test_a_cone_is_where_its_tip_is(make_object):
-    """Pressed in by h, its imprint is a circle of radius h tan(half the opening), whose middle is the tip."""
+def test_a_cone_is_located_at_its_tip(make_object):
+    """For a press of h, the imprint is a circle around the tip with radius h tan(half the opening angle)."""
     half, height, press_m = np.radians(60), 0.006, 0.0012
     solid = trimesh.creation.cone(height * np.tan(half), height, sections=256)
     cone = make_object(solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [1, 0, 0])), "none", "cone")
@@ -131,20 +131,20 @@ def test_a_cone_is_where_its_tip_is(make_object):
     np.testing.assert_allclose(tip[:2], (touch.T_sensor_object @ [0.0, 0.0, -height, 1.0])[:2], atol=5e-5)
 
 
-def test_what_the_touches_leave_open_is_uncertain(make_box):
-    """A flat face says nothing of x, y and yaw, and holds z and the tilts."""
+def test_undetermined_directions_have_a_large_covariance(make_box):
+    """A flat face determines z and the tilts, but neither x, y nor yaw."""
     plate = make_box(0.080, 0.080, 0.005)
     geometry = CAMERAS["orthographic"]
     touch = pressed(plate, geometry, np.eye(3), (0.031, 0.0), 0.001)  # one edge in view, along y
     view = views_of(plate, [touch])
     (found,) = JointRefiner().refine_together(view, [Candidate(touch.T_sensor_object, 0, 0.0)])
     std = np.sqrt(np.diag(found.covariance))
-    assert std[1] > 10 * std[0]  # along the edge nothing is known
+    assert std[1] > 10 * std[0]  # the position along the edge is unknown
     assert std[2] < 1e-3
 
 
-def test_the_covariance_is_that_of_the_frames_origin(make_box, make_object):
-    """The same solid, its frame elsewhere: the rotation is as uncertain, and the origin turns with it."""
+def test_the_covariance_refers_to_the_origin_of_the_frame(make_box, make_object):
+    """The same solid in another frame has the same covariance of rotation, and the origin moves with the rotation."""
     geometry = CAMERAS["orthographic"]
     by_m = np.array([0.02, -0.01, 0.005])
     found = []
@@ -156,12 +156,12 @@ def test_the_covariance_is_that_of_the_frames_origin(make_box, make_object):
     (here,), (there,) = found
     x, y, z = -here.T_sensor_object[:3, :3] @ by_m  # from the first origin to the second
     moves = np.eye(6)
-    moves[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # w x that
+    moves[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # the cross product with w
     np.testing.assert_allclose(there.covariance[3:, 3:], here.covariance[3:, 3:], rtol=0.05)
     np.testing.assert_allclose(there.covariance, moves @ here.covariance @ moves.T, rtol=0.1, atol=1e-9)
 
 
-def test_sensors_that_may_be_off_leave_the_pose_less_certain(block):
+def test_uncertain_sensor_poses_increase_the_covariance(block):
     touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
     truth = touches[0].T_sensor_object
     start = moved(truth, block, [0.0008, -0.0005, 0.0006], 4, [1, 0, 0])
@@ -174,8 +174,8 @@ def test_sensors_that_may_be_off_leave_the_pose_less_certain(block):
     assert spread[0] < spread[1] < spread[2]
 
 
-def test_a_sensor_that_is_off_is_solved_for(make_box):
-    """Two fingers, the second taken for a millimetre too far away: what its press does not explain, its pose must."""
+def test_a_wrong_sensor_pose_is_corrected(make_box):
+    """The second of two fingers is reported a millimetre too far away; the refiner must correct its pose."""
     box = make_box(0.030, 0.020, 0.012)
     geometry = CAMERAS["orthographic"]
     touches = [pressed(box, geometry, towards([0, 0, side]), (0.012, 0.007), 0.001) for side in (-1, 1)]
@@ -193,10 +193,10 @@ def test_a_sensor_that_is_off_is_solved_for(make_box):
         np.testing.assert_allclose(T[2, 3], touch.T_sensor_object[2, 3], atol=1e-4)
 
 
-def test_the_first_sensors_error_is_its_own(block):
+def test_the_error_of_the_first_sensor_is_estimated(block):
     """All touches determine the object's pose in the first sensor, and its covariance."""
     touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
-    off = make_translation([0.0006, 0.0, 0.0])  # the others' sensors are where they are said to be
+    off = make_translation([0.0006, 0.0, 0.0])  # the poses of the other sensors are right
     nominal = views_of(block, touches, sensor_std_m=1e-6)
     moved_views = [View(v.touch, v.scene, v.T_sensor_first @ off, 1e-6) for v in nominal[1:]]
     truth = touches[0].T_sensor_object

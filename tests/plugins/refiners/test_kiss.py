@@ -48,7 +48,7 @@ def test_a_known_motion_is_undone():
 
 
 @pytest.mark.parametrize("k", [1e-3, 2.0, 50.0])
-def test_the_unit_does_not_matter(k):
+def test_the_registration_does_not_depend_on_the_unit(k):
     """Clouds and options in metres, in half millimetres, or as large as a car: the same answer, in that unit."""
     burst = {"max_iterations": 10}
     reach = {"wide_mm": 3.0, "narrow_mm": 0.7}
@@ -60,14 +60,14 @@ def test_the_unit_does_not_matter(k):
     np.testing.assert_allclose(two[:3, 3] / k, one[:3, 3], atol=2e-3)
 
 
-def test_the_lattices_of_two_images_do_not_hold_on_to_one_another():
-    """A shift by a whole pixel is undone, though every point then lies on another."""
+def test_the_pixel_lattices_of_two_images_do_not_lock():
+    """A shift by a whole pixel is undone, although each point then lies on another point."""
     shift = make_translation([0.5, 0.0, 0.0])
     found = KissIcpRefiner().register(moved(steps(), shift), steps())
     assert abs(found.T_mm[0, 3] + 0.5) < 0.15
 
 
-def test_spread_points_stay_on_their_surface():
+def test_redistributed_points_stay_on_their_surface():
     cloud = steps()
     along = spread(cloud) - cloud.points_mm
     np.testing.assert_allclose((along * cloud.normals).sum(axis=1), 0.0, atol=1e-12)
@@ -76,7 +76,7 @@ def test_spread_points_stay_on_their_surface():
     np.testing.assert_array_equal(spread(cloud), spread(steps()))
 
 
-def test_nothing_in_reach_is_no_registration():
+def test_clouds_out_of_reach_are_not_registered():
     found = KissIcpRefiner().register(moved(steps(), make_translation([0, 0, 50.0])), steps())
     assert (found.T_mm, found.converged, found.iterations) == (None, False, 0)
     assert not has_pairs(steps().points_mm, steps(), make_translation([0, 0, 3.0]), 1.0)
@@ -105,7 +105,7 @@ for along in (np.diag([1.0, 0, 0]), np.ones((3, 3)), np.diag([1.0, 1, 0]), np.ze
 """
 
 
-def test_clouds_that_fix_hardly_a_direction_stay_finite():
+def test_degenerate_clouds_give_finite_motions():
     """Run in a separate process, because the library aborts it for an invalid rotation."""
     subprocess.run([sys.executable, "-c", DEGENERATE], check=True)
 
@@ -121,17 +121,17 @@ def test_a_known_offset_shrinks(pin_scene, pin_touches, off_by, error_mm):
     assert np.median(errors) < 0.4 * np.median(before)
 
 
-def test_a_touch_far_from_the_candidate_is_no_success(pin_scene, elsewhere):
+def test_a_touch_far_from_the_candidate_does_not_converge(pin_scene, elsewhere):
     touch, candidate = elsewhere
     refined = KissIcpRefiner().refine(touch, candidate, pin_scene)
     assert (refined.converged, refined.contact_iou) == (False, 0.0)
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 
-def test_without_the_library_the_error_says_what_to_install(monkeypatch):
+def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
     monkeypatch.delitem(sys.modules, "tactile_loc.plugins.refiners.kiss")
-    registry.cache_clear()  # it may have loaded the refiner for another test
+    registry.cache_clear()  # another test may have loaded the refiner
     with pytest.raises(MissingLibraryError, match=naming("'kiss-icp'", "pip install tactile-loc[kiss]")):
         registry().create("refiner", "kiss-icp")

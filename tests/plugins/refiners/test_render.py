@@ -38,12 +38,12 @@ def refiner() -> RenderRefiner:
 
 
 def tilted(problem) -> Candidate:
-    """The truth off in all directions: along the surface, in yaw, and tilted by two degrees."""
+    """The true pose with errors along the surface, in yaw, and with a tilt of two degrees."""
     T = problem.make_candidate((0.0009, -0.0007, np.radians(4.0))).T_sensor_object @ TILT
     return Candidate(problem.scene.bring_to_contact(T[None])[0][0], 0, 0.0)
 
 
-def test_an_offset_in_all_directions_is_undone_to_a_small_part_of_a_pixel(refiner, problem):
+def test_an_offset_in_all_directions_is_undone_to_a_fraction_of_a_pixel(refiner, problem):
     candidate = tilted(problem)
     refined = refiner.refine(problem.touch, candidate, problem.scene)
     assert problem.measure_error_m(candidate) > 1e-3
@@ -53,8 +53,8 @@ def test_an_offset_in_all_directions_is_undone_to_a_small_part_of_a_pixel(refine
     assert refined.iterations > 3
 
 
-def test_the_sensors_border_holds_the_pose_too(refiner, problem):
-    """Pressed at the sensor's edge, which cuts the contact: it must not be pulled inwards."""
+def test_a_contact_at_the_border_does_not_shift_the_pose(refiner, problem):
+    """The sensor's edge cuts the contact; this must not pull the pose inwards."""
     x0, x1, _, _ = problem.scene.geometry.rectangle
     truth = problem.scene.bring_to_contact(make_planar_pose(0.42 * (x1 - x0), 0.001, 0.4)[None])[0][0]
     cut = dataclasses.replace(problem, truth=truth, touch=make_touch(problem.scene, truth, 0.002))
@@ -64,8 +64,8 @@ def test_the_sensors_border_holds_the_pose_too(refiner, problem):
     assert cut.measure_error_m(refined) < 0.1 * cut.touch.geometry.pixel_pitch_m
 
 
-def test_what_a_touch_does_not_show_is_left_alone(refiner):
-    """A bar across the whole sensor: beside it the candidate moves, along it the touch says nothing."""
+def test_undetermined_directions_keep_the_candidate(refiner):
+    """A bar crosses the whole sensor: the candidate moves across the bar, and stays along it."""
     bar = trimesh.creation.box([0.3, 0.006, 0.01])
     g = SensorGeometry("orthographic", 80, 80, 4000.0, 4000.0, 40.0, 40.0, 0.02, 0.001)
     block = press_block("orthographic")
@@ -76,10 +76,10 @@ def test_what_a_touch_does_not_show_is_left_alone(refiner):
     candidate = Candidate(make_translation([0.004, 0.001, 0.0]) @ truth, 0, 0.0)
     moved = refiner.refine(touch, candidate, scene).T_sensor_object[:3, 3] - candidate.T_sensor_object[:3, 3]
     assert abs(moved[0]) < 2e-5
-    assert moved[1] == pytest.approx(-0.001, abs=0.5 * g.pixel_pitch_m)  # edges along the rows say no more
+    assert moved[1] == pytest.approx(-0.001, abs=0.5 * g.pixel_pitch_m)  # edges along the rows give no better accuracy
 
 
-def test_spurious_and_missing_contact_hardly_pull(refiner, problem):
+def test_spurious_and_missing_contact_hardly_shift_the_pose(refiner, problem):
     depth = problem.touch.contact_shape.depth_m.copy()
     depth[4:10, 48:56] = 0.3 * problem.touch.press_depth_m
     middle = np.argwhere(problem.touch.contact_shape.contact).mean(axis=0).astype(int)
@@ -88,7 +88,7 @@ def test_spurious_and_missing_contact_hardly_pull(refiner, problem):
     assert problem.measure_error_m(refined) < 0.15 * problem.touch.geometry.pixel_pitch_m
 
 
-def test_no_answer_explains_the_touch_worse_than_the_candidate(refiner, problem):
+def test_a_refined_pose_never_explains_the_touch_worse_than_the_candidate(refiner, problem):
     rng = np.random.default_rng(0)
     candidates = [
         problem.make_candidate((*rng.uniform(-0.006, 0.006, 2), rng.uniform(-np.pi, np.pi))) for _ in range(12)
@@ -102,7 +102,7 @@ def test_no_answer_explains_the_touch_worse_than_the_candidate(refiner, problem)
     assert (after > before + 0.05).any()
 
 
-def test_many_are_refined_as_one_by_one(refiner, problem):
+def test_a_batch_has_the_results_of_single_refinements(refiner, problem):
     candidates = [
         problem.make_candidate((0.0006, -0.0005, 0.03)),
         tilted(problem),
@@ -117,20 +117,20 @@ def test_many_are_refined_as_one_by_one(refiner, problem):
     assert refiner.refine_many(problem.touch, [], problem.scene) == []
 
 
-def test_where_the_candidate_is_along_z_does_not_matter(refiner, problem):
+def test_the_z_of_the_candidate_does_not_matter(refiner, problem):
     candidate = tilted(problem)
     lifted = Candidate(make_translation([0.0, 0.0, 0.003]) @ candidate.T_sensor_object, 0, 0.0)
     a, b = (refiner.refine(problem.touch, c, problem.scene).T_sensor_object for c in (candidate, lifted))
     np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-def test_the_answer_is_in_contact(refiner, problem):
+def test_the_refined_pose_is_in_contact(refiner, problem):
     T = refiner.refine(problem.touch, tilted(problem), problem.scene).T_sensor_object
     np.testing.assert_allclose(problem.scene.bring_to_contact(T[None])[0][0], T, atol=1e-9)
 
 
-def test_noise_is_reckoned_with_and_its_absence_too(problem):
-    """A pose that is held hard: a rough touch moves it less, a clean one just as well."""
+def test_the_noise_correlation_limits_the_motion_for_noisy_touches_only(problem):
+    """A larger correlation length of the noise reduces the motion for a noisy touch, but not for a clean one."""
     rng = np.random.default_rng(5)
     depth, press = problem.touch.contact_shape.depth_m, problem.touch.press_depth_m
     rough = depth + rng.normal(0, 4e-4, depth.shape)
@@ -147,7 +147,7 @@ def test_noise_is_reckoned_with_and_its_absence_too(problem):
     assert problem.measure_error_m(firm.refine(problem.touch, candidate, problem.scene)) < 5e-5
 
 
-def test_options_that_make_no_sense_are_refused():
+def test_invalid_options_are_refused():
     for wrong in ({"widths_mm": ()}, {"widths_mm": (-1.0,)}, {"image_px": 3}, {"spread_mm": 0.0}, {"tolerance": 0.0}):
         with pytest.raises(ValidationError):
             RenderRefiner.Options(**wrong)
@@ -158,14 +158,14 @@ def pictures(problem, width_m: float = 0.0, in_contact: bool = False) -> Picture
     return Pictures.blurred(problem.scene.object.mesh, touch.geometry, touch.contact_shape, width_m, in_contact)
 
 
-def test_a_sharp_picture_is_the_imprint_as_a_share_of_the_press(problem):
+def test_a_sharp_picture_holds_the_imprint_as_a_share_of_the_press(problem):
     shape = problem.touch.contact_shape
     expected = 1 - shape.depth_m / shape.press_depth_m
     np.testing.assert_allclose(pictures(problem).draw_touch().reshape(shape.depth_m.shape), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("drawing", ["pressed", "paper"])
-def test_pictures_are_drawn_as_the_scene_draws(drawing):
+def test_pictures_equal_the_renderings_of_the_scene(drawing):
     problem = press_block("pinhole")
     scene, touch = dataclasses.replace(problem.scene, drawing=drawing), problem.touch
     p = Pictures.blurred(scene.object.mesh, touch.geometry, touch.contact_shape, 0.0, False, drawing)
@@ -174,7 +174,7 @@ def test_pictures_are_drawn_as_the_scene_draws(drawing):
     assert (np.abs(seen - expected) > 1e-4).mean() < 0.002
 
 
-def test_the_true_pose_makes_the_touchs_picture(problem):
+def test_the_picture_of_the_true_pose_equals_that_of_the_touch(problem):
     for width_m in (0.0, 0.5e-3, 1.5e-3):
         p = pictures(problem, width_m)
         seen, drawn = p.draw_poses(problem.truth[None])
@@ -182,7 +182,7 @@ def test_the_true_pose_makes_the_touchs_picture(problem):
         assert (np.abs(seen[0] - p.draw_touch()) > 1e-4).mean() < 0.002  # a pixel's centre may lie on an edge
 
 
-def test_a_blur_keeps_the_imprints_volume_and_place(problem):
+def test_a_blur_keeps_the_volume_and_position_of_the_imprint(problem):
     sharp, blurred = pictures(problem), pictures(problem, 2e-3)
     assert blurred.pixel_m > 2 * sharp.pixel_m
     h, w = (side // blurred.block for side in blurred.geometry.shape)
@@ -196,7 +196,7 @@ def test_a_blur_keeps_the_imprints_volume_and_place(problem):
     assert centres[1] == pytest.approx(centres[0], abs=sharp.pixel_m)
 
 
-def test_a_rotation_turns_about_the_contacts_centre(problem):
+def test_rotations_are_about_the_centre_of_the_contact(problem):
     p = pictures(problem)
     moves = np.zeros((3, 6))
     moves[:, 3:] = 2.0 * np.eye(3)
@@ -207,7 +207,7 @@ def test_a_rotation_turns_about_the_contacts_centre(problem):
         assert not np.allclose(T, problem.truth)
 
 
-def test_in_contact_z_follows_and_is_no_direction_of_its_own(problem):
+def test_z_follows_from_contact_and_is_not_a_free_direction(problem):
     p = pictures(problem, in_contact=True)
     assert p.directions.shape == (5, 6)
     assert (p.directions[:, 2] == 0).all()
@@ -218,7 +218,7 @@ def test_in_contact_z_follows_and_is_no_direction_of_its_own(problem):
     assert (np.abs(seen[0] - p.draw_touch()) > 1e-4).mean() < 0.002
 
 
-def test_what_is_out_of_reach_makes_no_difference(problem):
+def test_faces_out_of_reach_do_not_change_the_picture(problem):
     mesh, g = problem.scene.object.mesh, problem.touch.geometry
     part = keep_within_reach(mesh, g, problem.truth[None])
     assert 0 < len(part.faces) < len(mesh.faces)

@@ -59,7 +59,7 @@ def bracket() -> TriangleMesh:
 
 @pytest.fixture(scope="session")
 def new_pyrender() -> Callable[[], PyrenderRenderer]:
-    """Make pyrender renderers; skips where this machine has no OpenGL."""
+    """Make pyrender renderers; skip the test if this machine has no OpenGL."""
     probe = PyrenderRenderer()
     try:
         probe.render(TriangleMesh(np.eye(3), np.array([[0, 1, 2]])), np.eye(4)[None], LOPSIDED_CAMERAS["pinhole"])

@@ -21,7 +21,7 @@ os.environ.pop("PYOPENGL_PLATFORM", None)
 import tactile_loc.plugins.renderers.pyrender.renderer as module
 module.PyrenderRenderer().close()
 assert "PYOPENGL_PLATFORM" not in os.environ
-assert not {"pyrender", "OpenGL"} & set(sys.modules), "heavy libraries are for the first picture"
+assert not {"pyrender", "OpenGL"} & set(sys.modules), "heavy libraries must load at the first picture"
 """
 
 
@@ -31,33 +31,33 @@ def pressed(camera):
     return make_transform(np.eye(3), [0.001, 0.0, camera.standoff_m + 0.008])[None]
 
 
-def test_importing_touches_neither_opengl_nor_the_environment():
+def test_an_import_loads_no_opengl_and_changes_no_environment():
     subprocess.run([sys.executable, "-c", CODE_IMPORT_ONLY], check=True)
 
 
-def test_no_device_is_one_sentence(camera, sphere, pressed, monkeypatch, new_pyrender):
+def test_a_missing_device_gives_a_one_sentence_error(camera, sphere, pressed, monkeypatch, new_pyrender):
     monkeypatch.setenv("EGL_DEVICE_ID", "99")
     named = naming("(99)", "libegl1", "libgl1-mesa-dri", "--renderer heightmap", "--renderer raycast")
     with pytest.raises(RenderError, match=named) as caught:
         new_pyrender().render(sphere, pressed, camera)
     assert "\n" not in str(caught.value)
     monkeypatch.delenv("EGL_DEVICE_ID")
-    assert np.isfinite(new_pyrender().render(sphere, pressed, camera)).any(), "a later try may succeed"
+    assert np.isfinite(new_pyrender().render(sphere, pressed, camera)).any(), "a later attempt may succeed"
 
 
-def test_missing_library_is_one_sentence(camera, sphere, pressed, monkeypatch):
+def test_a_missing_library_gives_a_one_sentence_error(camera, sphere, pressed, monkeypatch):
     monkeypatch.setitem(sys.modules, "tactile_loc.plugins.renderers.pyrender.gl", None)
     with pytest.raises(RenderError, match=naming("libegl1", "libgl1-mesa-dri")):
         PyrenderRenderer().render(sphere, pressed, camera)
 
 
-def test_platform_of_the_user_is_kept(camera, sphere, pressed, monkeypatch, new_pyrender):
+def test_the_platform_set_by_the_user_is_kept(camera, sphere, pressed, monkeypatch, new_pyrender):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "abacus")
     with pytest.raises(RenderError, match="abacus"):
         new_pyrender().render(sphere, pressed, camera)
 
 
-def test_failure_while_drawing_is_a_render_error(camera, sphere, pressed, monkeypatch, new_pyrender):
+def test_a_failure_during_rendering_is_a_render_error(camera, sphere, pressed, monkeypatch, new_pyrender):
     from OpenGL.error import GLError
 
     from tactile_loc.plugins.renderers.pyrender import gl as pyrender_gl
@@ -70,7 +70,7 @@ def test_failure_while_drawing_is_a_render_error(camera, sphere, pressed, monkey
         new_pyrender().render(sphere, pressed, camera)
 
 
-def test_closing_one_renderer_leaves_the_others_alone(camera, sphere, pressed, new_pyrender):
+def test_closing_one_renderer_does_not_affect_the_others(camera, sphere, pressed, new_pyrender):
     one, other = new_pyrender(), new_pyrender()
     expected = one.render(sphere, pressed, camera)
     other.render(sphere, pressed, camera)
@@ -80,8 +80,8 @@ def test_closing_one_renderer_leaves_the_others_alone(camera, sphere, pressed, n
     np.testing.assert_array_equal(one.render(sphere, pressed, camera), expected)
 
 
-def test_a_renderer_that_is_collected_while_another_draws_leaves_it_alone(camera, sphere, pressed, new_pyrender):
-    """Closed at the worst moment: in the middle of a picture, as the garbage collector may do it."""
+def test_garbage_collection_of_a_renderer_does_not_affect_another(camera, sphere, pressed, new_pyrender):
+    """The garbage collector may close a renderer at the worst moment, in the middle of a picture."""
     drawing, unused = new_pyrender(), new_pyrender()
     expected = drawing.render(sphere, pressed, camera)
     unused.render(sphere, pressed, camera)
@@ -97,7 +97,7 @@ def test_a_renderer_that_is_collected_while_another_draws_leaves_it_alone(camera
     assert unused._offscreen is None
 
 
-def test_closed_renderer_opens_again(camera, sphere, pressed, new_pyrender):
+def test_a_closed_renderer_opens_again(camera, sphere, pressed, new_pyrender):
     renderer = new_pyrender()
     expected = renderer.render(sphere, pressed, camera)
     renderer.close()
@@ -123,8 +123,8 @@ def test_another_thread_may_draw(camera, sphere, pressed, new_pyrender):
 
 
 @pytest.mark.parametrize("which", ["all", "half", "open"])
-def test_winding_does_not_matter(camera, sphere, pressed, new_pyrender, which):
-    """Faces wound inwards hide as much as others, whether all of them are, or some, or the surface is not closed."""
+def test_the_winding_of_faces_does_not_matter(camera, sphere, pressed, new_pyrender, which):
+    """Faces wound inwards hide as much as others: if all are, if some are, or if the surface is open."""
     faces = sphere.faces.copy()
     faces[:: 1 if which == "all" else 2] = faces[:: 1 if which == "all" else 2, ::-1]
     if which == "open":
@@ -135,7 +135,7 @@ def test_winding_does_not_matter(camera, sphere, pressed, new_pyrender, which):
     )
 
 
-def test_only_doubtful_parts_are_drawn_twice(sphere, quad, new_pyrender):
+def test_only_faces_of_unclear_winding_are_drawn_twice(sphere, quad, new_pyrender):
     from tactile_loc.plugins.renderers.pyrender.gl import choose_faces
 
     count = len(sphere.vertices_m)
@@ -153,8 +153,8 @@ def test_the_whole_contact_band_is_between_the_clipping_planes(camera, quad, new
         assert np.isfinite(depth).all() if seen else np.isinf(depth).all()
 
 
-def test_slopes_have_no_bias(camera, quad, new_pyrender):
-    """Multisampling would give the depth beside the pixel's centre: on a slope, tens of micrometres to one side."""
+def test_depths_of_slopes_have_no_bias(camera, quad, new_pyrender):
+    """Multisampling would give the depth away from the pixel's centre: on a slope, an error of tens of micrometres."""
     T = make_transform(rotation_about([0.7, 1, 0], 0.8), [0, 0, camera.standoff_m + 0.001])
     depth = new_pyrender().render(quad, T[None], camera)
     points = camera.backproject(depth)[0][np.isfinite(depth[0])]

@@ -28,7 +28,7 @@ def contact_poses(mesh, g, count=12):
     return T[touching]
 
 
-def test_only_what_is_beyond_the_band_is_left_out(camera, bracket, monkeypatch):
+def test_only_surfaces_beyond_the_contact_band_are_culled(camera, bracket, monkeypatch):
     T = contact_poses(bracket, camera)
     culled = RaycastRenderer().render(bracket, T, camera)
     everything = slice(0, camera.height_px), slice(0, camera.width_px)
@@ -39,7 +39,7 @@ def test_only_what_is_beyond_the_band_is_left_out(camera, bracket, monkeypatch):
     assert np.isfinite(culled).sum() < np.isfinite(full).sum()
 
 
-def test_surface_that_reaches_behind_the_camera_is_drawn(quad):
+def test_a_surface_that_reaches_behind_the_camera_is_drawn(quad):
     """An upright plate beside the sensor, at x = -4 mm and on both sides of the camera: its projection is unbounded."""
     g = SensorGeometry("pinhole", 90, 64, 62.0, 50.0, 39.3, 36.1, 0.021, 0.002)
     T = make_transform([[0, 0, 1], [1, 0, 0], [0, 1, 0]], [-0.004, 0.0, 0.0])
@@ -53,7 +53,7 @@ def test_surface_that_reaches_behind_the_camera_is_drawn(quad):
 
 
 @pytest.mark.parametrize("rays_per_batch", [1, 1000, 4_000_000])
-def test_batch_size_changes_nothing(camera, bracket, rays_per_batch):
+def test_the_batch_size_does_not_change_the_result(camera, bracket, rays_per_batch):
     T = contact_poses(bracket, camera)
     expected = RaycastRenderer().render(bracket, T, camera)
     actual = RaycastRenderer(Options(rays_per_batch=rays_per_batch)).render(bracket, T, camera)
@@ -65,7 +65,7 @@ def test_batches_hold_every_box_once_and_keep_the_limit():
     assert list(raycast._group_boxes(boxes, 50)) == [[0], [2], [3], [4, 5], [6]]
 
 
-def test_meshes_are_told_apart_and_few_are_kept(camera, sphere, bracket):
+def test_different_meshes_are_distinguished_and_few_are_cached(camera, sphere, bracket):
     renderer = RaycastRenderer(Options(cached_meshes=1))
     T = make_transform(np.eye(3), [0, 0, camera.standoff_m + 0.008])[None]
     first = renderer.render(sphere, T, camera)
@@ -75,7 +75,7 @@ def test_meshes_are_told_apart_and_few_are_kept(camera, sphere, bracket):
     assert len(renderer._meshes) == 1
 
 
-def test_scene_is_built_once_for_equal_surfaces(camera, sphere, monkeypatch):
+def test_the_scene_is_built_once_for_equal_surfaces(camera, sphere, monkeypatch):
     built = []
     build = raycast._build_scene
     monkeypatch.setattr(raycast, "_build_scene", lambda mesh: built.append(mesh) or build(mesh))
@@ -86,7 +86,7 @@ def test_scene_is_built_once_for_equal_surfaces(camera, sphere, monkeypatch):
     assert len(built) == 1
 
 
-def test_missing_open3d_is_one_sentence(camera, sphere, monkeypatch):
+def test_a_missing_open3d_gives_a_one_sentence_error(camera, sphere, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(RenderError, match=naming("open3d", "libusb-1.0-0", "--renderer heightmap")):
         RaycastRenderer().render(sphere, np.eye(4)[None], camera)

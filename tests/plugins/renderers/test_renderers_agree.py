@@ -53,7 +53,7 @@ def touches(request: pytest.FixtureRequest, part: TriangleMesh):
 
 
 def agreement(a: np.ndarray, b: np.ndarray, g: SensorGeometry) -> tuple[float, float]:
-    """Share of pixels whose contact is the same, and the median depth difference (m) where both touch."""
+    """Share of pixels whose contact is the same, and the median depth difference (m) of pixels where both touch."""
     limit = np.float32(g.standoff_m + g.max_depth_m)
     both = (a < limit) & (b < limit)
     assert both.any()

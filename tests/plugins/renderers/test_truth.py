@@ -41,7 +41,7 @@ def assert_same_pictures(a, b, tolerance_m=NANOMETRES_100, g=None):
     assert same.mean() >= 0.999
 
 
-def test_sphere(exact_renderer, camera, sphere, inner_radius_m, rays):
+def test_a_sphere_has_its_analytic_depth(exact_renderer, camera, sphere, inner_radius_m, rays):
     centre = np.array([0.0023, -0.0034, camera.standoff_m + 0.008])
     depth = exact_renderer.render(sphere, make_transform(np.eye(3), centre)[None], camera)[0]
     outer, inner = ball_depth(rays(camera), centre, 0.008), ball_depth(rays(camera), centre, inner_radius_m)
@@ -49,11 +49,11 @@ def test_sphere(exact_renderer, camera, sphere, inner_radius_m, rays):
     assert band.sum() > 200
     assert (depth[band] >= outer[band] - NANOMETRES_100).all()
     assert (depth[band] <= inner[band] + NANOMETRES_100).all()
-    assert (inner[band] - outer[band]).max() < 3e-6, "the tessellation is fine enough to say something"
+    assert (inner[band] - outer[band]).max() < 3e-6, "the tessellation is too coarse for this test"
     assert (depth[inner > camera.standoff_m + camera.max_depth_m + 5e-6] > camera.standoff_m + camera.max_depth_m).all()
 
 
-def test_sphere_contact_depth_in_closed_form(exact_renderer, sphere):
+def test_the_contact_depth_of_a_sphere_follows_the_closed_form(exact_renderer, sphere):
     """Seen straight from above, the contact depth at distance q from the contact is r - sqrt(r^2 - q^2)."""
     g = SensorGeometry("orthographic", 41, 41, 10_000.0, 10_000.0, 20.5, 20.5, 0.02, 0.002)
     T = make_transform(np.eye(3), [0.0, 0.0, 0.028])[None]
@@ -64,7 +64,7 @@ def test_sphere_contact_depth_in_closed_form(exact_renderer, sphere):
 
 
 @pytest.mark.parametrize(("axis", "tilt_rad"), [((0, 1, 0), 0.0), ((1, 0.3, 0), 0.12), ((-0.2, 1, 0.4), -0.9)])
-def test_tilted_plane(exact_renderer, camera, quad, rays, axis, tilt_rad):
+def test_a_tilted_plane_has_its_analytic_depth(exact_renderer, camera, quad, rays, axis, tilt_rad):
     T = make_transform(rotation_about(axis, tilt_rad), [0.001, 0.002, camera.standoff_m + 0.001])
     depth = exact_renderer.render(quad, T[None], camera)[0]
     origin, direction = rays(camera)
@@ -80,8 +80,8 @@ def plate(x_m: tuple[float, float], z_m: float) -> tuple[list[list[float]], list
     return [[x0, -y, z_m], [x1, -y, z_m], [x1, y, z_m], [x0, y, z_m]], [[0, 1, 2], [0, 2, 3]]
 
 
-def test_pinhole_looks_below_an_overhang(exact_renderer):
-    """Rays spread, so one that just misses a plate's inner edge meets what lies behind the plate."""
+def test_a_pinhole_camera_sees_below_an_overhang(exact_renderer):
+    """Rays diverge: a ray that just misses the inner edge of a plate hits the surface behind the plate."""
     g = SensorGeometry("pinhole", 200, 21, 400.0, 400.0, 20.0, 10.5, 0.02, 0.002)
     (front, faces), (hidden, _) = plate((0.005, 0.006), 0.02), plate((0.00501, 0.006), 0.0215)
     mesh = TriangleMesh(np.array(front + hidden), np.array(faces + [[a + 4, b + 4, c + 4] for a, b, c in faces]))
@@ -93,19 +93,19 @@ def test_pinhole_looks_below_an_overhang(exact_renderer):
     np.testing.assert_allclose(row[(slope * 0.02 > 0.005) & (slope * 0.02 < 0.006)], 0.02, atol=NANOMETRES_100)
 
 
-def test_nothing_there_is_inf(exact_renderer, camera, sphere):
+def test_pixels_without_a_surface_are_inf(exact_renderer, camera, sphere):
     aside = make_transform(np.eye(3), [0.3, 0.0, camera.standoff_m + 0.008])
     assert np.isinf(exact_renderer.render(sphere, aside[None], camera)).all()
 
 
-def test_type_and_shape(exact_renderer, camera, bracket):
+def test_the_result_has_the_documented_type_and_shape(exact_renderer, camera, bracket):
     depth = exact_renderer.render(bracket, poses(bracket, camera), camera)
     assert depth.shape == (5, camera.height_px, camera.width_px)
     assert depth.dtype == np.float32
     assert exact_renderer.render(bracket, np.empty((0, 4, 4)), camera).shape == (0, *camera.shape)
 
 
-def test_batch_equals_singles(exact_renderer, camera, bracket):
+def test_a_batch_equals_single_renderings(exact_renderer, camera, bracket):
     T = poses(bracket, camera)
     together = exact_renderer.render(bracket, T, camera)
     alone = np.concatenate([exact_renderer.render(bracket, one[None], camera) for one in T])
@@ -113,7 +113,7 @@ def test_batch_equals_singles(exact_renderer, camera, bracket):
     assert (together[0] != together[1]).any()
 
 
-def test_input_is_not_changed(exact_renderer, camera, bracket):
+def test_the_input_is_not_changed(exact_renderer, camera, bracket):
     T = poses(bracket, camera)
     before = T.copy(), bracket.vertices_m.copy(), bracket.faces.copy()
     exact_renderer.render(bracket, T, camera)
@@ -121,7 +121,7 @@ def test_input_is_not_changed(exact_renderer, camera, bracket):
         np.testing.assert_array_equal(old, new)
 
 
-def test_unit_of_length_does_not_matter(exact_renderer, camera, bracket):
+def test_the_unit_of_length_does_not_matter(exact_renderer, camera, bracket):
     """The same numbers in millimetres give the same picture, times a thousand."""
     k = 1.0 if camera.is_pinhole else 1e-3
     standoff_mm, max_depth_mm = camera.standoff_m * 1e3, camera.max_depth_m * 1e3
@@ -137,7 +137,7 @@ def test_unit_of_length_does_not_matter(exact_renderer, camera, bracket):
 
 
 @pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
-def test_quarter_turn_turns_the_picture(exact_renderer, bracket, kind):
+def test_a_quarter_turn_of_the_object_rotates_the_picture(exact_renderer, bracket, kind):
     f = 60.0 if kind == "pinhole" else 3000.0
     g = SensorGeometry(kind, 64, 64, f, f, 32.0, 32.0, 0.02, 0.002)
     T = poses(bracket, g, 3)
@@ -148,7 +148,7 @@ def test_quarter_turn_turns_the_picture(exact_renderer, bracket, kind):
     assert np.isfinite(plain).any()
 
 
-def test_half_resolution_is_every_other_centre(exact_renderer, camera, quad):
+def test_half_the_resolution_keeps_the_view(exact_renderer, camera, quad):
     """Resizing keeps the view: a plane's mean depth in 2 x 2 pixels is the depth of the larger pixel."""
     T = make_transform(rotation_about([0.4, 1, 0], 0.03), [0, 0, camera.standoff_m + 0.001])[None]
     fine = exact_renderer.render(quad, T, camera)[0]

@@ -57,19 +57,19 @@ def photo(truth: np.ndarray) -> np.ndarray:
     return photographed(truth[None], BALLS.geometry)[0]
 
 
-def test_it_is_registered(sensor):
+def test_the_calibrated_sensor_is_registered(sensor):
     assert isinstance(sensor, CalibratedSensor)
     assert sensor.geometry.is_same_sensor(BALLS.geometry)
 
 
-def test_it_keeps_the_contract(sensor):
+def test_the_calibrated_sensor_keeps_its_contract(sensor):
     checks = list_checks(sensor)
     assert len(checks) > 8
     for check in checks:
         check(sensor)
 
 
-def test_its_own_untouched_gel_is_no_contact_however_wrong_it_is_read(folder):
+def test_the_untouched_gel_is_no_contact_for_a_wrong_estimator(folder):
     sensor = registry().create("sensor", "calibrated", {"path": str(folder)})
     estimator, wrong = sensor.calibration.estimator, ball_indentation(BALLS.geometry, press_m=8e-5)
     read = estimator.read
@@ -78,7 +78,7 @@ def test_its_own_untouched_gel_is_no_contact_however_wrong_it_is_read(folder):
         sensor.contact_shape(BALLS.background)
 
 
-def test_an_image_becomes_the_balls_contact_shape(sensor, photo):
+def test_an_image_of_a_ball_gives_the_contact_shape_of_the_ball(sensor, photo):
     shape = sensor.contact_shape(photo)
     assert isinstance(shape, ContactShape)
     assert shape.depth_m.dtype == np.float32
@@ -93,7 +93,7 @@ def test_an_image_becomes_the_balls_contact_shape(sensor, photo):
     Touch(shape, sensor.geometry)
 
 
-def test_the_same_image_gives_the_same_and_is_left_alone(sensor, photo):
+def test_equal_images_give_equal_shapes_and_stay_unchanged(sensor, photo):
     kept = photo.copy()
     first, again = sensor.contact_shape(photo), sensor.contact_shape(photo)
     np.testing.assert_array_equal(first.depth_m, again.depth_m)
@@ -101,13 +101,13 @@ def test_the_same_image_gives_the_same_and_is_left_alone(sensor, photo):
     np.testing.assert_array_equal(photo, kept)
 
 
-def test_a_read_only_image_will_do(sensor, photo):
+def test_a_read_only_image_is_accepted(sensor, photo):
     fixed = photo.copy()
     fixed.flags.writeable = False
     np.testing.assert_array_equal(sensor.contact_shape(fixed).depth_m, sensor.contact_shape(photo).depth_m)
 
 
-def test_the_deeper_press_is_the_larger_contact(sensor):
+def test_a_deeper_press_gives_a_larger_contact(sensor):
     shapes = [
         sensor.contact_shape(photographed(ball_indentation(BALLS.geometry, press_m=p)[None], BALLS.geometry)[0])
         for p in (3e-4, 8e-4)
@@ -116,13 +116,13 @@ def test_the_deeper_press_is_the_larger_contact(sensor):
     assert shapes[0].contact.sum() < 0.6 * shapes[1].contact.sum()
 
 
-def test_an_image_without_contact_says_so(sensor):
+def test_an_image_without_contact_gives_an_error(sensor):
     for image in (BALLS.background, BALLS.background + np.uint8(1)):
         with pytest.raises(NoContactError, match=naming("0.05 mm")):
             sensor.contact_shape(image)
 
 
-def test_contact_shapes_stay_what_they_are(sensor, truth):
+def test_contact_shapes_stay_unchanged(sensor, truth):
     depth = np.where(truth > 0, PRESS_M - truth, np.nan)
     shape = sensor.contact_shape(depth)
     np.testing.assert_array_equal(shape.contact, truth > 0)
@@ -145,7 +145,7 @@ def test_contact_shapes_stay_what_they_are(sensor, truth):
     ],
     ids=["cropped", "grey", "alpha", "float", "another sensor's", "black", "one pixel", "empty"],
 )
-def test_images_that_are_not_this_sensors_are_refused(sensor, photo, change, value):
+def test_images_of_other_sensors_are_refused(sensor, photo, change, value):
     with pytest.raises(TouchError, match=naming(value)):
         sensor.contact_shape(change(photo))
 
@@ -158,7 +158,7 @@ def with_zero(folder: Path, image: np.ndarray, path: Path) -> CalibratedSensor:
     return CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(write_image(path, image))))
 
 
-def test_a_changed_light_is_refused_until_the_untouched_gel_is_shown(sensor, folder, photo, truth, tmp_path):
+def test_a_changed_light_is_refused_until_a_new_zero_image_is_given(sensor, folder, photo, truth, tmp_path):
     with pytest.raises(TouchError, match=naming("light", "--zero")):
         sensor.contact_shape(brighter(photo))
     zeroed = with_zero(folder, brighter(BALLS.background), tmp_path / "zero.png")
@@ -168,9 +168,9 @@ def test_a_changed_light_is_refused_until_the_untouched_gel_is_shown(sensor, fol
     assert zeroed.describe() != sensor.describe()
 
 
-def test_lamps_of_other_colours_are_refused_though_the_untouched_gel_is_shown(folder, photo, tmp_path):
+def test_lamps_of_other_colours_are_refused_in_spite_of_a_zero_image(folder, photo, tmp_path):
     def other(image: np.ndarray) -> np.ndarray:
-        """The same untouched gel, but a touch's changes of the colours are swapped."""
+        """The untouched gel looks the same, but a touch changes other colours."""
         difference = image.astype(int) - BALLS.background
         return np.clip(BALLS.background + difference[..., [1, 2, 0]], 0, 255).astype(np.uint8)
 
@@ -179,7 +179,7 @@ def test_lamps_of_other_colours_are_refused_though_the_untouched_gel_is_shown(fo
         zeroed.contact_shape(other(photo))
 
 
-def test_what_is_no_image_of_the_untouched_gel_is_refused(folder, photo, tmp_path):
+def test_an_invalid_zero_image_is_refused(folder, photo, tmp_path):
     with pytest.raises(TouchError, match=naming("64 x 50", "64 x 64")):
         with_zero(folder, BALLS.background[:50], tmp_path / "zero.png")
     text = tmp_path / "zero.txt"
@@ -188,7 +188,7 @@ def test_what_is_no_image_of_the_untouched_gel_is_refused(folder, photo, tmp_pat
         CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(text)))
 
 
-def test_a_calibration_that_says_nothing_of_health_still_reads(folder, photo, tmp_path):
+def test_a_calibration_without_health_data_is_read(folder, photo, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     record = json.loads((copy / "calibration.json").read_text())
@@ -200,7 +200,7 @@ def test_a_calibration_that_says_nothing_of_health_still_reads(folder, photo, tm
         CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
 
 
-def test_a_photos_file_is_read(sensor, photo, tmp_path):
+def test_a_photo_file_is_read(sensor, photo, tmp_path):
     path = write_image(tmp_path / "photo.png", photo)
     touch = read_touch(path, sensor)
     np.testing.assert_array_equal(touch.contact_shape.depth_m, sensor.contact_shape(photo).depth_m)
@@ -212,7 +212,7 @@ def test_a_photos_file_is_read(sensor, photo, tmp_path):
         read_touch(untouched, sensor)
 
 
-def test_what_identifies_it_is_what_the_folder_holds(sensor, folder, tmp_path):
+def test_the_description_depends_on_the_content_of_the_folder(sensor, folder, tmp_path):
     described = sensor.describe()
     assert str(folder) not in json.dumps(described)
     copy = tmp_path / "copy"
@@ -229,7 +229,7 @@ def test_a_home_folder_is_found(folder, monkeypatch):
     assert CalibratedSensor(CalibratedSensor.Options(path="~/sensor")).geometry.shape == (64, 64)
 
 
-def test_a_folder_that_is_none_is_refused(tmp_path):
+def test_an_invalid_calibration_folder_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match=naming(tmp_path / "none", "tactile-loc calibrate")):
         CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path / "none")))
     with pytest.raises(CalibrationError, match=naming(tmp_path, "sensor.toml")):

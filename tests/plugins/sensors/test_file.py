@@ -35,7 +35,7 @@ def write(folder: Path, values: dict[str, str], **changes: str | None) -> Path:
     return path
 
 
-def test_the_example_is_what_it_says() -> None:
+def test_the_example_has_its_documented_values() -> None:
     sensor = registry().create("sensor", "file", {"path": str(EXAMPLE)})
     geometry = sensor.geometry
     assert (geometry.camera, geometry.shape) == ("pinhole", (240, 320))
@@ -53,7 +53,7 @@ def test_the_example_and_the_reference_name_every_key() -> None:
         assert re.search(rf"^(# )?{key} = ", example, re.MULTILINE), key
 
 
-def test_the_commented_lines_of_the_example_work_too(tmp_path: Path) -> None:
+def test_the_commented_lines_of_the_example_work(tmp_path: Path) -> None:
     Image.fromarray(np.full((240, 320), 255, np.uint8)).save(tmp_path / "my_sensor_mask.png")
     text = EXAMPLE.read_text()
     curved = tmp_path / "curved.toml"
@@ -70,7 +70,7 @@ def test_the_commented_lines_of_the_example_work_too(tmp_path: Path) -> None:
     assert read_sensor_file(flat).pixel_pitch_m == pytest.approx(0.0634 * MM)
 
 
-def test_a_file_can_say_what_the_presets_say(tmp_path: Path) -> None:
+def test_a_file_can_describe_the_preset_sensors(tmp_path: Path) -> None:
     gelslim = read_sensor_file(write(tmp_path, PINHOLE))
     native = GelSlim(GelSlim.Options(image_size_px=(470, 470))).geometry
     assert gelslim.describe() == pytest.approx(native.describe())
@@ -97,7 +97,7 @@ def test_a_mask_is_found_beside_the_sensor_file(tmp_path: Path, monkeypatch: pyt
     np.testing.assert_array_equal(geometry.observed_mask, mask[..., 0] == 255)
 
 
-def test_what_identifies_the_sensor_is_what_the_file_says(tmp_path: Path) -> None:
+def test_the_description_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
     def describe(folder: str, **changes: str) -> dict:
         (tmp_path / folder).mkdir(exist_ok=True)
         path = write(tmp_path / folder, PINHOLE, **changes)
@@ -107,7 +107,7 @@ def test_what_identifies_the_sensor_is_what_the_file_says(tmp_path: Path) -> Non
     assert describe("a") != describe("a", standoff_mm="26")
 
 
-def test_a_sensor_of_a_file_takes_depths_and_no_images(tmp_path: Path) -> None:
+def test_a_sensor_from_a_file_accepts_depths_and_no_images(tmp_path: Path) -> None:
     sensor = FileSensor(FileSensor.Options(path=str(write(tmp_path, ORTHOGRAPHIC))))
     depth = np.full((240, 320), np.inf)
     depth[:10] = 0.1 * MM
@@ -136,12 +136,12 @@ def test_an_orthographic_sensor_needs_its_scale(tmp_path: Path) -> None:
         (ORTHOGRAPHIC, "name", "max_depth_mm"),
     ],
 )
-def test_unknown_keys_are_named_with_the_known(tmp_path: Path, values: dict, key: str, hint: str) -> None:
+def test_unknown_keys_are_named_with_the_known_keys(tmp_path: Path, values: dict, key: str, hint: str) -> None:
     with pytest.raises(SensorError, match=naming("sensor.toml", repr(key), hint, "camera", "image_size_px")):
         read_sensor_file(write(tmp_path, values, **{key: "1.0"}))
 
 
-def test_a_mistyped_key_is_reported_rather_than_the_missing_one(tmp_path: Path) -> None:
+def test_a_mistyped_key_is_reported_before_the_missing_key(tmp_path: Path) -> None:
     with pytest.raises(SensorError, match=naming("'max_dept_mm'", "'max_depth_mm'")):
         read_sensor_file(write(tmp_path, PINHOLE, max_depth_mm=None, max_dept_mm="2"))
 
@@ -167,13 +167,15 @@ def test_a_mistyped_key_is_reported_rather_than_the_missing_one(tmp_path: Path) 
         (ORTHOGRAPHIC, "mm_per_px", "[0.06, 0.06, 0.06]"),
     ],
 )
-def test_ill_typed_values_are_named_with_what_is_allowed(tmp_path: Path, values: dict, key: str, value: str) -> None:
+def test_values_of_wrong_type_are_named_with_the_allowed_type(
+    tmp_path: Path, values: dict, key: str, value: str
+) -> None:
     read = {"true": "True"}.get(value, value.strip('"'))
     with pytest.raises(SensorError, match=naming("sensor.toml", key, read)):
         read_sensor_file(write(tmp_path, values, **{key: value}))
 
 
-def test_contradictory_numbers_name_the_file(tmp_path: Path) -> None:
+def test_contradictory_numbers_are_refused_with_the_file(tmp_path: Path) -> None:
     with pytest.raises(SensorError, match=naming("sensor.toml", "rectangle", "-0.005")):
         read_sensor_file(write(tmp_path, PINHOLE, sensing_rectangle_mm="[5, -5, -5, 5]"))
 
@@ -203,7 +205,7 @@ def test_bad_masks_are_refused(tmp_path: Path) -> None:
         read_sensor_file(path)
 
 
-def test_numbers_are_metres_inside(tmp_path: Path) -> None:
+def test_lengths_are_converted_to_metres(tmp_path: Path) -> None:
     geometry = read_sensor_file(write(tmp_path, PINHOLE, sensing_rectangle_mm="[-1, 2, -3, 4.5]"))
     assert geometry.rectangle_m == pytest.approx((-1 * MM, 2 * MM, -3 * MM, 4.5 * MM))
     assert all(isinstance(v, float) for v in dataclasses.astuple(geometry)[3:9])

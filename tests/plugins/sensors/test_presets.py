@@ -34,7 +34,7 @@ def test_gelslim_has_the_numbers_of_the_paper() -> None:
     assert field_mm(GelSlim()) == pytest.approx((470 / 291.5 * 25, 470 / 289 * 25))
 
 
-def test_nominal_fields() -> None:
+def test_presets_have_their_nominal_fields_of_view() -> None:
     assert GelSightMini().geometry.shape == (240, 320)
     assert field_mm(GelSightMini()) == pytest.approx((320 * 0.0634, 240 * 0.0634))
     assert Digit().geometry.shape == (320, 240)
@@ -53,7 +53,7 @@ def test_the_curved_digit_is_a_cap_of_a_sphere() -> None:
 
 
 @ALL
-def test_the_options_change_what_they_say_and_nothing_else(sensor: Preset) -> None:
+def test_options_change_only_the_values_that_they_name(sensor: Preset) -> None:
     kind = type(sensor)
     resized = kind(kind.Options(image_size_px=(64, 48), max_depth_mm=0.5))
     assert resized.geometry.shape == (48, 64)
@@ -78,7 +78,7 @@ def test_impossible_options_are_refused_at_once(sensor: Preset, options: dict, n
         kind(kind.Options(**options))
 
 
-def test_ill_typed_options_are_refused() -> None:
+def test_options_of_wrong_type_are_refused() -> None:
     with pytest.raises(ConfigError, match=naming("'digit'", "image_size_px", 200)):
         registry().create("sensor", "digit", {"image_size_px": 200})
     with pytest.raises(ConfigError, match=naming("'digit'", "'size'", "image_size_px")):
@@ -86,7 +86,7 @@ def test_ill_typed_options_are_refused() -> None:
 
 
 @ALL
-def test_depths_are_a_contact_shape_already(sensor: Preset) -> None:
+def test_depth_images_are_accepted_as_contact_shapes(sensor: Preset) -> None:
     max_depth_m = sensor.geometry.max_depth_m
     depth = np.full(sensor.geometry.shape, np.nan)
     depth[10:30, 10:40] = np.linspace(0, 0.6 * max_depth_m, 30)
@@ -104,6 +104,6 @@ def test_images_are_refused(sensor: Preset) -> None:
 
 
 @ALL
-def test_other_sizes_are_refused(sensor: Preset) -> None:
+def test_images_of_other_sizes_are_refused(sensor: Preset) -> None:
     with pytest.raises(TouchError, match=naming("(10, 10)", sensor.geometry.shape)):
         sensor.contact_shape(np.zeros((10, 10)))
