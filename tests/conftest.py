@@ -1,4 +1,4 @@
-"""What many tests share: small surfaces whose numbers are known, cameras, a store, and where larger data would be."""
+"""Shared fixtures: small objects with known sizes, cameras, a store, result folders, and the folder of larger data."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 STORE = Path(__file__).parent / "store"
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
-# Several processes test at once, and small problems: the libraries' threads would only wait for one another.
+# Several processes run small tests at once, so more library threads would only compete for the cores.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
@@ -42,8 +42,11 @@ MakeObject = Callable[..., ObjectModel]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of the store come first, for they fork, which takes long once a process has grown; then files with slow
-    tests, then those with many: what comes last must not keep one process at work alone."""
+    """Sort the tests: first the store, then files with slow tests, then files with many tests.
+
+    The tests of the store fork, which takes long in a large process. Short files come last, so that all processes
+    finish at about the same time.
+    """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     size = Counter(item.path for item in items)
     rank = {path: number for number, path in enumerate(sorted(size, key=lambda path: -size[path]))}
@@ -51,7 +54,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """What is there to stay need not be looked through for what could go."""
+    """Exclude the collected tests from garbage collection, which makes it faster."""
     gc.collect()
     gc.freeze()
 
@@ -66,7 +69,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(autouse=True, scope="session")
 def shipped_touches() -> Iterator[int]:
-    """How many touches a localizer fits its probabilities to; most tests ask about something else, and get a tenth."""
+    """The number of touches for fitting probabilities; the tests use a tenth of it, because few depend on it."""
     shipped = probabilities.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(probabilities, "TOUCHES", shipped // 10)
@@ -79,7 +82,7 @@ def shipped_touches() -> Iterator[int]:
 
 @pytest.fixture(autouse=True, scope="session")
 def unhurried_disk() -> Iterator[None]:
-    """No test pulls the plug: none waits until the disk has what it wrote."""
+    """Skip fsync: no test cuts the power, so none needs to wait for the disk."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda descriptor: None)
         yield
@@ -87,7 +90,7 @@ def unhurried_disk() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def small_pictures() -> Iterator[None]:
-    """Pictures of few pixels, their panels left where they are: most tests only ask whether there is one."""
+    """Draw pictures with few pixels and without layout, because most tests only check that a picture exists."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     class LeftAlone(ConstrainedLayoutEngine):
@@ -103,7 +106,7 @@ def small_pictures() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def arranged_pictures() -> Iterator[None]:
-    """Pictures whose panels are arranged as users get them, for the tests of the pictures themselves."""
+    """Draw pictures with the layout that users get, for the tests of the pictures themselves."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "LAYOUT", "constrained")
         yield
@@ -140,7 +143,7 @@ def box(make_box: MakeObject) -> ObjectModel:
 
 @pytest.fixture(scope="session")
 def cylinder(make_object: MakeObject) -> ObjectModel:
-    """A cylinder about z, 8 mm in radius and 30 mm long, declared as turned and flipped about x."""
+    """A cylinder about z, 8 mm in radius and 30 mm long, with the declared symmetry zinf*x2."""
     return make_object(trimesh.creation.cylinder(0.008, 0.030, sections=64), "zinf*x2", "cylinder")
 
 
@@ -176,19 +179,19 @@ def localizer(store: StageStore) -> Localizer:
 
 @pytest.fixture(scope="session")
 def localization(localizer: Localizer) -> Localization:
-    """One localisation, for all who write or draw it."""
+    """One localisation, shared by the tests that write or draw it."""
     return localizer.localize(localizer.simulate(1, seed=0)[0])
 
 
 @pytest.fixture(scope="session")
 def run_folder(localizer: Localizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The result of one simulated touch; nothing may be changed in it."""
+    """The result of one simulated touch; tests must not change it."""
     return write_run(tmp_path_factory.mktemp("run"), localizer)
 
 
 @pytest.fixture(scope="session")
 def unfriendly_run(localizer: Localizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same of an object and a touch with names that would be HTML."""
+    """The result of one simulated touch; the names of object and touch contain HTML."""
     obj = dataclasses.replace(localizer.object, name=UNFRIENDLY, notes=(UNFRIENDLY,))
     other = Localizer(localizer.config, obj, localizer.store)
     return write_run(tmp_path_factory.mktemp("unfriendly"), other, touch_name=UNFRIENDLY)
@@ -211,7 +214,7 @@ def sweep_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
-    """torch on one thread: small networks learn faster so, beside other tests."""
+    """Run torch on one thread, which trains small networks faster while other tests run."""
     torch = pytest.importorskip("torch")
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

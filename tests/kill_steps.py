@@ -1,4 +1,4 @@
-"""Processes that are killed at each of their steps on the disk."""
+"""Kill a process before each of its file operations."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ STEPS = ("open", "os.", "shutil.", "ctypes.")  # the audit events before which a
 
 
 def killed_at_every_step(act: Callable[[], object]) -> Iterator[int]:
-    """Run `act` in a child that is killed at its n-th step, for n = 1, 2, ..., and yield n when it is dead.
+    """Run `act` in a child process, kill the child at its n-th step, and yield n, for n = 1, 2, ...
 
-    Ends, with the number of a child that was not killed, when `act` has no more steps.
+    The last n is that of a child that finished: `act` has fewer than n steps.
     """
     for number in count(1):
         child = os.fork()

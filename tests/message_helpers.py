@@ -1,4 +1,4 @@
-"""Find the values that a message must name, whatever its sentence is."""
+"""Check that a message names certain values, independent of its wording."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import re
 
 
 def naming(*values: object) -> str:
-    """Return a pattern for texts that hold all values, in any order; a number is not found within a longer one."""
+    """Return a pattern for texts that contain all values in any order; a number does not match inside a longer one."""
     return r"(?s)\A" + "".join(f"(?=.*{_alone(str(value))})" for value in values)
 
 
 def missing(text: str, *values: object) -> list[str]:
-    """Return those of the values that a text does not hold."""
+    """Return the values that a text does not contain."""
     return [str(value) for value in values if not re.search(_alone(str(value)), text)]
 
 

@@ -1,4 +1,4 @@
-"""Simulated presses of a ball whose numbers are known, as arrays and as the folder that `calibrate` reads."""
+"""Simulated presses of a ball with known geometry, as arrays and as the folder that `calibrate` reads."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ def sensor(px: int = 64, size_m: float = 0.016, max_depth_m: float = 1.5e-3, **m
 
 
 def places(geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels of an orthographic sensor are, x and y (H, W), metres."""
+    """The pixel positions of an orthographic sensor: x and y (H, W), in metres."""
     return np.meshgrid(*geometry.pixel_slopes)
 
 
 def ball_indentation(geometry: SensorGeometry, x_m=0.0, y_m=0.0, press_m=1e-3, ball_m=BALL_M) -> np.ndarray:
-    """How far a ball reaches below the untouched surface (H, W), metres."""
+    """The depth (H, W) of a ball below the untouched surface, in metres."""
     x, y = places(geometry)
     rho2 = (x - x_m) ** 2 + (y - y_m) ** 2
     return np.maximum(np.sqrt(np.maximum(ball_m**2 - rho2, 0)) - (ball_m - press_m), 0).astype(np.float32)
 
 
 def contact_radius(press_m, ball_m: float = BALL_M):
-    """The radius of the circle in which a ball at a press, metres, cuts the untouched surface."""
+    """The radius of the circle where a ball at a press depth intersects the untouched surface, in metres."""
     return np.sqrt(2 * ball_m * press_m - press_m**2)
 
 
 def gel_under(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
-    """The gel's surface (N, H, W), metres, under what objects push in (N, H, W), metres."""
+    """The gel surfaces (N, H, W) under indentations (N, H, W), in metres."""
     press = indentation_m.max(axis=(1, 2))
     return press_gel(press[:, None, None] - indentation_m, press, geometry)
 
 
 def visible_radius(press_m: np.ndarray, ball_m: float = BALL_M) -> np.ndarray:
-    """The radius of the circle in which the gel lies on a ball at presses (N,), metres; around it the gel hangs."""
+    """The radii (N,) of the circles where the gel touches a ball at press depths (N,), in metres; without the skirt."""
     geometry = sensor(240, 8e-3)
     ball = np.stack([ball_indentation(geometry, press_m=p, ball_m=ball_m) for p in press_m])
     lies = (ball > 0) & (gel_under(ball, geometry) - ball < 1e-6)
@@ -65,7 +65,7 @@ def visible_radius(press_m: np.ndarray, ball_m: float = BALL_M) -> np.ndarray:
 
 
 def photographed(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
-    """Noiseless pictures (N, H, W, 3) of the gel under what objects push in (N, H, W), metres."""
+    """Noiseless images (N, H, W, 3) of the gel under indentations (N, H, W), in metres."""
     optics = OPTICS["gelslim"].remove_noise()
     return render_images(gel_under(indentation_m, geometry), geometry, optics, np.random.default_rng(0))
 
@@ -81,8 +81,8 @@ def label_untouched(geometry: SensorGeometry) -> PressLabel:
 class BallSet(LabelledPresses):
     """Presses of one ball: images (N, H, W, 3), visible circles (N, 3) of x, y, radius in pixels, and the truth.
 
-    `indentation_m` (N, H, W) is the ball's, metres, deeper than the label by how deep the visible circle lies. All
-    three are drawn when one of them is first asked for.
+    `indentation_m` (N, H, W) is the true indentation. It exceeds the label by the depth of the visible circle.
+    The first access to any of the three draws all of them.
     """
 
     geometry: SensorGeometry
@@ -125,7 +125,7 @@ class BallSet(LabelledPresses):
 
 
 def magnified(balls: BallSet, times: int) -> BallSet:
-    """The presses as a camera of so many times the pixels a side takes them."""
+    """The same presses, with the image width and height multiplied by `times`."""
     geometry = balls.geometry.resize(times * balls.geometry.width_px, times * balls.geometry.height_px)
 
     def larger(pixels: np.ndarray, rows: int) -> np.ndarray:
@@ -138,7 +138,7 @@ def magnified(balls: BallSet, times: int) -> BallSet:
 
 
 def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
-    """Presses at random places of the middle half of the field, 0.3 to 0.9 mm deep."""
+    """Presses at random positions in the middle half of the field, 0.3 to 0.9 mm deep."""
     geometry = sensor(px)
 
     def draw() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,7 +154,7 @@ def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
 
 
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
-    """Write a calibrated sensor, trained on a set of presses or not at all, and return the folder; needs torch."""
+    """Write a calibrated sensor and return its folder; without presses, its estimator is untrained. Needs torch."""
     from tactile_loc.calibration.calibrate import calibrate
     from tactile_loc.calibration.estimator import validate_estimator_options
     from tactile_loc.calibration.folder import write_calibration

@@ -1,4 +1,4 @@
-"""Presses of a ball as public sets have them: a writer for each format that is converted."""
+"""Writers of ball presses in the format of each supported public set."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from press_sets import write_image
 
-# as these sets count, from the centre of the first pixel; the last is a little larger than the ball of `press_sets`
+# x, y, radius; the origin is the centre of the first pixel; the last circle is slightly larger than the ball
 CIRCLES = [(20.0, 31.0, 5.0), (40.0, 12.5, 7.0), (33.0, 35.0, 13.0)]
 
 

@@ -1,4 +1,4 @@
-"""Bags as ROS writes them."""
+"""Write ROS bags."""
 
 from __future__ import annotations
 

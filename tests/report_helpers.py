@@ -1,4 +1,4 @@
-"""Small results, and what is in a page."""
+"""Small results for reports, and a parser of report pages."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None)
 
 
 def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), touches: int = 12) -> Path:
-    """Write the files of an evaluation whose errors are random numbers, and one gallery."""
+    """Write the files of an evaluation with random errors, and one gallery."""
     from PIL import Image
 
     runs = []
@@ -74,7 +74,7 @@ def write_contacts(folder: Path) -> Path:
 
 
 def sweep_rows() -> list[dict[str, Any]]:
-    """Twelve combinations: a refiner multiplies the error by EFFECT, whatever the object and the spacing."""
+    """Twelve combinations; each refiner multiplies the error by its EFFECT for every object and spacing."""
     rows = []
     for name, spacing, refiner in itertools.product(("pin", "hook"), (4.0, 6.0), SWEPT):
         error_mm = EFFECT[refiner] * (3.0 if name == "pin" else 7.0) * spacing
@@ -108,7 +108,7 @@ def html_of(folder: Path) -> str:
 
 
 def floats(packed: str) -> np.ndarray:
-    """The numbers of an array that scripts draw."""
+    """The numbers of a packed array in a page."""
     return np.frombuffer(base64.b64decode(packed), "<f4")
 
 

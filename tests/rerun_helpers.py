@@ -1,4 +1,4 @@
-"""Rerun files, read by Rerun itself."""
+"""Read Rerun files with Rerun's own reader."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 
 def read(path: Path) -> dict[str, dict[str, list[Any]]]:
-    """What a file holds: of each entity, each component's values in the order of frames."""
+    """The values of each component of each entity in a file, in frame order."""
     chunks = pytest.importorskip("rerun.chunk", reason="this version of rerun does not read its files")
     found: dict[str, dict[str, list[tuple[int, Any]]]] = {}
     for chunk in chunks.RrdReader(path).stream():

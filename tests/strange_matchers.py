@@ -1,4 +1,4 @@
-"""Matchers of other people's plugins, written for this plugin interface, an earlier and a later one."""
+"""Matchers of third-party plugins, for the current, an earlier and a later plugin interface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_loc.core.slots.registry import ComponentSpec, hookimpl, registry
 
 
 class Plain(Matcher):
-    """Of interface 1: without weights."""
+    """A matcher of interface 1 without weights."""
 
     def index(self, bank):
         self.bank = np.array(bank, np.float32)
@@ -27,7 +27,7 @@ class Plain(Matcher):
 
 
 class Weighing(Plain):
-    """Of interface 1: with weights."""
+    """A matcher of interface 1 with weights."""
 
     def weighted_scores(self, queries, weights):
         if (weights == 1).all():
@@ -36,7 +36,7 @@ class Weighing(Plain):
 
 
 class Listed(Plain):
-    """Of interface 2: says that it cannot weigh."""
+    """A matcher of interface 2 that declares no support for weights."""
 
     capabilities = Capabilities(weights=False)
 
@@ -51,7 +51,7 @@ SPECS = {
 
 
 class Stranger:
-    """The entry point of a plugin that offers all of them."""
+    """The entry point of a plugin that offers all these matchers."""
 
     name = value = "strange"
     dist = SimpleNamespace(name="strange-matchers")
@@ -62,7 +62,7 @@ class Stranger:
 
 @contextmanager
 def installed() -> Iterator[None]:
-    """All of them are installed beside the built-in components."""
+    """Install all these matchers beside the built-in components."""
     found = [point for point in module.entry_points(group=module.PROJECT) if module._is_built_in(point)]
     with patch.object(module, "entry_points", lambda group: [*found, Stranger()]):
         registry.cache_clear()

@@ -1,4 +1,4 @@
-"""Arrows between packages point one way, no file imports in a circle, and docs/architecture.md says what code does."""
+"""Imports between packages point to lower layers without cycles, and docs/architecture.md matches the code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# What of a built-in component may come from elsewhere than the front door and its own subpackage.
+# The modules that a built-in component may import besides the front door and its own subpackage.
 ALLOWED = {
     "tactile_loc.plugins.sensors.calibrated": {
         "tactile_loc.calibration.folder",
@@ -29,7 +29,7 @@ FILE_ACCESS = {
 
 CORE_FILE_ACCESS = {
     "registry.py": {"load"},  # an entry point
-    "code_cache.py": {"load", "mkdir", "read_bytes", "rmtree", "unlink"},  # compiled code, which is no data
+    "code_cache.py": {"load", "mkdir", "read_bytes", "rmtree", "unlink"},  # compiled code
 }
 
 
@@ -48,24 +48,22 @@ packages = loaded(ROOT / "docs" / "packages.py")
 
 @pytest.fixture(scope="module")
 def ours() -> list:
-    """The imports of our own modules."""
+    """The imports between the project's own modules."""
     return [found for found in packages.imports() if packages.is_ours(found.imported)]
 
 
-def test_every_package_has_a_place():
+def test_every_package_has_a_layer():
     assert {packages.package(module) for module in packages.modules()} == set(packages.LAYER_OF)
 
 
-def test_every_import_is_seen_also_late_ones_and_those_for_type_checkers(tmp_path):
+def test_late_and_type_checking_imports_are_found(tmp_path):
     types = "if TYPE_CHECKING:\n    from tactile_loc.io import toml\n"
     (tmp_path / "some.py").write_text(f"{types}def late():\n    import tactile_loc.core.poses.metric.metric, numpy\n")
     seen = {(i.line, i.imported) for i in packages._imports_of("some", tmp_path / "some.py")}
     assert seen == {(2, "tactile_loc.io.toml"), (4, "tactile_loc.core.poses.metric.metric"), (4, "numpy")}
 
 
-def test_arrows_point_down(ours):
-    """A package imports only packages of lower layers."""
-
+def test_packages_import_only_lower_layers(ours):
     def climbs(found) -> bool:
         start, end = packages.package(found.importer), packages.package(found.imported)
         return start != end and packages.LAYER_OF[end] >= packages.LAYER_OF[start]
@@ -73,7 +71,7 @@ def test_arrows_point_down(ours):
     assert "\n".join(str(found) for found in ours if climbs(found)) == ""
 
 
-def test_no_file_imports_in_a_circle(ours):
+def test_no_module_imports_itself_through_others(ours):
     direct: dict[str, set[str]] = {module: set() for module in packages.modules()}
     for found in ours:
         direct[found.importer].add(found.imported)
@@ -91,15 +89,15 @@ def test_no_file_imports_in_a_circle(ours):
     assert "\n".join(map(str, links)) == ""
 
 
-def test_the_front_door_opens_on_core_alone():
+def test_the_plugin_module_imports_only_core():
     assert packages.packages_imported()["plugin"] == ["core"]
 
 
-def test_core_knows_no_renderer_viewer_or_learner():
+def test_core_imports_no_rendering_or_learning_library():
     assert not {"torch", "open3d", "pyrender", "matplotlib", "faiss"} & set(packages.libraries_imported()["core"])
 
 
-def test_core_reads_and_writes_no_file():
+def test_core_accesses_no_files():
     for path in sorted((ROOT / "tactile_loc" / "core").rglob("*.py")):
         calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         names = {getattr(call.func, "attr", getattr(call.func, "id", "")) for call in calls}
@@ -107,7 +105,7 @@ def test_core_reads_and_writes_no_file():
 
 
 @pytest.mark.parametrize("slot", SLOTS)
-def test_built_in_components_use_the_front_door_and_no_plugin_imports_another(slot, ours):
+def test_built_in_components_import_only_the_public_interface(slot, ours):
     start = f"tactile_loc.plugins.{slot}."
     here = [found for found in ours if found.importer.startswith(start)]
     assert here
@@ -117,7 +115,7 @@ def test_built_in_components_use_the_front_door_and_no_plugin_imports_another(sl
         assert found.imported in allowed or f"{found.imported}.".startswith(f"{own}."), str(found)
 
 
-def test_the_table_of_packages_says_what_the_code_imports():
+def test_the_package_table_matches_the_imports():
     page = packages.PAGE.read_text()
     paths = [match["path"] for match in packages.ROW.finditer(page)]
     assert sorted(map(packages.package_at, paths)) == sorted(packages.LAYER_OF), "a row for each package"
@@ -125,6 +123,6 @@ def test_the_table_of_packages_says_what_the_code_imports():
     assert page == packages.with_table(page), "run python docs/packages.py"
 
 
-def test_the_picture_of_the_packages_is_what_the_code_imports():
+def test_the_package_picture_matches_the_imports():
     assert packages.PICTURE.read_text() == packages.picture(), "run python docs/packages.py"
     assert f"images/{packages.PICTURE.name}" in packages.PAGE.read_text()

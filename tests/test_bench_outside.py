@@ -1,4 +1,7 @@
-"""Altered surfaces are as far off as was asked, by closest points found in another way; and noise of another kind."""
+"""Altered surfaces have the requested distance from the original, and the unseen noise has the documented rates.
+
+The distances come from an independent closest-point computation.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ def meshed(solid: trimesh.Trimesh) -> TriangleMesh:
 
 
 def distances_m(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
-    """Of points (P, 3) from a surface: to every one of its triangles, and the least."""
+    """The distances (P,) of points (P, 3) from a surface, by brute force over its triangles."""
     triangles = mesh.triangles_m
     return np.array([np.linalg.norm(closest_point(triangles, np.tile(p, (len(triangles), 1))) - p, axis=1).min()
                      for p in points])  # fmt: skip
@@ -37,7 +40,7 @@ def box() -> TriangleMesh:
 
 
 @pytest.mark.parametrize("rms_m", [5e-5, 1e-4])
-def test_a_scan_is_as_far_off_as_was_asked(box, rms_m):
+def test_a_scan_has_the_requested_rms_error(box, rms_m):
     rng = np.random.default_rng(0)
     found = outside.simulate_scan(box, rms_m, 2e-3, rng)
     off_m = distances_m(found.sample(600, rng), box)
@@ -45,8 +48,8 @@ def test_a_scan_is_as_far_off_as_was_asked(box, rms_m):
     assert off_m.max() < 4.5 * rms_m
 
 
-def test_a_scan_s_errors_are_alike_nearby_and_not_farther_away(box):
-    """On the top, with their sign: after one correlation length exp(-1/2), after four next to nothing."""
+def test_scan_errors_are_correlated_over_the_correlation_length(box):
+    """The correlation on the top face is exp(-1/2) at one correlation length and about 0 at four."""
     covariances = np.zeros(3)
     for seed in range(6):
         found = outside.simulate_scan(box, 1e-4, 2e-3, np.random.default_rng(seed))
@@ -61,7 +64,7 @@ def test_a_scan_s_errors_are_alike_nearby_and_not_farther_away(box):
     assert abs(covariances[2] / covariances[0]) < 0.35
 
 
-def test_split_edges_leave_the_surface_and_no_gap(box):
+def test_splitting_edges_keeps_the_surface_closed_and_unchanged(box):
     fine = outside.split_edges(box, 1e-3)
     edges = fine.vertices_m[fine.faces] - np.roll(fine.vertices_m[fine.faces], -1, axis=1)
     assert np.linalg.norm(edges, axis=-1).max() <= 1e-3
@@ -72,13 +75,13 @@ def test_split_edges_leave_the_surface_and_no_gap(box):
     assert solid.volume == pytest.approx(0.020 * 0.012 * 0.008)
 
 
-def test_a_surface_of_separate_triangles_stays_whole(box):
+def test_a_scan_of_separate_triangles_is_watertight(box):
     apart = TriangleMesh(box.triangles_m.reshape(-1, 3), np.arange(36).reshape(-1, 3))
     found = outside.simulate_scan(apart, 1e-4, 2e-3, np.random.default_rng(1))
     assert trimesh.Trimesh(found.vertices_m, found.faces, process=False).is_watertight
 
 
-def test_a_decimated_surface_is_nearly_as_far_off_as_it_may_be():
+def test_decimation_nearly_reaches_the_permitted_error():
     ball = meshed(trimesh.creation.icosphere(4, 0.010))
     found = outside.decimate(ball, 1e-4, np.random.default_rng(0))
     assert len(found.faces) < len(ball.faces) / 4
@@ -86,7 +89,7 @@ def test_a_decimated_surface_is_nearly_as_far_off_as_it_may_be():
     assert 0.6e-4 < np.sqrt(np.mean(off_m**2)) < 1.1e-4
 
 
-def test_unseen_noise_is_what_it_says():
+def test_unseen_noise_has_the_documented_rates():
     rng = np.random.default_rng(0)
     clean = np.full((30, *GEOMETRY.shape), 2e-3, np.float32)
     clean[:, 10:40, 10:50] = 5e-4

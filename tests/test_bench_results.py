@@ -1,4 +1,4 @@
-"""Printed tables of benchmarks are kept, and changes reported; times are multiples of a yardstick."""
+"""Benchmark tables are saved and compared between versions; times are compared relative to a yardstick."""
 
 import dataclasses
 import re
@@ -24,7 +24,7 @@ def kept(version, yardstick_ms=10.0, text=PRINTED):
                       bench.find_tables(text))  # fmt: skip
 
 
-def test_tables_are_found_in_what_is_printed():
+def test_tables_are_found_in_printed_text():
     first, second = bench.find_tables(PRINTED)
     assert first.columns == ["object", "faces", "median, ms", "error, mm"]
     assert first.rows[1] == ["", "1768", "60, 70", "12 of 15"]
@@ -34,13 +34,13 @@ def test_tables_are_found_in_what_is_printed():
     assert second.rows == [["0 to 1 %", "59%"]]
 
 
-def test_a_row_has_as_many_cells_as_its_heading():
+def test_rows_are_cut_or_padded_to_the_heading():
     (table,) = bench.find_tables("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n")
     assert table.rows == [["1", "2"], ["4", ""]]
     assert table.markdown() == "| a | b |\n|---|---|\n| 1 | 2 |\n| 4 |  |\n"
 
 
-def test_tables_that_touch_are_two():
+def test_adjacent_tables_are_separate():
     first, second = bench.find_tables("| a | b |\n|---|---|\n| 1 | 2 |\n| c | d |\n|---|---|\n| 3 | 4 |\n")
     assert (first.rows, second.columns, second.rows) == ([["1", "2"]], ["c", "d"], [["3", "4"]])
 
@@ -50,25 +50,25 @@ def test_lines_between_rows_do_not_end_a_table():
     assert [table.rows for table in bench.find_tables(text)] == [[["1"], ["2"]], [["3"]]]
 
 
-def test_columns_of_one_name_are_compared_each_with_its_own():
+def test_columns_with_equal_names_are_compared_separately():
     text = "| object | mean | mean |\n|---|---|---|\n| pin | 1.0 | 2.0 |\n"
     changes = bench.find_changes(kept("1", text=text), kept("2", text=text.replace("1.0", "3.0")))
     assert [(c.where, c.ratio) for c in changes] == [("joint: pin, mean", 3.0), ("joint: pin, mean 2", 1.0)]
 
 
-def test_times_are_not_compared_where_the_yardstick_is_not_known():
+def test_times_without_a_yardstick_are_not_compared():
     columns = {change.where for change in bench.find_changes(kept("1", None), kept("2"))}
     assert "joint: pin, error, mm" in columns
     assert not any("median, ms" in where for where in columns)
 
 
-def test_what_is_kept_is_read_again(tmp_path):
+def test_saved_results_are_read_back(tmp_path):
     path = kept("0.1.0").write(tmp_path)
     assert path == tmp_path / "0.1.0" / "joint.json"
     assert bench.Kept.read(path) == kept("0.1.0")
 
 
-def test_every_figure_is_compared_with_its_own():
+def test_each_figure_is_compared_with_its_earlier_value():
     found = bench.find_changes(kept("1"), kept("2", text=PRINTED.replace("0.10", "0.30")))
     changes = {change.where: change for change in found}
     assert changes["joint: pin, error, mm"].ratio == pytest.approx(3)
@@ -78,7 +78,7 @@ def test_every_figure_is_compared_with_its_own():
 @pytest.mark.parametrize(
     ("yardstick_ms", "printed_ms", "fails"), [(10, "56", 1), (10, "54", 0), (20, "100", 0), (5, "50", 1)]
 )
-def test_a_time_that_grew_by_a_tenth_of_the_yardsticks_fails(tmp_path, capsys, yardstick_ms, printed_ms, fails):
+def test_a_time_that_grows_by_a_tenth_fails(tmp_path, capsys, yardstick_ms, printed_ms, fails):
     kept("0.9.0").write(tmp_path)
     kept("0.10.0", yardstick_ms, PRINTED.replace("| 50 |", f"| {printed_ms} |")).write(tmp_path)
     others = [c for c in bench.find_changes(kept("1"), kept("2", yardstick_ms)) if c.is_worse]
@@ -88,7 +88,7 @@ def test_a_time_that_grew_by_a_tenth_of_the_yardsticks_fails(tmp_path, capsys, y
     assert "0.9.0 -> 0.10.0" in said
 
 
-def test_an_error_that_grew_is_told_and_does_not_fail(tmp_path, capsys):
+def test_a_grown_error_is_reported_without_failing(tmp_path, capsys):
     kept("0.1.0").write(tmp_path)
     kept("0.2.0", text=PRINTED.replace("0.10", "0.20")).write(tmp_path)
     assert bench.compare(tmp_path) == 0
@@ -96,7 +96,7 @@ def test_an_error_that_grew_is_told_and_does_not_fail(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("printed", "yardstick_ms", "fails"), [("45.0", 10, 1), ("46.0", 10, 0), ("20.0", 25, 0)])
-def test_a_speed_that_fell_by_a_tenth_fails(tmp_path, printed, yardstick_ms, fails):
+def test_a_speed_that_falls_by_a_tenth_fails(tmp_path, printed, yardstick_ms, fails):
     text = "| renderer | poses/s |\n|---|---|\n| heightmap | 50.0 |\n"
     kept("0.1.0", text=text).write(tmp_path)
     kept("0.2.0", yardstick_ms, text.replace("50.0", printed)).write(tmp_path)
@@ -104,20 +104,20 @@ def test_a_speed_that_fell_by_a_tenth_fails(tmp_path, printed, yardstick_ms, fai
 
 
 @pytest.mark.parametrize(("printed", "fails"), [("9.0", 1), ("9.5", 0), ("20", 0)])
-def test_a_ratio_to_something_else_of_the_run_knows_no_yardstick(tmp_path, printed, fails):
+def test_a_ratio_is_compared_without_the_yardstick(tmp_path, printed, fails):
     text = "| renderer | x pyrender |\n|---|---|\n| heightmap | 10.0 |\n"
     kept("0.1.0", text=text).write(tmp_path)
     kept("0.2.0", 99.0, text.replace("10.0", printed)).write(tmp_path)
     assert bench.compare(tmp_path) == fails
 
 
-def test_one_version_has_nothing_to_compare_with(tmp_path, capsys):
+def test_a_single_version_is_not_compared(tmp_path, capsys):
     kept("0.1.0").write(tmp_path)
     assert bench.compare(tmp_path) == 0
     assert "only 0.1.0" in capsys.readouterr().out
 
 
-def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
+def test_a_benchmark_is_run_and_its_results_are_saved(tmp_path, monkeypatch, capsys):
     script = tmp_path / "tiny.py"
     script.write_text(f"import sys\nprint({PRINTED!r})\nsys.exit(len(sys.argv) > 2)\n")
     monkeypatch.setattr(bench, "BENCHMARKS", tmp_path)
@@ -144,11 +144,11 @@ def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
         bench.keep("other", [])
 
 
-def test_the_page_is_that_of_what_is_kept():
+def test_the_page_matches_the_saved_results():
     assert bench.PAGE.read_text() == bench.format_page()
 
 
-def test_no_path_is_kept():
+def test_saved_results_contain_no_paths():
     for path in bench.RESULTS.glob("*/*.json"):
         found = dataclasses.asdict(bench.Kept.read(path))
         assert not re.search(r"(/\w+){2}", str(found["arguments"]) + str(found["machine"]))

@@ -6,7 +6,7 @@ import check_prose
 import pytest
 from check_prose import LONGEST, find_faults, read_code, read_page, split_sentences
 
-# For each pattern: a bad sentence, the phrase that is printed, and a good sentence that is much alike.
+# For each pattern: a bad sentence, the reported phrase, and a similar good sentence.
 SAMPLES = [
     ("The user is told why.", "is told", "The message tells the user why."),
     ("The path was said before.", "was said", "As the page says, the path comes first."),
@@ -39,7 +39,7 @@ def test_every_pattern_flags_a_sample():
     assert advice >= {*check_prose.PHRASES.values(), *check_prose.STARTS.values()}
 
 
-def test_a_page_has_paragraphs_headings_items_and_cells():
+def test_a_page_is_split_into_paragraphs_headings_items_and_cells():
     page = """# Title
 
 A paragraph of
@@ -68,7 +68,7 @@ Last.
     ]  # fmt: skip
 
 
-def test_code_has_docstrings_messages_and_comments():
+def test_code_is_split_into_docstrings_messages_and_comments():
     code = '''"""A module.
 
 Its second paragraph.
@@ -92,13 +92,13 @@ def act(path):
     ]  # fmt: skip
 
 
-def test_a_paragraph_has_sentences_without_code_and_targets():
+def test_sentences_contain_no_code_and_no_link_targets():
     text = "Run `make it. Now`, as in [this page](a.md#B). **Then** stop; or go: Here."
     assert split_sentences(text) == ["Run CODE, as in this page.", "**Then** stop; or go:", "Here."]
 
 
 @pytest.mark.parametrize("text", ["Poses are compared with each other.", "Poses are compared with one another."])
-def test_faults_are_printed_with_their_place_and_fail(tmp_path, capsys, text):
+def test_faults_are_printed_with_their_location_and_fail(tmp_path, capsys, text):
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs/page.md").write_text(f"# Page\n\n{text}\n")
     (tmp_path / "docs/cli.md").write_text("A generated page, as nobody writes it.\n")

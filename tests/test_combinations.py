@@ -1,4 +1,4 @@
-"""Any option of a slot works with any option of the others: all pairs of options occur in combinations that locate."""
+"""Every pair of options of two slots occurs in a combination that locates a touch."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Pair = frozenset[tuple[str, str]]
 
 
 def loaded() -> ModuleType:
-    """The benchmark of the full product: what it locates with, these tests do."""
+    """The benchmark of all combinations, whose options and limits these tests use."""
     spec = importlib.util.spec_from_file_location("benchmark_combinations", ROOT / "benchmarks" / "combinations.py")
     assert spec is not None
     assert spec.loader is not None
@@ -55,10 +55,10 @@ def pairs_of(row: Mapping[str, str]) -> set[Pair]:
 
 
 def pairwise(options: Mapping[str, Sequence[str]]) -> list[dict[str, str]]:
-    """Return few combinations in which all pairs of options occur.
+    """Return a small set of combinations that contains all pairs of options.
 
-    Each begins with a pair that is still missing. Each other slot gets the option that adds most missing pairs; of as
-    good ones the first.
+    Each combination begins with a missing pair. Each other slot gets the option that adds most missing pairs, or the
+    first of several equal ones.
     """
     slots = sorted(options, key=lambda slot: -len(options[slot]))
     missing = dict.fromkeys(all_pairs({slot: options[slot] for slot in slots}))
@@ -89,7 +89,7 @@ class Outline:
 
 @pytest.fixture(scope="module", autouse=True)
 def installed() -> Iterator[None]:
-    """The contributed encoder, and matchers of which some cannot weigh, beside the built-in components."""
+    """Install the contributed encoder and the strange matchers beside the built-in components."""
     found = [point for point in entry_points(group=PROJECT) if registry_module._is_built_in(point)]
     plugins = [*found, Outline(), strange_matchers.Stranger()]
     with pytest.MonkeyPatch.context() as patch:
@@ -102,7 +102,7 @@ def installed() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def shared_store(tmp_path_factory: pytest.TempPathFactory) -> StageStore:
-    """One store for all combinations, and for all processes that test them."""
+    """One store for all combinations and all test processes."""
     folder = tmp_path_factory.getbasetemp()
     return StageStore((folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "combinations")
 
@@ -112,23 +112,23 @@ def box() -> ObjectModel:
     return bench.chamfered_box()
 
 
-def test_all_pairs_of_options_occur():
+def test_the_combinations_contain_all_pairs_of_options():
     assert set().union(*map(pairs_of, ROWS)) == set(all_pairs(OPTIONS))
-    assert len(ROWS) <= 26, "24 is the least: each renderer with each refiner"
+    assert len(ROWS) <= 26, "24 is the minimum: each renderer with each refiner"
 
 
-def test_the_options_are_all_that_are_built_in_and_one_that_is_contributed():
+def test_the_options_are_all_installed_components():
     names = {slot: set(registry().names(slot)) for slot in OPTIONS}
     names["matcher"] -= strange_matchers.SPECS.keys()
     assert names == {slot: set(some) for slot, some in OPTIONS.items()}
 
 
 def make_smaller(row: Mapping[str, str], patch: pytest.MonkeyPatch) -> None:
-    """Coarser grids and less learning than the benchmark's: just enough for its limits."""
+    """Use coarser grids and less training than the benchmark, just enough to meet its limits."""
     coarser = {FACE: {"spacing_mm": 3.0}, HOPF: {"spacing_mm": 3.5}}
-    if row["renderer"] == "pyrender":  # it draws each pose by itself
+    if row["renderer"] == "pyrender":  # it draws each pose separately
         coarser[HOPF]["spacing_mm"] = 5.0
-    learning = {"queries": 128} if row["grid"] == "hopf" else {"epochs": 1, "queries": 64}  # all rotations take more
+    learning = {"queries": 128} if row["grid"] == "hopf" else {"epochs": 1, "queries": 64}  # all rotations need more
     for key, options in {**coarser, MOCO: learning}.items():
         patch.setitem(bench.SMALL, key, {**bench.SMALL[key], **options})
     if row["encoder"] == "moco":
@@ -147,8 +147,8 @@ def test_a_combination_locates_a_touch(row, box, shared_store, monkeypatch):
 
 
 @pytest.mark.parametrize("grid", OPTIONS["grid"])
-def test_the_least_alike_poses_are_not_the_right_ones(grid, box, shared_store, monkeypatch):
-    """Encoder and matcher count: the other components do not find the pose by themselves."""
+def test_inverted_scores_locate_the_wrong_pose(grid, box, shared_store, monkeypatch):
+    """The other components do not find the pose without the encoder and the matcher."""
     scores = DenseMatcher.scores
     monkeypatch.setattr(DenseMatcher, "scores", lambda *words: -scores(*words))
     turned_round = {**ROWS[0], "grid": grid, "encoder": "pixel", "matcher": "dense", "refiner": "none"}
@@ -156,8 +156,8 @@ def test_the_least_alike_poses_are_not_the_right_ones(grid, box, shared_store, m
     assert "mm off" in bench.try_combination(turned_round, box, shared_store)["failed"]
 
 
-def test_no_combination_is_refused_but_by_a_rule():
-    """Of all combinations; a rule is a row of the table in docs/plugins.md."""
+def test_combinations_are_refused_only_by_a_rule():
+    """Check the full product; each rule is a row of the table in docs/plugins.md."""
     slots = {"matcher": (*OPTIONS["matcher"], "listed", "plain")}
     made = {
         slot: {name: registry().create(slot, name, bench.SMALL.get((slot, name))) for name in names}
@@ -177,7 +177,7 @@ def test_no_combination_is_refused_but_by_a_rule():
 
 @pytest.mark.parametrize("matcher", ["listed", "plain"])
 @pytest.mark.parametrize("grid", OPTIONS["grid"])
-def test_what_is_refused_is_refused_before_anything_is_built(grid, matcher, box, tmp_path):
+def test_a_combination_is_refused_before_anything_is_built(grid, matcher, box, tmp_path):
     store = StageStore(tmp_path / "store")
     combination = {**ROWS[0], "grid": grid, "matcher": matcher}
     if grid != "whole":

@@ -1,4 +1,4 @@
-"""The API reference has every public name, each once, and the methods that users call on a Localizer."""
+"""The API reference contains every public name once, and the methods that users call on a Localizer."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import yaml
 ROOT = Path(__file__).parents[1]
 REFERENCE = "\n".join(page.read_text() for page in sorted((ROOT / "docs" / "api").glob("*.md")))
 ENTRIES = re.findall(r"^::: (\S+)$", REFERENCE, re.MULTILINE)
-IN_TABLES = set(re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE))  # types and constants: they have no docstring
+IN_TABLES = set(re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE))  # types and constants, which have no docstring
 
 
 @pytest.fixture(scope="module")
 def code() -> griffe.ModulesCollection:
-    """The package as the site's builder reads it, without importing it."""
+    """The package as the site builder reads it, without importing it."""
     loader = griffe.GriffeLoader(search_paths=[ROOT])
     loader.load("tactile_loc")
     return loader.modules_collection
 
 
 def home(code: griffe.ModulesCollection, path: str) -> griffe.Object:
-    """What a path means, where it is defined; KeyError if there is no such thing."""
+    """Return the object of a path at its definition; KeyError if there is none."""
     thing = code[path]
     return thing.final_target if isinstance(thing, griffe.Alias) else thing
 
@@ -45,15 +45,15 @@ def test_every_public_name_is_in_the_reference(module, code):
     assert [name for name in names if not is_shown(name)] == []
 
 
-def test_every_entry_is_there_once(code):
+def test_every_entry_occurs_once(code):
     paths = [home(code, entry).path for entry in ENTRIES]
     assert sorted(set(paths)) == sorted(paths)
     modules = {path for path in paths if code[path].is_module}
     members = [path for path in paths if path not in modules and path.rpartition(".")[0] in modules]
-    assert members == [], "their modules have entries, which show them"
+    assert members == [], "the entries of their modules show them already"
 
 
-def test_inherited_members_are_shown_and_a_localizer_has_those_that_users_call(code):
+def test_the_reference_shows_inherited_members_of_the_localizer(code):
     plugins = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["plugins"]
     (options,) = (p["mkdocstrings"]["handlers"]["python"]["options"] for p in plugins if "mkdocstrings" in p)
     assert options["inherited_members"] is True

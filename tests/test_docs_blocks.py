@@ -1,7 +1,7 @@
-"""Every code block of the documentation is run, page by page, or read by what it is written for.
+"""Every code block of the documentation runs or is read by its reader.
 
-Shell commands run as they stand, in a folder where the files that they name exist, but for a coarser grid, fewer
-touches and a shorter training. Other pages' blocks have tests of their own, named below.
+Shell commands run in a folder with the files that they name. The tests add only a coarser grid, fewer touches and
+shorter training. The blocks of some pages have separate tests, which ELSEWHERE names.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ ELSEWHERE = {
     "tuning.md": "test_docs_tuning.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
-READERS = {  # by how the file begins
+READERS = {  # by the first word of the file
     "camera": read_sensor_file,
     "kind": lambda path: read_prior(path, load_object("pin")),
     "[[approach]]": lambda path: read_approaches(path, np.eye(4)),
     "[[touch]]": lambda path: read_touch_list(path, of_flange="T_base_flange" in path.read_text()),
     "mount": read_touch_list,
 }
-SURE = ["-o", "temperature=0.05"]  # none is to be fitted
+SURE = ["-o", "temperature=0.05"]  # no temperature is fitted
 COARSE = ["--grid", "face", "-o", "grid.spacing_mm=10"]
-SEARCHED = {"grid": {"name": "whole", "directions": 300}, "temperature": 0.05}  # of pages on whole objects
+SEARCHED = {"grid": {"name": "whole", "directions": 300}, "temperature": 0.05}  # for pages on whole objects
 TINY_TRAINING = [word for o in ("epochs=1", "queries=32", "batch=16", "backbone=small", "channels=4")
                  for word in ("-o", f"encoder.{o}")]  # fmt: skip
 CHEAPER = {
@@ -75,7 +75,7 @@ Block = tuple[str, str]
 
 
 def blocks(page: str) -> list[Block]:
-    """Language and text of the page's fenced blocks."""
+    """The language and the text of each fenced block of a page."""
     return re.findall(r"^```(\w*)\n(.*?)^```", (DOCS / page).read_text(), re.DOTALL | re.MULTILINE)
 
 
@@ -85,18 +85,18 @@ def commands(page: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_block_is_of_a_language_that_is_tried(page):
-    """A block without a language is a formula or a drawing: no code."""
+def test_every_block_has_a_tested_language(page):
+    """A block without a language is a formula or a drawing."""
     assert {language for language, _ in blocks(page)} <= {"sh", "python", "toml", "csv", ""}
 
 
 @pytest.mark.parametrize("page", sorted(ELSEWHERE))
-def test_pages_that_are_tried_elsewhere_are(page):
+def test_pages_with_separate_tests_exist_and_are_tested(page):
     assert (DOCS / page).exists()
     assert any(page in test.read_text() for test in (ROOT / "tests").rglob(ELSEWHERE[page]))
 
 
-def test_the_table_of_presses_is_read():
+def test_the_table_of_presses_can_be_read():
     ((_, text),) = [block for block in blocks("sensor-labels.md") if block[0] == "csv"]
     rows = list(csv.DictReader(text.splitlines()))
     assert set(rows[0]) <= set(COLUMNS)
@@ -104,7 +104,7 @@ def test_the_table_of_presses_is_read():
 
 
 def mounted(folder: Path, store: StageStore) -> None:
-    """Write a mount, and a list of touches by a sensor so mounted, of a part that stands at the base's origin."""
+    """Write a mount, and a list of touches of a part at the base's origin by the mounted sensor."""
     X = make_transform(rotation_about([1, 2, 0], 1.0), [0.02, -0.03, 0.1])
     write_mount(folder / "mount" / "mount.toml", MountRecord(T_flange_sensor=X.tolist()))
     lines = []
@@ -118,7 +118,7 @@ def mounted(folder: Path, store: StageStore) -> None:
 
 @pytest.fixture(scope="module")
 def furnished(tmp_path_factory, store) -> Path:
-    """A folder with what the pages' commands name."""
+    """A folder with the files that the commands of the pages name."""
     folder = tmp_path_factory.mktemp("furnished")
     mesh = load_object("pin").mesh
     trimesh.Trimesh(mesh.vertices_m * 1e3, mesh.faces, process=False).export(folder / "part.stl")
@@ -138,7 +138,7 @@ def furnished(tmp_path_factory, store) -> Path:
         "".join(
             f"[[approach]]\nT_sensor_next = {make_transform(np.eye(3), [x, 0, -0.05]).tolist()}\n"
             for x in (0.0, 0.005, 0.01)
-        )  # back from the last touch, and aside
+        )  # behind the last touch and to its side
     )
     (folder / "parts").mkdir()
     shutil.copy(folder / "part.stl", folder / "parts")
@@ -147,7 +147,7 @@ def furnished(tmp_path_factory, store) -> Path:
     )
     balls = ball_set(8)
     balls.write(folder / "FOLDER")
-    for name in ("presses.csv", "sensor.toml"):  # which the first command of the guide writes
+    for name in ("presses.csv", "sensor.toml"):  # the first command of the guide writes them
         (folder / "FOLDER" / name).unlink()
     balls.write(folder / "presses")  # with its labels
     (folder / "SET").mkdir()
@@ -171,7 +171,7 @@ def workplace(furnished, tmp_path, monkeypatch, store) -> Path:
     return tmp_path
 
 
-def test_toml_files_are_read_by_what_they_are_for(workplace):
+def test_each_toml_block_is_read_by_its_reader(workplace):
     for page in PAGES:
         for text in (text for language, text in blocks(page) if language == "toml"):
             readers = [read for begins, read in READERS.items() if text.startswith(begins)]
@@ -181,7 +181,7 @@ def test_toml_files_are_read_by_what_they_are_for(workplace):
 
 
 def run(words: list[str]) -> None:
-    """Run a command as the page has it, cheaper; what needs the internet must say so, and nothing else may fail."""
+    """Run a command of a page with cheaper options; it must succeed."""
     if words[0] == "torchrun":
         assert words[1:5] == ["--nproc-per-node", "4", "--no-python", "tactile-loc"]
         words = words[4:]

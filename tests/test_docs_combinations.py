@@ -1,4 +1,4 @@
-"""docs/plugins.md lists the combinations that are refused as they are."""
+"""docs/plugins.md lists the refused combinations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ page = loaded()
 def test_the_table_is_up_to_date():
     shown = page.TABLE.search(page.PAGE.read_text(encoding="utf-8"))
     assert shown, "docs/plugins.md has no table of combinations"
-    assert shown[0] == page.table(), "python docs/combinations.py renews it"
+    assert shown[0] == page.table(), "run python docs/combinations.py"
 
 
 def test_each_rule_is_a_row():
@@ -48,5 +48,5 @@ def test_each_rule_is_a_row():
         (Declared("fuser", "contact_only", False), ["product"]),
     ],
 )
-def test_built_in_components_are_told_by_what_they_declare(declared, names):
+def test_built_in_components_are_found_by_their_declaration(declared, names):
     assert list(page._declaring(declared)) == names

@@ -19,6 +19,6 @@ def test_the_page_is_up_to_date():
 
 
 @pytest.mark.parametrize("slot", SLOTS)
-def test_every_slot_is_shown_as_new_plugin_writes_it(slot):
+def test_the_page_shows_the_generated_module_of_every_slot(slot):
     files = render(Naming(slot, f"my-{slot}"))
     assert files[f"tactile_loc_my_{slot}/{slot}.py"] in PAGE.read_text()

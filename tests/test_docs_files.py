@@ -1,4 +1,4 @@
-"""The TOML files that docs/files.md shows are ones that are read."""
+"""The TOML files in docs/files.md can be read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 
 
 def block(first: str) -> str:
-    """The TOML block of the page that begins so."""
+    """The TOML block of the page that begins with `first`."""
     (found,) = [b for b in re.findall(r"```toml\n(.*?)```", PAGE.read_text(), re.DOTALL) if b.startswith(first)]
     return found
 
@@ -28,7 +28,7 @@ def localizer(store) -> Localizer:
     return Localizer.create("pin", store=store, grid={"name": "face", "spacing_mm": 8})
 
 
-def test_the_list_of_touches_is_read(localizer, tmp_path):
+def test_the_list_of_touches_can_be_read(localizer, tmp_path):
     write_touch(tmp_path / "first.npz", localizer.simulate(1)[0])
     (tmp_path / "second.png").touch()
     (tmp_path / "my_sensor").mkdir()
@@ -41,7 +41,7 @@ def test_the_list_of_touches_is_read(localizer, tmp_path):
     assert np.asarray(first.T_base_sensor)[:3, 3] == pytest.approx([0.4, 0.0, 0.12])
 
 
-def test_the_prior_is_read(localizer, tmp_path):
+def test_the_prior_can_be_read(localizer, tmp_path):
     (tmp_path / "prior.toml").write_text(block('kind = "gaussian"'))
     prior = read_prior(tmp_path / "prior.toml", localizer.object)
     assert prior.frame == "base"

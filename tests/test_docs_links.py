@@ -1,4 +1,4 @@
-"""Links between the README, the documentation and the packages' READMEs lead to files and headings that are there."""
+"""Links between the README, the documentation and the packages' READMEs lead to existing files and headings."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def without_code(page: Path) -> str:
 
 
 def headings(page: Path) -> list[str]:
-    """The headings as they are read, without their markup."""
+    """The headings of a page without their markup."""
     return [MARKUP.sub(lambda m: next(filter(None, m.groups()), ""), h) for h in HEADING.findall(without_code(page))]
 
 
 @cache
 def anchors(page: Path) -> frozenset[str]:
-    """The anchors of the headings that are the same on the site and on a code host, where people read the pages too.
+    """The heading anchors that are equal on the site and on a code host.
 
-    The two differ where a sign stands between spaces: "a / b" is `a-b` on the site, `a--b` on the host.
+    The two differ where a sign has spaces on both sides: "a / b" is `a-b` on the site and `a--b` on the host.
     """
     taken: set[str] = set()
     site = {unique(slugify(heading, "-"), taken) for heading in headings(page)}
@@ -42,7 +42,7 @@ def links(page: Path) -> list[str]:
     return [target for target in LINK.findall(without_code(page)) if not re.match(r"[a-z]+:", target)]
 
 
-def test_anchors_are_those_of_headings_on_the_site_and_on_a_code_host(tmp_path):
+def test_anchors_are_equal_on_the_site_and_on_a_code_host(tmp_path):
     (page := tmp_path / "page.md").write_text(
         "# One `two`\n\n```sh\n# no heading\n```\n\n## Three, *four*\n\n## A / b\n"
     )
@@ -51,15 +51,15 @@ def test_anchors_are_those_of_headings_on_the_site_and_on_a_code_host(tmp_path):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page):
+def test_links_lead_to_existing_files_and_headings(page):
     for target in links(page):
         path, _, anchor = target.partition("#")
         file = (page.parent / path).resolve() if path else page
         assert file.exists(), f"{page.name} links to {target}: there is no such file"
-        if anchor and "." not in anchor:  # those of the API reference have dots, and are tried when the site is built
+        if anchor and "." not in anchor:  # the site build checks anchors of the API reference, which have dots
             assert anchor in anchors(file), f"{page.name} links to {target}: there is no such heading"
 
 
-def test_there_are_links_to_headings():
+def test_the_pages_contain_links_to_headings():
     assert sum("#" in target for page in PAGES for target in links(page)) > 20
     assert any("#" in target for target in links(ROOT / "README.md"))

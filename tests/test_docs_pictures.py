@@ -1,4 +1,4 @@
-"""The pictures of the guide: of a track, errors as they are up to symmetry; of noise, each level in one scale."""
+"""The pictures of the guide: tracking errors up to symmetry, and the noise levels in one colour scale."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def truth():
     return make_transform(draw_rotations(COUNT, rng), 0.01 * rng.normal(size=(COUNT, 3)))
 
 
-def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
+def test_errors_are_the_centroid_shift_and_the_rotation_angle(box, truth):
     found = [tracked(k, move(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
     errors = guide.measure_track(found, truth, box)  # the box's centroid is its frame's origin
     assert np.allclose(errors.shift_m, 5e-4)
@@ -48,7 +48,7 @@ def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
     assert np.allclose(errors.turn_std_rad, np.sqrt(3) * 1e-3)
 
 
-def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, truth):
+def test_the_track_picture_uses_symmetry_and_shades_uncertain_poses(make_box, truth):
     obj = make_box(0.03, 0.02, 0.012, symmetry="z2")
     half_turn = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
     doubtful = [Verdict.NO_CONTACT, Verdict.AMBIGUOUS, Verdict.POOR_FIT, Verdict.NOT_FOUND]
@@ -67,7 +67,7 @@ def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, t
     assert len(path.get_lines()) == 2
 
 
-def test_every_level_of_noise_is_drawn_in_one_scale(localizer):
+def test_every_noise_level_has_the_same_colour_scale(localizer):
     figure = guide.draw_noise(localizer)
     texts = [text.get_text() for text in figure.findobj(plt.Text)]
     titles = [text for text in texts if text.split(",")[0] in NOISE]

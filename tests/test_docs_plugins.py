@@ -1,4 +1,4 @@
-"""The pages on plugins say what is so: their files, their tables of slots, their errors."""
+"""The pages on plugins match the code: example files, tables of slots, errors and versions."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ KINDS = {
 
 
 def files() -> list[str]:
-    """The example's own files; not what building and testing it leaves behind."""
+    """The example's own files, without build products."""
     found = (p.relative_to(EXAMPLE) for p in EXAMPLE.rglob("*") if p.suffix in (".py", ".toml"))
     return sorted(str(p) for p in found if p.parts[0] != "build")
 
 
 @pytest.mark.parametrize("name", files())
-def test_file_is_shown_as_it_is(name):
+def test_each_example_file_is_shown_unchanged(name):
     shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE + CHECKS, re.MULTILINE | re.DOTALL)
     assert shown, f"neither docs/plugins.md nor docs/plugin-checks.md shows {name}"
     assert shown[1] == (EXAMPLE / name).read_text()
 
 
-def test_no_other_file_is_shown():
+def test_only_the_example_files_are_shown():
     assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE + CHECKS, re.MULTILINE)) == files()
 
 
-def test_a_property_of_your_own_holds_and_can_fail():
+def test_the_custom_property_example_passes_and_can_fail():
     code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", CHECKS, re.MULTILINE | re.DOTALL)
     assert code
     exec(code[1], {})
@@ -66,7 +66,7 @@ def test_every_slot_has_checks_and_properties_in_the_tables(slot):
 
 
 @pytest.mark.parametrize("slot", SLOTS)
-def test_table_names_interface_and_abstract_methods(slot):
+def test_the_table_names_interface_and_abstract_methods(slot):
     row = re.search(rf"^\| `{slot}` \| (.*)$", PAGE, re.MULTILINE)
     assert row, f"no row for {slot}"
     assert f"`{KINDS[slot].__name__}`" in row[1]
@@ -75,7 +75,7 @@ def test_table_names_interface_and_abstract_methods(slot):
 
 @dataclass
 class FakeEntryPoint:
-    """A plugin that offers a refiner of this target, or raises."""
+    """A plugin that offers a refiner at `target`, or raises it on loading."""
 
     name: str
     target: str | Exception
@@ -114,21 +114,21 @@ class FakeEntryPoint:
     ],
     ids=["conflict", "missing library", "broken class", "later interface", "broken plugin"],
 )
-def test_errors_read_as_documented(error, plugins):
+def test_errors_have_the_documented_text(error, plugins):
     found = Registry(plugins)
     with pytest.raises(error) as caught:
         found.load("refiner", "spline")
     assert str(caught.value) in re.sub(r"\s+", " ", LOADING)
 
 
-def test_versions_of_the_interface_are_listed_up_to_this_one():
+def test_the_interface_versions_end_with_the_current_one():
     section = LOADING.partition("## Versions of the interface")[2].partition("\n## ")[0]
     versions = [int(version) for version in re.findall(r"^\| (\d+) \| ", section, re.MULTILINE)]
     assert max(versions) == INTERFACE_VERSION
     assert f"`ComponentSpec(interface={INTERFACE_VERSION})`" in section
 
 
-def test_the_formula_of_weighted_scores_is_that_of_dense():
+def test_the_documented_score_formula_matches_the_dense_matcher():
     (line,) = re.findall(r"^    scores = (.*)$", INTERFACES, re.MULTILINE)
     rng = np.random.default_rng(0)
     q, w, bank = (rng.uniform(size=(rows, 6)).astype(np.float32) for rows in (3, 3, 9))
@@ -143,6 +143,6 @@ def test_every_capability_is_in_the_table():
     assert shown == {field.name: str(field.default).lower() for field in fields(Capabilities)}
 
 
-def test_failure_row_reads_as_documented():
+def test_the_failure_row_has_the_documented_text():
     failure = Registry([FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax"))]).failures[0]
     assert not missing(LOADING, failure.plugin, failure.distribution, failure.error)

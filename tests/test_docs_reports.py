@@ -1,4 +1,4 @@
-"""The commands that docs/reports.md shows exist, its pictures are there, and its table is that of the file."""
+"""The commands, links, limits and the table of arrays in docs/reports.md match the code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def commands() -> list[list[str]]:
 
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
-def test_every_command_shown_is_understood(words):
+def test_every_command_on_the_page_is_valid(words):
     from tactile_loc_cli.main import app
 
     assert words[0] == "tactile-loc"
@@ -31,18 +31,18 @@ def test_every_command_shown_is_understood(words):
     command.make_context(words[1], words[2:])  # raises on an option that does not exist
 
 
-def test_every_block_is_one_of_commands():
+def test_the_page_contains_only_shell_blocks():
     assert re.findall(r"^```(\w+)", PAGE, re.MULTILINE) == ["sh"]
 
 
-def test_pictures_and_links_are_there():
+def test_pictures_and_links_exist():
     targets = re.findall(r"\]\(([^)#]+)\)", PAGE)
     assert len(targets) >= 4
     for target in targets:
         assert (ROOT / "docs" / target).exists(), target
 
 
-def test_the_table_of_arrays_is_the_file_s(store):
+def test_the_table_lists_the_arrays_of_the_file(store):
     localizer = Localizer.create("pin", store=store, grid={"name": "face", "spacing_mm": 8})
     touch = localizer.simulate(1)[0]
     written = {
@@ -56,13 +56,13 @@ def test_the_table_of_arrays_is_the_file_s(store):
     assert set(named) - written == {"touch_0_observed", "touch_0_image"}
 
 
-def test_limits_are_those_of_the_code():
+def test_the_limits_match_the_code():
     text = PAGE.replace("\n", " ")
     assert f"{MOST_POSES:,} poses".replace(",", " ") in text
     assert f"{MOST_FACES:,} triangles".replace(",", " ") in text
 
 
-def test_the_python_names_are_there(tmp_path):
+def test_the_python_names_exist(tmp_path):
     import tactile_loc.reports as reports
 
     assert callable(reports.write_report)

@@ -1,4 +1,4 @@
-"""`make docs` fails on any warning, prints only what is wrong, and shows inherited members; tried on a small site."""
+"""`make docs` fails on any warning, prints only mistakes, and shows inherited members, on a small example site."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PAGES = {
 
 
 class Site:
-    """The project's Makefile, mkdocs.yml and hooks, with pages and a module of its own."""
+    """A site with the project's Makefile, mkdocs.yml and hooks, and its own pages and module."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -49,7 +49,7 @@ class Site:
         self._pretend_setup()
 
     def _pretend_setup(self) -> None:
-        """Make a .venv of this Python, newer than what it is made from."""
+        """Make a .venv of this Python that is newer than its sources."""
         for name in ("pyproject.toml", "constraints.txt"):
             (self.folder / name).touch()
             os.utime(self.folder / name, (0, 0))
@@ -73,18 +73,18 @@ def site(tmp_path) -> Site:
     return Site(tmp_path.resolve())
 
 
-def test_a_good_site_is_built_without_a_word(site):
+def test_a_good_site_is_built_without_warnings(site):
     site.write({"drawing.py": "raise SystemExit\n"})
     made = site.make_docs()
     assert (made.returncode, made.stdout, made.stderr) == (0, "docs: out/site/index.html\n", "")
     built = site.folder / "out" / "site"
     assert {page.name for page in built.glob("*.html")} == {"404.html", "index.html", "other.html", "api.html"}
-    assert not list(built.rglob("drawing*")), "code beside the pages is no page"
+    assert not list(built.rglob("drawing*")), "code beside the pages is not part of the site"
     names = set(re.findall(r'id="(small[^"]*)"', (built / "api.html").read_text()))
     assert names == {"small.Sensor", "small.Sensor.read", "small.Camera", "small.Camera.read", "small.Camera.follow"}
 
 
-def test_every_kind_of_mistake_is_named_and_fails(site):
+def test_every_kind_of_mistake_is_reported_and_fails(site):
     site.write(
         {
             "index.md": "# Home\n\n[a](other.md#the-part-above), [b](absent.md), [c](/other.md), ![d](absent.png)\n",
@@ -107,4 +107,4 @@ def test_every_kind_of_mistake_is_named_and_fails(site):
     ):
         assert any(mistake in line for line in told), (mistake, made.stderr)
     assert not any(line.startswith("INFO") or "small.Sensor.read" in line for line in told)
-    assert len(set(told)) == len(told), "each mistake is named once"
+    assert len(set(told)) == len(told), "each mistake is reported once"

@@ -1,4 +1,4 @@
-"""The pages on sweeps: plans can be read, commands are understood, Python runs, columns are there."""
+"""The pages on sweeps: plans can be read, commands are valid, Python runs, and all columns are explained."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def blocks(language: str) -> list[str]:
 
 
 def commands() -> list[list[str]]:
-    """The words of every command, without the environment before it."""
+    """The words of every command, without leading environment variables."""
     lines = [shlex.split(line, comments=True) for block in blocks("sh") for line in block.splitlines()]
     return [list(itertools.dropwhile(re.compile(r"[A-Z_]+=\S*").fullmatch, line)) for line in lines if line]
 
 
-def test_every_block_is_of_a_kind_that_is_tried():
+def test_every_block_has_a_tested_kind():
     assert set(re.findall(r"^```(\w*)$", PAGE, re.MULTILINE)) == {"sh", "toml", "python", ""}
     assert {words[0] for words in commands()} == {"pip", "tactile-loc", "dask"}
 
@@ -47,13 +47,13 @@ def understood(words: list[str]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("words", [w[1:] for w in commands() if w[0] == "tactile-loc"], ids=" ".join)
-def test_every_command_shown_is_understood(words):
+def test_every_command_on_the_pages_is_valid(words):
     given = understood(words)
     assert given["plan"] is not None or given["object"] or given["renderer"] or given["compare"]
 
 
 @pytest.mark.parametrize("words", [w[1:] for w in commands() if w[0] == "dask"], ids=" ".join)
-def test_every_command_of_dask_is_understood(words):
+def test_every_dask_command_is_valid(words):
     pytest.importorskip("distributed")
     from distributed.cli import dask_scheduler, dask_worker
 
@@ -61,7 +61,7 @@ def test_every_command_of_dask_is_understood(words):
     command.make_context(words[0], list(words[1:]))
 
 
-def test_the_extra_that_is_to_be_installed_exists():
+def test_the_extra_in_the_install_command_exists():
     (words,) = [w for w in commands() if w[0] == "pip"]
     extra = re.fullmatch(r"tactile-loc\[(\w+)\]", words[-1])[1]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -71,13 +71,13 @@ def test_the_extra_that_is_to_be_installed_exists():
 
 
 @pytest.mark.parametrize("text", blocks("toml"))
-def test_every_plan_shown_can_be_read(text):
+def test_every_plan_on_the_pages_can_be_read(text):
     plan = Plan.from_values(tomllib.loads(text), "docs/sweeps.md")
     assert [len(plan.slots[slot]) for slot in ("sensor", "renderer", "grid", "encoder", "refiner")] == [2, 2, 2, 2, 3]
     assert (len(plan.objects), plan.noises, plan.seeds, plan.count) == (2, ("none", "strong"), (0, 1), 50)
 
 
-def test_the_example_of_options_multiplies_as_it_says():
+def test_the_example_of_options_gives_the_documented_combinations():
     words = next(w[1:] for w in commands() if "encoder.cells=12,20" in w)
     given = understood(words)
     plan = Plan.from_values({"encoder": split_all(given["encoder"]), "option": given["option"]})
@@ -85,7 +85,7 @@ def test_the_example_of_options_multiplies_as_it_says():
 
 
 class FakeCluster:
-    """A cluster of nobody."""
+    """A stand-in for a cluster."""
 
     scheduler_address = "tcp://head:1"
 
@@ -107,8 +107,8 @@ def fake_spec(**settings: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("text", [b for b in blocks("python") if any(name in b for name in CLUSTERS)])
-def test_clusters_are_given_to_a_command_that_is_understood(text, monkeypatch):
-    """On stand-ins: neither Slurm nor Kubernetes is here."""
+def test_the_cluster_examples_start_a_valid_command(text, monkeypatch):
+    """Stand-ins replace Slurm and Kubernetes."""
     jobqueue, kubernetes, operator = (ModuleType(n) for n in (*CLUSTERS, "dask_kubernetes.operator"))
     jobqueue.SLURMCluster = operator.KubeCluster = FakeCluster
     operator.make_cluster_spec = fake_spec
@@ -145,6 +145,6 @@ def test_every_column_is_explained():
     assert tuple(columns[columns.index("encode_ms") :]) == MOMENTARY
 
 
-def test_links_are_there():
+def test_links_lead_to_existing_files():
     for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
         assert (ROOT / "docs" / target).exists(), target

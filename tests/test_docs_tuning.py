@@ -1,4 +1,4 @@
-"""docs/tuning.md lists every number to tune as the models have it, each with its effect, and its example works."""
+"""docs/tuning.md lists every tunable option with its default and its effect, and its examples work."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_every_option_has_an_effect():
     assert [option for option, effect in effects.items() if not effect] == []
 
 
-def test_options_that_the_text_names_are_there():
+def test_options_named_in_the_text_exist():
     named = set(re.findall(rf"`((?:{'|'.join(TUNABLE)})\.\w+)`", PAGE))
     assert named == tuning.options()
 
@@ -49,12 +49,12 @@ def test_options_that_the_text_names_are_there():
     ("before", "after"),
     [("| `search.registered` | 300 |", "| `search.registered` | 301 |"), ("| >= 1 |", "| >= 2 |")],
 )
-def test_whichever_cell_is_changed_is_renewed(before, after):
+def test_a_changed_table_cell_is_restored(before, after):
     assert before in PAGE
     assert tuning.with_tables(PAGE.replace(before, after)) == PAGE
 
 
-def test_an_effect_whose_option_is_gone_is_not_lost(tmp_path, monkeypatch):
+def test_an_effect_of_a_removed_option_is_not_lost(tmp_path, monkeypatch):
     page = tmp_path / "tuning.md"
     page.write_text(PAGE.replace("`tracker.modes` | 8", "`tracker.poses` | 8"), encoding="utf-8")
     monkeypatch.setattr(tuning, "PAGE", page)
@@ -72,7 +72,7 @@ def test_the_python_on_the_page_runs(monkeypatch, store):
     assert names["localizer"].config.hypotheses.refined == 30
 
 
-def test_the_configuration_on_the_page_is_read(tmp_path):
+def test_the_configuration_on_the_page_can_be_read(tmp_path):
     (text,) = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     (tmp_path / "run.toml").write_text(text)
     config = RunConfig.from_toml(tmp_path / "run.toml")

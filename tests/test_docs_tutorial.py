@@ -1,4 +1,4 @@
-"""docs/tutorial-plugin.md can be followed to the letter: its blocks run in order, and what it shows comes out."""
+"""The blocks of docs/tutorial-plugin.md run in order and give the output that the page shows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 PAGE = (Path(__file__).parents[1] / "docs" / "tutorial-plugin.md").read_text()
 BLOCK = re.compile(r"(?:^`(?P<path>[\w/.-]+)`\n\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 OFFLINE = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-FEWER = "from tactile_loc.locate import probabilities; probabilities.TOUCHES //= 10"  # as all tests have them
+FEWER = "from tactile_loc.locate import probabilities; probabilities.TOUCHES //= 10"  # as in the other tests
 COMMANDS = {
     "tactile-loc": f"{FEWER}\nfrom tactile_loc_cli.main import main; main()",
     "pip": "import sys; from pip._internal.cli.main import main; sys.exit(main())",
@@ -29,7 +29,7 @@ LARGEST_MODULE = 40  # lines of code
 
 @dataclass(frozen=True)
 class Block:
-    """A block of the page: its language, its text, and the file that it is the text of, if any."""
+    """A block of the page: its language, its text, and the path of the file that it shows, if any."""
 
     language: str
     text: str
@@ -59,7 +59,7 @@ def test_the_refiner_is_short():
 
 @pytest.fixture
 def environment(tmp_path: Path) -> dict[str, str]:
-    """A virtual environment of its own, which sees what is installed here; nothing is downloaded."""
+    """A separate virtual environment that sees the packages installed here; nothing is downloaded."""
     folder = tmp_path / "venv"
     venv.create(folder, symlinks=True)
     python = folder / "bin" / "python"
@@ -83,7 +83,7 @@ def empty(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_the_tutorial_can_be_followed_to_the_letter(environment, empty):
+def test_the_tutorial_gives_the_output_that_it_shows(environment, empty):
     shown = ""
     for block in blocks():
         if block.path:
@@ -103,7 +103,7 @@ def test_the_tutorial_can_be_followed_to_the_letter(environment, empty):
 
 
 def pattern(text: str) -> str:
-    """What an output may be: "..." stands for anything in a line, or alone for any lines; blanks do not count."""
+    """A pattern of an output: "..." matches any text in a line, or any lines if alone; spaces do not matter."""
     return "".join(lines(text))
 
 

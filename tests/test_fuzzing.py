@@ -22,7 +22,7 @@ OTHERS = [name for name in READERS if name not in PAGES]
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("chosen", "inputs"), [(OTHERS, 12), (PAGES, 3)], ids=["files", "pages"])
-def test_damaged_inputs_are_read_rightly_or_refused_in_one_sentence(tmp_path, chosen, inputs):
+def test_damaged_inputs_are_read_or_refused_in_one_sentence(tmp_path, chosen, inputs):
     for library in ("mcap", "rosbags", "safetensors", "pandas"):
         pytest.importorskip(library)
     state = Record(tmp_path / "state.json", 0)
@@ -52,11 +52,11 @@ def refuse(text, cause=None):
     return read
 
 
-def test_what_is_right(judge):
+def test_a_successful_read_is_no_finding(judge):
     assert judge(lambda folder: None) == (trial.READ, "")
 
 
-def test_a_refusal(judge):
+def test_a_refusal_that_names_the_file_is_no_finding(judge):
     assert judge(refuse("{}/part.toml is no table"))[0] == trial.REFUSED
 
 
@@ -68,26 +68,26 @@ def test_a_refusal(judge):
         ("{}/part.toml cannot be read", MemoryError(), "memory"),
     ],
 )
-def test_refusals_that_are_findings(judge, text, cause, finding):
+def test_a_bad_refusal_is_a_finding(judge, text, cause, finding):
     assert judge(refuse(text, cause))[0] == finding
 
 
-def test_another_exception(judge):
+def test_an_unexpected_exception_is_a_finding(judge):
     outcome, details = judge(lambda folder: [][1])
     assert outcome.startswith("IndexError")
     assert "list index out of range" in details
 
 
-def test_one_that_hangs(judge, monkeypatch):
+def test_a_hanging_reader_is_a_finding(judge, monkeypatch):
     monkeypatch.setattr(trial, "SECONDS", 0.05)
     assert judge(lambda folder: time.sleep(10))[0].startswith("TooLongError")
 
 
-def test_what_is_written_beside_the_input(judge):
+def test_a_file_written_outside_the_input_is_a_finding(judge):
     assert judge(lambda folder: (folder / "../escaped").write_text("x"))[0] == "writes elsewhere"
 
 
-def test_a_process_that_dies_is_a_finding_and_the_next_input_follows(tmp_path, monkeypatch):
+def test_a_dead_process_is_a_finding_and_fuzzing_continues(tmp_path, monkeypatch):
     def verdicts(jobs, seed, out):
         if jobs[0] == ("mount", 0):
             yield "dies (-9)", ""
@@ -101,11 +101,11 @@ def test_a_process_that_dies_is_a_finding_and_the_next_input_follows(tmp_path, m
     assert fuzz.select_findings(state.of("mount")) == {"dies (-9)": 1}
     told = json.loads((tmp_path / "findings" / "mount-0" / "finding.json").read_text())
     assert told == {"reader": "mount", "seed": 3, "number": 0, "outcome": "dies (-9)"}
-    assert Record.open(tmp_path / "state.json", 3) == state, "it goes on there"
-    assert Record.open(tmp_path / "state.json", 4).counts == {}, "another seed begins anew"
+    assert Record.open(tmp_path / "state.json", 3) == state, "the same seed continues the record"
+    assert Record.open(tmp_path / "state.json", 4).counts == {}, "another seed starts a new record"
 
 
-def test_a_folder_that_is_named_from_here_serves_commands_that_run_elsewhere(tmp_path, monkeypatch):
+def test_a_relative_output_folder_works_for_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert fuzz.main(["sensor", "--inputs", "0", "--commands", "1", "--out", "kept"]) == 0
     assert Record.open(tmp_path / "kept/state.json", 0).of("sensor")["commands"] == 1
@@ -120,7 +120,7 @@ def test_no_names_mean_all_readers(tmp_path, capsys):
     assert "no-such-reader" in capsys.readouterr().err
 
 
-def test_a_number_and_a_seed_make_the_same_input_again(tmp_path):
+def test_the_seed_and_the_number_determine_the_input(tmp_path):
     chosen = dataclasses.replace(READERS["touch-npz"], fuzzed=("*",))
     whole = tmp_path / "whole"
     whole.mkdir()

@@ -1,4 +1,4 @@
-"""A short run of the killer, and tests of its checks."""
+"""A short run of the kill trials, and tests of their checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KEY = StageKey("bank", 1, {"mesh": "a"})
 
 @pytest.fixture
 def place(tmp_path) -> Place:
-    """A place with something finished in it, and an interrupted build."""
+    """A place with a finished artifact, an interrupted build and finished lines."""
     (tmp_path / "inputs").mkdir()
     here = Place(tmp_path / "place").reset(tmp_path / "inputs")
     StageStore(here.store).build(KEY, lambda work: work.save_json("numbers", [1, 2]))
@@ -36,7 +36,7 @@ def interrupted(work) -> None:
 
 
 @pytest.mark.slow
-def test_a_build_is_killed_and_begun_again(tmp_path):
+def test_a_killed_build_is_restarted(tmp_path):
     (tmp_path / "inputs").mkdir()
     (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
     plan = Plan(tmp_path, tmp_path / "inputs", Record(tmp_path / "record.json", 0), ["build"], {"kill": 1})
@@ -44,10 +44,10 @@ def test_a_build_is_killed_and_begun_again(tmp_path):
     assert killed == Trials(plan, "kill", "build").counts["killed"] >= 1
     assert plan.record.findings == []
     assert len(plan.run_calm("build").answer) > 10
-    assert list(run_trials(plan, "kill")) == [killed], "nothing is left to do"
+    assert list(run_trials(plan, "kill")) == [killed], "no trial is left"
 
 
-def test_what_is_whole_is_no_finding(place):
+def test_whole_files_are_not_reported_as_broken(place):
     assert remains.find_broken(place, ended=True) == []
     assert {word.split()[0] for word in remains.list_finished(place)} == {"artifact", "piece", "line"}
 
@@ -63,13 +63,13 @@ def test_what_is_whole_is_no_finding(place):
         (f"store/bank/{KEY.short}/numbers.json", b"[1, 3]", "artifact bank"),
     ],
 )
-def test_what_is_broken_is_found(place, path, content, found):
+def test_broken_files_are_reported(place, path, content, found):
     (place.root / path).write_bytes(content)
     (said,) = remains.find_broken(place, ended=True)
     assert found in said
 
 
-def test_what_was_finished_and_is_gone_is_lost_unless_something_was_made_of_it(place):
+def test_finished_items_that_vanish_unused_are_lost(place):
     before = remains.list_finished(place)
     StageStore(place.store).build(StageKey("grid", 1, {}), lambda work: work.save_json("whole", 2))
     assert remains.find_lost(before, remains.list_finished(place), place) == []
@@ -80,7 +80,7 @@ def test_what_was_finished_and_is_gone_is_lost_unless_something_was_made_of_it(p
     assert [word.split()[0] for word in lost] == ["artifact", "line", "line"]
 
 
-def test_what_is_left_beside_is_told(place):
+def test_leftover_files_are_listed(place):
     assert remains.list_leftovers(place) == ["HEX.partial"]
     with replace_file(place.work / "a.txt") as temporary:
         temporary.touch()
@@ -88,27 +88,27 @@ def test_what_is_left_beside_is_told(place):
         assert remains.list_leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]
 
 
-def test_the_answer_is_without_what_depends_on_the_clock(place):
+def test_the_answer_digest_ignores_times(place):
     before = remains.digest_answer(place)
     for text, same in (('{"name": "a", "seconds": 2}\n{"name": "b"}\n', True), ('{"name": "b"}\n', False)):
         (place.work / "found.jsonl").write_text(text)
         assert (remains.digest_answer(place) == before) == same
 
 
-def test_moments_are_drawn_from_the_seed_and_after_work_has_begun():
+def test_kill_moments_follow_the_seed_and_the_start_of_work():
     life = Life(1.0, 3.0, 40)
     moments = [Moment.draw(life, np.random.default_rng([1, n])) for n in range(50)]
     assert moments == [Moment.draw(life, np.random.default_rng([1, n])) for n in range(50)]
     assert all(0.8 <= m.seconds <= 3.0 if m.changes == 0 else 1 <= m.changes <= 40 for m in moments)
 
 
-def test_a_sentence_is_one_line_with_the_exit_code_of_bad_input():
+def test_a_refusal_is_one_line_with_exit_code_2():
     assert Done(2, "", "warning: x\nerror: no room\n").is_refusal
     for done in (Done(1, "", "error: x\n"), Done(2, "", "error: x\nTraceback\n"), Done(2, "", "")):
         assert not done.is_refusal
 
 
-def test_what_happened_is_kept(tmp_path):
+def test_trials_are_recorded_in_a_file(tmp_path):
     path = tmp_path / "record.json"
 
     def plan(seed: int) -> Plan:

@@ -13,7 +13,7 @@ def test_all_values_are_found_in_any_order(text):
 
 
 @pytest.mark.parametrize("value", ["planXtoml", "5 mm", 4, 0, "sweep.toml"])
-def test_what_is_not_named_is_missing(value):
+def test_values_absent_from_the_text_are_missing(value):
     text = "plan.toml: 3.5 mm of 40"
     assert not re.search(naming("plan.toml", value), text)
     assert missing(text, "plan.toml", value) == [str(value)]

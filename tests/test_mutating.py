@@ -1,4 +1,4 @@
-"""Mutants that no test could notice do not count, and the sample depends on the seed only."""
+"""Mutants without an observable effect do not count, and the sample depends only on the seed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Mutant:
 
 
 def at(text: str, operator: str = "core/NumberReplacer") -> Mutant:
-    """A mutant of what stands once in the source."""
+    """A mutant of a text that occurs in the source."""
     start = SOURCE.index(text)
     return Mutant(operator, 0, place(start), place(start + len(text)))
 
@@ -48,23 +48,23 @@ def place(offset: int) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("text", ["= 1)", "* 2", "> 3", "- 4", "ValueError)", "return 5"])
-def test_what_the_code_does_counts(text):
+def test_mutants_of_behaviour_count(text):
     assert counts(at(text), find_uncounted(SOURCE))
 
 
 @pytest.mark.parametrize("text", ["@njit\n", "error.Other", *map(str, range(111, 120))])
-def test_what_no_test_could_notice_does_not(text):
+def test_mutants_without_observable_effect_do_not_count(text):
     assert not counts(at(text), find_uncounted(SOURCE))
 
 
 @pytest.mark.parametrize(
     ("change", "expected"), [("Mul_Div", True), ("Mul_LShift", False), ("BitAnd_BitOr", True), ("BitOr_Add", False)]
 )
-def test_numbers_stay_numbers_and_bits_bits(change, expected):
+def test_operators_change_only_within_arithmetic_or_within_bits(change, expected):
     assert counts(at("* 2", f"core/ReplaceBinaryOperator_{change}"), find_uncounted(SOURCE)) is expected
 
 
-def test_a_sample_is_its_seeds_whatever_the_order():
+def test_the_sample_depends_on_the_seed_only():
     mutants = [(file, Mutant("operator", n, (1, 0), (1, 1))) for file in "ab" for n in range(50)]
 
     def drawn(of: list, seed: int) -> list:
@@ -77,6 +77,6 @@ def test_a_sample_is_its_seeds_whatever_the_order():
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-def test_files_and_tests_of_a_target_are_there(target):
+def test_files_and_tests_of_a_target_exist(target):
     assert all((ROOT / "tactile_loc" / file).is_file() for file in target.files)
     assert all((ROOT / test).exists() for test in target.tests if test.startswith("tests/"))

@@ -1,4 +1,4 @@
-"""What the dataclasses of core and store have in common: nobody changes them, and arrays are not compared."""
+"""The dataclasses of core and store are frozen, and those with arrays have no comparison."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 
 from tactile_loc import core, store
 
-GROWING = {"Edge"}  # of a tree of frames: it is filled as transforms come
+GROWING = {"Edge"}  # part of a frame tree, which grows with each transform
 
 
 def dataclasses_of(package: ModuleType) -> Iterator[type]:
@@ -29,16 +29,16 @@ NOUNS = [*dataclasses_of(core), *dataclasses_of(store)]
 
 
 def holds_arrays(noun: type) -> bool:
-    """Whether a field is an array, or None instead."""
+    """Return whether a field is an array or an optional array."""
     types = [t for hint in typing.get_type_hints(noun).values() for t in (hint, *typing.get_args(hint))]
     return any(typing.get_origin(t) is np.ndarray for t in types)
 
 
 @pytest.mark.parametrize("noun", NOUNS, ids=lambda noun: noun.__name__)
-def test_nobody_changes_them(noun):
+def test_dataclasses_are_frozen(noun):
     assert noun.__dataclass_params__.frozen
 
 
 @pytest.mark.parametrize("noun", list(filter(holds_arrays, NOUNS)), ids=lambda noun: noun.__name__)
-def test_arrays_are_not_compared(noun):
+def test_dataclasses_with_arrays_compare_by_identity(noun):
     assert noun.__eq__ is object.__eq__

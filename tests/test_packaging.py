@@ -1,4 +1,4 @@
-"""What a person installs: pinned dependencies, the entry points, and the files in the wheel."""
+"""The installation: pinned dependencies, entry points, and the files in the wheel."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def constraints() -> dict[str, str]:
 
 
 def requirements(name: str, extras: frozenset[str]) -> list[Requirement]:
-    """The requirements of an installed distribution that hold here, with the extras that were asked for."""
+    """The requirements of an installed distribution that apply to this environment, with the given extras."""
     parsed = [Requirement(text) for text in metadata.requires(name) or []]
     environments = [{"extra": extra} for extra in extras or {""}]
     return [r for r in parsed if r.marker is None or any(r.marker.evaluate(e) for e in environments)]
 
 
 def installed_closure(root: str, extras: frozenset[str]) -> dict[str, str]:
-    """Name and version of every installed distribution that `root` needs, directly or not."""
+    """The name and version of every installed direct or indirect dependency of `root`."""
     found: dict[str, str] = {}
     seen: set[tuple[str, frozenset[str]]] = set()
     queue = [(root, extras)]
@@ -47,14 +47,14 @@ def installed_closure(root: str, extras: frozenset[str]) -> dict[str, str]:
         seen.add((name, wanted))
         try:
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:  # a development tool that this environment does without
+        except metadata.PackageNotFoundError:  # a development tool that is not installed here
             continue
         queue += [(canonicalize_name(r.name), frozenset(r.extras)) for r in requirements(name, wanted)]
     del found[root]
     return found
 
 
-def test_constraints_pin_everything_that_is_installed():
+def test_constraints_pin_every_installed_dependency():
     closure = installed_closure(PROJECT, frozenset({"dev", "mutate"}))
     installed = {name: Version(version).public for name, version in closure.items()}
     assert {"numpy", "open3d-cpu", "pytest", "kiwisolver"} <= installed.keys()  # runtime, dev and transitive ones
@@ -70,7 +70,7 @@ def test_constraints_are_sorted_exact_pins_with_normalised_names():
     assert PROJECT not in names
 
 
-def test_every_direct_dependency_is_pinned_to_a_version_that_it_allows():
+def test_every_direct_dependency_is_pinned_to_an_allowed_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     declared = [Requirement(text) for text in project["dependencies"] + extras["dev"] + extras["mutate"]]
@@ -95,7 +95,7 @@ def test_the_command_and_the_plugin_group_are_installed():
     "name",
     ["constraints.txt", "Makefile", "pyproject.toml", ".ci/run", *(f"scripts/{p.name}" for p in SCRIPTS.glob("*.sh"))],
 )
-def test_no_file_of_the_installation_is_tied_to_one_machine(name):
+def test_installation_files_contain_no_machine_paths(name):
     text = (ROOT / name).read_text()
     assert [line for line in text.splitlines() if MACHINE_SPECIFIC.search(line.replace("/path/to/", ""))] == []
 
@@ -107,7 +107,7 @@ def test_scripts_are_executable(name):
 
 @pytest.fixture(scope="module")
 def wheel_names(tmp_path_factory) -> list[str]:
-    """The names of the files in a wheel that was built from a copy of the sources."""
+    """The names of the files in a wheel built from a copy of the sources."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)

@@ -18,32 +18,32 @@ HEAVY = ("numpy", "scipy", "trimesh", "open3d", "torch", "numba", "faiss", "pyda
 
 
 def imported_by(statement: str) -> set[str]:
-    """The top-level packages among HEAVY that a statement imports, in a process of its own."""
+    """The packages of HEAVY that a statement imports in a separate process."""
     script = f"import sys\n{statement}\nprint(*[m for m in {HEAVY!r} if m in sys.modules])"
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=PROJECT)
     return set(ran.stdout.split())
 
 
-def test_importing_the_package_costs_nothing():
+def test_importing_the_package_imports_no_heavy_library():
     assert imported_by("import tactile_loc; dir(tactile_loc); tactile_loc.__version__") == set()
 
 
-def test_a_plugins_hook_costs_next_to_nothing():
+def test_importing_the_plugin_hook_imports_at_most_pydantic():
     assert imported_by("import tactile_loc.plugin; dir(tactile_loc.plugin)") == set()
     assert imported_by("from tactile_loc.plugin import ComponentSpec, hookimpl") <= {"pydantic"}
 
 
-def test_listing_plugins_imports_none_of_their_libraries():
+def test_listing_plugins_does_not_import_their_libraries():
     statement = "from tactile_loc.core.slots.registry import registry; assert registry().components"
     assert imported_by(statement) <= {"pydantic"}
 
 
-def test_the_localizer_imports_no_library_of_a_component_that_is_not_selected():
+def test_the_localizer_imports_no_libraries_of_unselected_components():
     assert imported_by("from tactile_loc import Localizer") <= {"numpy", "pydantic"}
 
 
 def declared_names(module: ModuleType) -> list[str]:
-    """What type checkers are told that a module offers."""
+    """The names of a module that type checkers see."""
     tree = ast.parse(Path(str(module.__file__)).read_text())
     (block,) = (node for node in tree.body if isinstance(node, ast.If))
     return [
@@ -55,7 +55,7 @@ OFFERED = [(module, name) for module in MODULES for name in declared_names(modul
 
 
 @pytest.mark.parametrize(("module", "name"), OFFERED, ids=[f"{m.__name__}.{name}" for m, name in OFFERED])
-def test_every_public_name_is_there_and_documented(module, name):
+def test_every_public_name_exists_and_is_documented(module, name):
     thing = getattr(module, name)
     assert thing.__doc__ or name in ("hookimpl", "NoiseLevel", "Prior", "Drawing")
     assert name in dir(module)
@@ -67,7 +67,7 @@ def test_type_checkers_and_python_see_the_same_names(module):
     assert public == set(declared_names(module)) == set(module.__all__)
 
 
-def test_the_names_are_those_that_people_look_for():
+def test_the_public_names_include_the_main_classes():
     assert {"Localizer", "ObjectModel", "Touch", "PosePosterior"} <= set(tactile_loc.__all__)
     slots = {"SensorModel", "Renderer", "GridSampler", "Encoder", "Matcher", "Refiner", "Fuser"}
     assert slots <= set(tactile_loc.plugin.__all__)
@@ -75,7 +75,7 @@ def test_the_names_are_those_that_people_look_for():
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_an_unknown_name_is_an_attribute_error(module):
+def test_an_unknown_name_raises_an_attribute_error(module):
     with pytest.raises(AttributeError, match=naming(module.__name__, "'Localiser'")):
         _ = module.Localiser
     with pytest.raises(ImportError):

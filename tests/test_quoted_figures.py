@@ -1,4 +1,4 @@
-"""The figures of the README and the documentation are those of the results files, and a wrong one is reported."""
+"""The figures in the README and the documentation match the results files, and a wrong figure is reported."""
 
 import re
 from dataclasses import replace
@@ -38,12 +38,12 @@ def told(text, run=None):
     return check_page(NAME, text, Results(slides=run or kept()), [TIMES])
 
 
-def test_every_figure_of_the_documentation_is_that_of_its_results():
+def test_every_figure_in_the_documentation_matches_its_results():
     assert figures.find_problems() == []
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/contacts.md", "docs/quickstart.md"])
-def test_whichever_figure_is_changed_is_told(page):
+def test_any_changed_figure_is_reported(page):
     results, quotes = read_latest(), list_quotes(page)
     text = (ROOT / page).read_text()
     quoted = [match.span(k + 1) for q in quotes for match in [q.find(text)] for k in range(len(match.groups()))]
@@ -53,7 +53,7 @@ def test_whichever_figure_is_changed_is_told(page):
         assert check_page(page, text[:start] + other + text[end:], results, quotes), text[start - 40 : end + 10]
 
 
-def test_whichever_table_is_changed_is_told():
+def test_any_changed_table_is_restored():
     results, pages = (
         read_latest(),
         [text for name, text in figures.read_pages().items() if name.startswith(figures.MARKED)],
@@ -66,7 +66,7 @@ def test_whichever_table_is_changed_is_told():
         assert renew_tables(text, results) == page
 
 
-def test_a_page_that_is_as_kept_has_no_problem():
+def test_a_page_that_matches_the_results_has_no_problem():
     assert told(PAGE) == []
 
 
@@ -85,12 +85,12 @@ def test_a_page_that_is_as_kept_has_no_problem():
         ("## Tracking", "Ten in 7 ms.\n\n## Tracking", "figures without results; quote them"),
     ],
 )
-def test_what_drifts_is_told(before, after, said):
+def test_each_kind_of_difference_is_reported(before, after, said):
     assert before in PAGE
     assert said in "\n".join(told(PAGE.replace(before, after)))
 
 
-def test_a_measurement_renews_tables_and_quotes_and_leaves_the_text_to_be_looked_over():
+def test_a_new_measurement_renews_tables_and_lists_text_for_review():
     anew = kept(replace(TABLE, rows=[["pin", "60", "0.003 (0.1)"], ["hook", "1203", "0.016 (0.2)"]]), beside=[])
     text, failed = figures.renew_page(NAME, PAGE, Results(slides=anew), [TIMES])
     assert failed == []
@@ -100,7 +100,7 @@ def test_a_measurement_renews_tables_and_quotes_and_leaves_the_text_to_be_looked
     assert told(text, replace(anew, beside=BESIDE)) == []
 
 
-def test_what_was_looked_over_is_bound(tmp_path, monkeypatch):
+def test_reviewed_text_is_bound_to_the_results(tmp_path, monkeypatch):
     page = tmp_path / NAME
     page.parent.mkdir(parents=True)
     page.write_text(PAGE)
@@ -112,7 +112,7 @@ def test_what_was_looked_over_is_bound(tmp_path, monkeypatch):
         figures.bind("others", tmp_path, tmp_path)
 
 
-def test_some_columns_of_a_table_can_be_shown():
+def test_a_marker_selects_columns_of_a_table():
     marker = "<!-- results: slides 1 | error, mm | object -->\n"
     shown = renew_tables(marker, Results(slides=kept()))
     assert shown == f"{marker}\n| error, mm | object |\n|---|---|\n| 0.004 (0.1) | pin |\n| 0.016 (0.2) | hook |\n"
@@ -128,11 +128,11 @@ def test_some_columns_of_a_table_can_be_shown():
         (-1.5, "+1.2", "-1.5"), (11000, "9000", "11 000"),
     ],
 )  # fmt: skip
-def test_a_figure_is_written_as_the_one_before(value, before, after):
+def test_a_figure_keeps_the_format_of_the_previous_one(value, before, after):
     assert format_figure(value, before) == after
 
 
-def test_code_has_no_figures_and_sentences_follow_their_markers():
+def test_sentences_with_figures_belong_to_their_marker():
     text = """# A
 
 At 3 mm. `at 4 mm`, and so on.
@@ -167,7 +167,7 @@ At 2 GB."""
     assert find_unmarked(text) == []
 
 
-def test_a_quote_of_too_few_values_and_a_table_without_the_row_are_told():
+def test_missing_values_and_missing_rows_are_reported():
     few = replace(TIMES, values=lambda r: [1.0])
     lost = replace(TIMES, values=lambda r: [*r.at("slides", 1, "median, ms", "head"), 1.0])
     for quote, said in ((few, "1 values for 2 figures"), (lost, "no row of the table begins with ('head',)")):

@@ -1,4 +1,4 @@
-"""The README's commands exist and its Python runs."""
+"""The README's commands and links exist, and its Python example runs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("words", commands("tactile-loc"), ids=" ".join)
-def test_every_command_shown_is_understood(words):
+def test_every_command_in_the_readme_is_valid(words):
     from tactile_loc_cli.main import app
 
     group = get_command(app)
@@ -48,18 +48,18 @@ def test_every_command_shown_is_understood(words):
     command.make_context(words[0], list(words[1:]))  # raises on an option that does not exist
 
 
-def test_every_make_target_shown_exists():
+def test_every_make_target_in_the_readme_exists():
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     shown = {w[0] for w in commands("make")} | set(re.findall(r"`make ([a-z]+)`", README))
     assert shown <= set(targets)
 
 
-def test_links_and_pictures_are_there():
+def test_links_and_pictures_exist():
     for target in re.findall(r"\]\(([^)#]+)\)", README):
         assert (ROOT / target).exists(), target
 
 
-def test_the_table_of_components_is_the_registry_s():
+def test_the_table_of_components_matches_the_registry():
     from tactile_loc.core.slots.registry import BUILT_IN, SLOTS, registry
 
     for slot in SLOTS:

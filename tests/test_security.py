@@ -1,4 +1,4 @@
-"""What SECURITY.md promises: no pickle is read, whatever the file is called, and nothing that it says is missing."""
+"""The promises of SECURITY.md: no file of any name is read as a pickle, and all files that it names exist."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = [
     path for folder in ("tactile_loc", "cli", "plugins_contrib", "scripts") for path in (ROOT / folder).rglob("*.py")
 ]
-READS_NAMES_ALONE = "code_cache.py"  # of numba's own files: see the test of it below
+READS_NAMES_ALONE = "code_cache.py"  # in numba's files; a test below covers it
 UNSAFE = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 
 
@@ -57,7 +57,7 @@ def test_no_source_reads_a_pickle(path):
 
 
 class Evil:
-    """Leaves a file behind when it is unpickled."""
+    """An object that creates a file when it is unpickled."""
 
     def __init__(self, trace: Path) -> None:
         self.trace = trace
@@ -78,7 +78,7 @@ READERS = {
 }
 
 
-def test_names_are_read_from_compiled_code_and_nothing_is_run(tmp_path):
+def test_reading_names_from_compiled_code_runs_nothing(tmp_path):
     path = tmp_path / "evil.nbi"
     path.write_bytes(3 * pickle.dumps(Evil(tmp_path / "trace")))
     code_cache._delete_unreadable(tmp_path, set())
@@ -90,7 +90,7 @@ def test_names_are_read_from_compiled_code_and_nothing_is_run(tmp_path):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_pickle_is_refused_and_does_nothing(tmp_path, name):
+def test_a_pickle_is_refused_without_running_it(tmp_path, name):
     trace = tmp_path / "trace"
     path = tmp_path / name
     path.write_bytes(pickle.dumps(Evil(trace)))
@@ -101,7 +101,7 @@ def test_a_pickle_is_refused_and_does_nothing(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["touch.npy", "touch.npz"])
-def test_an_array_of_pickles_is_refused_and_does_nothing(tmp_path, name):
+def test_an_object_array_is_refused_without_running_it(tmp_path, name):
     trace, path = tmp_path / "trace", tmp_path / name
     array = np.array([[Evil(trace)]], dtype=object)
     np.save(path, array) if name.endswith("npy") else np.savez(path, depth=array)
@@ -110,7 +110,7 @@ def test_an_array_of_pickles_is_refused_and_does_nothing(tmp_path, name):
     assert not trace.exists()
 
 
-def test_a_sensors_surface_that_is_a_pickle_is_refused(tmp_path):
+def test_a_pickled_sensor_surface_is_refused(tmp_path):
     trace = tmp_path / "trace"
     np.save(tmp_path / "gel.npy", np.array([[Evil(trace)]], dtype=object))
     keys = 'camera = "orthographic"\nimage_size_px = [4, 4]\nmm_per_px = 1.0\nmax_depth_mm = 1.0\nsurface = "gel.npy"\n'
@@ -123,7 +123,7 @@ def test_a_sensors_surface_that_is_a_pickle_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "path", ["scripts/audit.sh", "scripts/sbom.sh", ".github/workflows/audit.yml", "constraints.txt"]
 )
-def test_what_the_policy_names_is_there(path):
+def test_files_named_by_the_policy_exist(path):
     assert (
         Path(path).name in (ROOT / "SECURITY.md").read_text()
         or "make " + Path(path).stem in (ROOT / "SECURITY.md").read_text()

@@ -1,4 +1,4 @@
-"""The trial of the wheel, without building or installing one: a pretended Python stands for both."""
+"""The smoke test of the wheel; a stand-in for Python replaces building and installing."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ esac
 
 @pytest.fixture
 def smoke(tmp_path: Path):
-    """Run the script with a pretended Python and command; return what it said, and what it ran, line by line."""
+    """Return a function that runs the script with stand-ins; it returns the process and the lines of its log."""
     log = tmp_path / "log"
     (tmp_path / "temporary").mkdir()
 
@@ -46,13 +46,13 @@ def smoke(tmp_path: Path):
         python.chmod(0o755)
         environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary"), "PYTHONPATH": "somewhere"}
         done = subprocess.run([SCRIPT, "./python"], cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert list((tmp_path / "temporary").iterdir()) == []  # it cleans up after itself
+        assert list((tmp_path / "temporary").iterdir()) == []  # the script deletes its temporary files
         return done, log.read_text().splitlines()
 
     return run
 
 
-def test_it_builds_installs_and_runs_elsewhere(smoke):
+def test_the_script_builds_installs_and_runs_outside_the_sources(smoke):
     done, ran = smoke()
     assert done.returncode == 0, done.stderr
     assert "works" in done.stdout.splitlines()[-1]
@@ -65,7 +65,7 @@ def test_it_builds_installs_and_runs_elsewhere(smoke):
     assert commands == ["tactile-loc --version", "tactile-loc doctor", "tactile-loc run --out result"]
 
 
-def test_each_failure_ends_it(smoke):
+def test_each_failure_ends_the_script(smoke):
     done, ran = smoke(build="echo no compiler; exit 1")
     assert (done.returncode, len(ran)) == (1, 1)
     assert "no compiler" in done.stderr
@@ -75,13 +75,13 @@ def test_each_failure_ends_it(smoke):
         assert "works" not in done.stdout
 
 
-def test_without_an_environment_it_says_what_to_do(tmp_path):
+def test_a_missing_environment_is_reported_with_advice(tmp_path):
     done = subprocess.run([SCRIPT, tmp_path / "nowhere"], capture_output=True, text=True)
     assert done.returncode == 1
     assert "make setup" in done.stderr
 
 
-def test_continuous_integration_tests_tries_the_wheel_builds_the_documentation_and_fuzzes():
+def test_continuous_integration_runs_all_its_checks():
     lines = (ROOT / ".ci" / "run").read_text().splitlines()
     assert lines[-4:-1] == ["make test", "make smoke", "make docs"]
     assert lines[-1].startswith(".venv/bin/python scripts/fuzz.py --inputs 100 ")

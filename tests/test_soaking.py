@@ -1,4 +1,4 @@
-"""The soak reports growth, open files and changed answers; and a short run of it."""
+"""The soak test reports memory growth, open files and changed answers, also in a short run."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ WARM = Held(1_000_000, 10)
         (WARM, 1, False),
     ],
 )
-def test_what_grows_or_changes_is_not_good(end, changed, good):
+def test_growth_or_changed_answers_fail_the_soak(end, changed, good):
     assert Soaked("work", 100, WARM, end, changed, 1.0).is_good is good
 
 
-def test_memory_that_is_kept_and_files_that_stay_open_are_seen(tmp_path, monkeypatch):
+def test_leaked_memory_and_open_files_are_detected(tmp_path, monkeypatch):
     kept: list[object] = []
     monkeypatch.setattr(Held, "now", lambda: Held(10**6 + 1000 * len(kept), len(os.listdir("/proc/self/fd"))))
 
@@ -37,14 +37,14 @@ def test_memory_that_is_kept_and_files_that_stay_open_are_seen(tmp_path, monkeyp
 
     found = soak.soak("leaks", 60, leak())
     assert found.growth > soak.MOST_GROWTH
-    assert found.end.files - found.warm.files == 54, "of the last nine tenths"
+    assert found.end.files - found.warm.files == 54, "files opened in the last nine tenths of the run"
     assert found.changed == 30
 
 
-def test_locating_and_tracking_change_nothing(monkeypatch, capsys):
+def test_repeated_locating_and_tracking_give_the_same_answers(monkeypatch, capsys):
     monkeypatch.setattr(soak, "SLIDE", 30)
     monkeypatch.setattr(sys, "argv", ["soak.py", "--localisations", "6", "--touches", "2", "--seconds", "0.1"])
     soak.main()
     rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
     assert [row[0] for row in rows] == ["| localisations", "| frames tracked"]
-    assert all(row[-1].startswith("0 ") for row in rows), "answers that changed"
+    assert all(row[-1].startswith("0 ") for row in rows), "some answers changed"

@@ -1,4 +1,4 @@
-"""The check of the system's libraries, with a missing library and pretended package managers."""
+"""The check of the system libraries, with a missing library and stand-ins for package managers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the check is fo
 
 
 class PretendedSystem:
-    """A folder of commands that is the whole PATH: nothing real can be installed from within it."""
+    """A folder of commands that is the whole PATH, so that nothing real can be installed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.log = folder, folder / "log"
@@ -41,12 +41,12 @@ class PretendedSystem:
         self.command("id", f"echo {uid}")
 
     def apt(self, installs: str = ":") -> None:
-        """An apt-get that writes down how it was called and, asked to install, runs `installs`."""
+        """Add an apt-get that logs its calls and runs `installs` on an install command."""
         log = f'echo "$DEBIAN_FRONTEND apt-get $*" >> "{self.log}"'
         self.command("apt-get", f'{log}\ncase "$*" in *install*) {installs};; esac')
 
     def lose_library(self) -> None:
-        """Let the script look for a library that no system has in the place of libusb."""
+        """Let the script look for a library that no system has instead of libusb."""
         script = self.folder / "scripts" / "system-packages.sh"
         script.write_text(script.read_text().replace("libusb-1.0.so.0 ", "libabsent.so.7 "))
 
@@ -65,7 +65,7 @@ def system(tmp_path: Path) -> PretendedSystem:
     return PretendedSystem(tmp_path)
 
 
-def test_nothing_missing_installs_nothing(system):
+def test_a_complete_system_installs_nothing(system):
     system.apt()
     result = system.run()
     assert result.returncode == 0, result.stderr
@@ -74,7 +74,7 @@ def test_nothing_missing_installs_nothing(system):
     assert system.apt_calls == []
 
 
-def test_root_installs_exactly_what_is_missing(system):
+def test_root_installs_exactly_the_missing_packages(system):
     system.lose_library()
     system.user(0)
     system.apt(installs=f'ln -s "{_ctypes.__file__}" "{system.folder}/lib/libabsent.so.7"')
@@ -93,10 +93,10 @@ def test_passwordless_sudo_is_used(system):
     system.apt(installs=f'ln -s "{_ctypes.__file__}" "{system.folder}/lib/libabsent.so.7"')
     system.command("sudo", f'echo sudo >> "{system.log}"; shift; exec "$@"')
     assert system.run().returncode == 0
-    assert system.apt_calls.count("sudo") == 3  # asked whether it may, updated, installed
+    assert system.apt_calls.count("sudo") == 3  # calls: permission check, update, install
 
 
-def test_without_rights_the_packages_and_the_command_are_named(system):
+def test_a_user_without_rights_is_told_the_command(system):
     system.lose_library()
     system.user(1000)
     system.apt()
@@ -108,7 +108,7 @@ def test_without_rights_the_packages_and_the_command_are_named(system):
     assert system.apt_calls == []
 
 
-def test_without_apt_the_library_is_named(system):
+def test_a_missing_library_is_named_without_apt(system):
     system.lose_library()
     system.user(0)
     result = system.run()
@@ -117,7 +117,7 @@ def test_without_apt_the_library_is_named(system):
 
 
 @pytest.mark.parametrize(("installs", "message"), [("exit 100", "apt-get could not install"), (":", "Still missing")])
-def test_an_installation_that_fails_or_does_not_help_is_an_error(system, installs, message):
+def test_a_failed_or_useless_installation_is_an_error(system, installs, message):
     system.lose_library()
     system.user(0)
     system.apt(installs)
@@ -131,13 +131,13 @@ BROWSER = ("chromium", "chromedriver")
 
 
 def for_tests(system: PretendedSystem) -> str:
-    """What is said when the tests' browser is looked for, which never fails."""
+    """The output of the search for the tests' browser, which always succeeds."""
     result = system.run("system-packages.sh", "--tests")
     assert result.returncode == 0, result.stderr
     return result.stdout
 
 
-def test_a_browser_that_is_there_is_left_as_it_is(system):
+def test_an_installed_browser_is_not_installed_again(system):
     system.apt()
     system.user(0)
     for name in BROWSER:
@@ -148,7 +148,7 @@ def test_a_browser_that_is_there_is_left_as_it_is(system):
 
 
 @pytest.mark.parametrize("there", [(), BROWSER[:1], BROWSER[1:]])
-def test_the_tests_browser_is_installed_where_we_may(system, there):
+def test_root_installs_the_missing_parts_of_the_browser(system, there):
     for name in there:
         system.command(name, ":")
     system.user(0)
@@ -161,15 +161,15 @@ def test_the_tests_browser_is_installed_where_we_may(system, there):
 
 
 @pytest.mark.parametrize(("uid", "installs"), [(1000, ":"), (0, "exit 100"), (0, ":")])
-def test_without_a_browser_its_tests_are_skipped_and_nothing_fails(system, uid, installs):
+def test_a_missing_browser_only_skips_its_tests(system, uid, installs):
     system.user(uid)
     system.apt(installs)
     system.command("sudo", "exit 1")
-    system.command("python3.11", "exit 1")  # nor is Python asked for
+    system.command("python3.11", "exit 1")  # Python is not searched for either
     assert re.search(r"skipped.*chromium chromium-driver\n", for_tests(system))
 
 
-def test_elsewhere_than_on_debian_a_browser_is_not_looked_for(system):
+def test_other_systems_than_debian_skip_the_browser(system):
     system.user(0)
     assert "skipped" in for_tests(system)
 
@@ -198,7 +198,7 @@ def test_a_python_that_makes_virtual_environments_is_preferred(system):
     assert system.run("find-python.sh").stdout.strip() == os.path.realpath(sys._base_executable)
 
 
-def test_no_python_is_one_sentence_that_says_what_to_install(system):
+def test_a_missing_python_is_reported_with_the_install_command(system):
     for name in ("python3.11", "python3"):
         system.command(name, "exit 1")
     result = system.run("find-python.sh")

@@ -1,6 +1,6 @@
 """Calibration: the choice of held-out presses, and the errors on them.
 
-As a stage it is found again for the same presses and options, and done again when anything differs.
+The stage store returns a finished calibration for the same presses and options. Any change starts a new one.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ FEW = {**TINY, "steps": 5}
 
 
 @pytest.mark.parametrize(("count", "held_out"), [(5, 1), (6, 1), (10, 2), (22, 4), (101, 20)])
-def test_every_press_is_learned_from_or_held_out(count, held_out):
+def test_every_press_is_used_for_training_or_held_out(count, held_out):
     learned, kept = split(count, 0)
     assert sorted(learned + kept) == list(range(count))
     assert len(kept) == held_out
     assert (learned, kept) == (tuple(sorted(learned)), tuple(sorted(kept)))
 
 
-def test_the_split_is_the_seeds():
+def test_the_seed_determines_the_split():
     assert split(30, 4) == split(30, 4)
     assert len({split(30, seed)[1] for seed in range(10)}) == 10
 
@@ -89,7 +89,7 @@ def oracle(monkeypatch) -> type[Oracle]:
     return Oracle
 
 
-def test_who_knows_the_truth_makes_no_error(oracle):
+def test_a_perfect_estimator_has_no_error(oracle):
     found = calibrate(BALLS, GEOMETRY, BALLS.background, "oracle")
     assert len(found.errors) == len(found.held_out) == 2
     for errors in found.errors:
@@ -99,13 +99,13 @@ def test_who_knows_the_truth_makes_no_error(oracle):
         assert math.isnan(errors.depth_m)  # a circle does not say how deep it lies
 
 
-def test_what_is_held_out_is_not_learned_from(oracle):
+def test_training_never_uses_held_out_presses(oracle):
     found = calibrate(BALLS, GEOMETRY, BALLS.background, "oracle", seed=3)
     assert sorted(oracle.seen + found.held_out) == list(range(10))
     assert found.held_out == split(10, 3)[1]
 
 
-def test_a_constant_error_shows_where_it_should(oracle, monkeypatch):
+def test_a_constant_offset_changes_only_untouched_and_absolute_errors(oracle, monkeypatch):
     monkeypatch.setattr(oracle, "offset_m", 2e-5)
     made = oracle(GEOMETRY, BALLS.background)
     image, label = BALLS.read_press(0)
@@ -116,7 +116,7 @@ def test_a_constant_error_shows_where_it_should(oracle, monkeypatch):
     assert errors.depth_m == pytest.approx(2e-5, rel=1e-4)
 
 
-def test_the_slopes_error_is_in_degrees_of_the_surface(oracle, monkeypatch):
+def test_the_slope_error_is_an_angle_in_degrees(oracle, monkeypatch):
     image, label = BALLS.read_press(0)
     tilted = np.tan(np.arctan(label.slope) + np.radians([2.0, -4.0]))
     monkeypatch.setattr(oracle, "read", lambda self, image: (label.indentation_m, tilted))
@@ -125,7 +125,7 @@ def test_the_slopes_error_is_in_degrees_of_the_surface(oracle, monkeypatch):
     assert math.isnan(measure_press(oracle(GEOMETRY, BALLS.background), image, label).slope_deg)
 
 
-def test_what_cannot_be_said_is_no_number(oracle):
+def test_an_undefined_error_is_nan(oracle):
     errors = measure_press(oracle(GEOMETRY, BALLS.background), BALLS.images[0], label_untouched(GEOMETRY))
     assert math.isnan(errors.shape_m)
     assert math.isnan(errors.slope_deg)
@@ -135,13 +135,13 @@ def test_what_cannot_be_said_is_no_number(oracle):
     assert math.isnan(measure_press(oracle(GEOMETRY, BALLS.background), image, everywhere).untouched_m)
 
 
-def test_means_are_over_what_can_be_said():
+def test_means_ignore_undefined_errors():
     nan = math.nan
     errors = [PressErrors(1.0, 2e-5, nan, 1e-6), PressErrors(3.0, 4e-5, nan, nan)]
     assert average_errors(errors) == pytest.approx({"slope_deg": 2.0, "shape_m": 3e-5, "untouched_m": 1e-6})
 
 
-def test_the_record_is_json_and_has_the_noise():
+def test_the_record_is_json_and_contains_the_noise():
     errors = (PressErrors(1.0, 2e-5, math.nan, 5e-6), PressErrors(math.nan, 4e-5, math.nan, 7e-6))
     record = Calibrated(Oracle(GEOMETRY, BALLS.background), (3, 8), errors, Health(2.0, math.nan)).record()
     assert json.loads(json.dumps(record, allow_nan=False)) == record
@@ -160,7 +160,7 @@ class Few(LabelledPresses):
         return FEWEST - 1
 
     def read_press(self, number: int):
-        raise AssertionError("they are counted first")
+        raise AssertionError("calibrate reads a press before it counts them")
 
 
 def test_too_few_presses_are_refused():
@@ -173,7 +173,7 @@ def test_bad_options_are_refused():
         calibrate(BALLS, GEOMETRY, BALLS.background, "photometric", {"steps": "many"})
 
 
-def test_a_simulated_sensor_is_calibrated_and_the_errors_are_those_measured():
+def test_the_calibration_reports_the_measured_held_out_errors():
     found = calibrate(BALLS, GEOMETRY, BALLS.background, "photometric", TINY)
     measured = [measure_press(found.estimator, *BALLS.read_press(number)) for number in found.held_out]
     np.testing.assert_array_equal([dataclasses.astuple(e) for e in measured], [*map(dataclasses.astuple, found.errors)])
@@ -196,9 +196,9 @@ def stage(folder: Path, store: StageStore, seed: int = 0, geometry=FIVE.geometry
     return calibrate_stage(presses, folder, "photometric", {**FEW, **options}, seed, store, Progress())
 
 
-def test_the_second_time_it_is_found(folder, store, monkeypatch):
+def test_a_second_calibration_comes_from_the_store(folder, store, monkeypatch):
     made, record = stage(folder, store)
-    monkeypatch.setattr(PhotometricEstimator, "fit", None)  # would fail if it were asked to
+    monkeypatch.setattr(PhotometricEstimator, "fit", None)  # a second training would fail
     again, same_record = stage(folder, store)
     assert len(store.built) == 1
     assert again.options == made.options
@@ -208,14 +208,14 @@ def test_the_second_time_it_is_found(folder, store, monkeypatch):
     assert set(record["held_out"]["mean"]) == {"slope_deg", "shape_m", "untouched_m"}
 
 
-def test_options_the_default_of_which_is_said_are_the_same(folder, store):
+def test_an_explicit_default_option_reuses_the_stored_calibration(folder, store):
     stage(folder, store)
     stage(folder, store, seed=0, rate=PhotometricEstimator.Options().rate)
     assert len(store.built) == 1
 
 
 @pytest.mark.parametrize("what", ["options", "seed", "image", "background", "label", "geometry"])
-def test_it_is_done_again_when_anything_differs(folder, store, what):
+def test_any_changed_input_starts_a_new_calibration(folder, store, what):
     stage(folder, store)
     more: dict = {"options": {"steps": 6}, "seed": {"seed": 1}}.get(what, {})
     if what == "image":
@@ -232,7 +232,7 @@ def test_it_is_done_again_when_anything_differs(folder, store, what):
     assert len(store.built) == 2
 
 
-def test_it_is_done_again_when_a_mesh_is_another(folder, store):
+def test_a_changed_mesh_starts_a_new_calibration(folder, store):
     rows = FIVE.rows()
     pose = dict.fromkeys(("x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg"), 0)
     rows[2] |= {"kind": "mesh", "mesh": "box.stl", "units": "mm", "press_mm": 0.4, **pose}
@@ -244,7 +244,7 @@ def test_it_is_done_again_when_a_mesh_is_another(folder, store):
     assert len(store.built) == 2
 
 
-def test_an_interruption_leaves_nothing_that_counts(folder, store, monkeypatch):
+def test_an_interrupted_calibration_stores_no_result(folder, store, monkeypatch):
     save = PhotometricEstimator.save
 
     def stop(self, path):
@@ -263,7 +263,7 @@ def test_an_interruption_leaves_nothing_that_counts(folder, store, monkeypatch):
     np.testing.assert_array_equal(interrupted.estimate_slopes(FIVE.images[0]), whole.estimate_slopes(FIVE.images[0]))
 
 
-def test_a_stored_one_that_is_damaged_is_made_again(folder, store):
+def test_a_damaged_stored_calibration_is_replaced(folder, store):
     made, _ = stage(folder, store)
     (weights,) = store.root.rglob("estimator.safetensors")
     weights.chmod(0o644)

@@ -63,13 +63,13 @@ def brighter_on_one_side(optics):
     ],
     ids=["clean", "gelslim", "gelsight-mini", "digit", "uneven light"],
 )
-def test_circles_are_where_the_balls_are(optics, most_px):
+def test_circles_are_found_at_the_balls(optics, most_px):
     gel, pictures = photos(optics=optics)
     for picture, (x, y, press) in zip(pictures, PLACES, strict=True):
         circle = found(picture, gel)
         assert off_px(circle, x, y) < most_px
         contact_px = SCALE * float(visible_radius(np.array([press]))[0])
-        assert 0.95 * contact_px < circle.radius_px < 1.35 * contact_px  # the gel's skirt belongs to what is seen
+        assert 0.95 * contact_px < circle.radius_px < 1.35 * contact_px  # the visible circle includes the gel's skirt
 
 
 def test_deeper_presses_have_larger_circles():
@@ -78,7 +78,7 @@ def test_deeper_presses_have_larger_circles():
     assert sorted(radii) == radii
 
 
-def test_strong_noise():
+def test_circles_are_found_in_strong_noise():
     noisy = dataclasses.replace(OPTICS["gelslim"], read_noise=8.0)
     gel, pictures = photos(optics=noisy)
     for picture, (x, y, _) in zip(pictures, PLACES, strict=True):
@@ -91,14 +91,14 @@ def test_a_scratch_on_the_gel_does_not_move_the_circle():
     assert off_px(found(pictures[1], gel), *PLACES[1][:2]) < 0.7
 
 
-def test_a_circle_over_the_border_is_found_to_reach_beyond_it():
+def test_a_circle_that_crosses_the_border_has_an_overhang():
     gel, pictures = photos([(-7.4e-3, 0.0, 8e-4)])
     circle = found(pictures[0], gel)
     assert circle.measure_overhang_px(GEOMETRY.shape) > 0.3 * circle.radius_px
     assert Circle(80, 80, 20).measure_overhang_px(GEOMETRY.shape) == -60
 
 
-def test_nothing_but_noise_is_no_ball():
+def test_noise_alone_contains_no_ball():
     rng = np.random.default_rng(0)
     imprint = find_imprint(rng.normal(0, 2, (*GEOMETRY.shape, 3)).astype(np.float32))
     assert imprint is None or imprint.likeness < 0.4
@@ -106,7 +106,7 @@ def test_nothing_but_noise_is_no_ball():
     assert measure_concentration(np.zeros((*GEOMETRY.shape, 3), np.float32)) == 0
 
 
-def test_the_second_ball_is_found_where_the_first_is_hidden():
+def test_masking_the_first_ball_reveals_the_second():
     gel, pictures = photos([(-4e-3, 0.0, 9e-4), (4e-3, 1e-3, 6e-4)], together=True)
     change = compare_colours(pictures[0], gel)
     first = find_imprint(change)
@@ -119,7 +119,7 @@ def test_the_second_ball_is_found_where_the_first_is_hidden():
     assert measure_concentration(alone) > measure_concentration(change)
 
 
-def test_the_change_is_without_what_changes_everywhere():
+def test_the_change_ignores_a_uniform_brightness_shift():
     gel, pictures = photos(PLACES[:1])
     change = compare_colours(pictures[0], gel)
     brighter = compare_colours(pictures[0].astype(np.float32) + 5, gel)

@@ -116,7 +116,7 @@ def weights(estimator: CnnEstimator, path) -> bytes:
     return path.read_bytes()
 
 
-def test_the_loss_falls_and_held_out_depths_are_better_than_none(presses):
+def test_training_reduces_the_loss_and_beats_a_zero_depth(presses):
     notes = Notes()
     options = {**SMALL, "epochs": 25}
     done = calibrate(presses, presses.geometry, presses.background, "cnn", options, progress=notes)
@@ -129,7 +129,7 @@ def test_the_loss_falls_and_held_out_depths_are_better_than_none(presses):
     assert "slope_deg" not in done.record()["held_out"]["mean"]
 
 
-def test_statistics_are_those_of_the_presses(presses):
+def test_the_network_stores_the_statistics_of_the_presses(presses):
     network = fitted(presses, epochs=1)._network
     indentation_m = np.stack([label.indentation_m for _, label in presses.read_presses()])
     assert float(network.output_mean) == pytest.approx(indentation_m.mean(), rel=1e-3)
@@ -140,7 +140,7 @@ def test_statistics_are_those_of_the_presses(presses):
 
 
 @pytest.mark.parametrize("epochs_done", [1, 2])
-def test_an_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path, epochs_done):
+def test_a_resumed_training_gives_the_same_weights(tmp_path, epochs_done):
     whole = weights(fitted(Tips(10), epochs=3), tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         fitted(Tips(10), InFile(tmp_path / "checkpoint", epochs_done), epochs=3)
@@ -148,12 +148,12 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path, epochs_
     assert weights(resumed, tmp_path / "resumed") == whole
 
 
-def test_a_seed_gives_the_same_weights_and_another_others(tmp_path):
+def test_the_seed_determines_the_weights(tmp_path):
     one, same, other = (weights(fitted(Tips(8), epochs=1, seed=s), tmp_path / "w") for s in (1, 1, 2))
     assert one == same != other
 
 
-def test_the_callers_randomness_is_left_alone():
+def test_training_leaves_the_callers_random_state_unchanged():
     torch.manual_seed(5)
     expected = torch.rand(1)
     torch.manual_seed(5)
@@ -161,7 +161,7 @@ def test_the_callers_randomness_is_left_alone():
     assert torch.equal(torch.rand(1), expected)
 
 
-def test_the_middle_of_a_flat_contact_is_known_by_its_far_edge():
+def test_a_wide_receptive_field_recovers_the_middle_of_a_flat_contact():
     image, label = Tips().read_press(1001)
     x, y = np.nonzero(label.contact)
     middle = np.s_[int(x.mean()) - 2 : int(x.mean()) + 3, int(y.mean()) - 2 : int(y.mean()) + 3]
@@ -171,7 +171,7 @@ def test_the_middle_of_a_flat_contact_is_known_by_its_far_edge():
     assert sees_near.read_indentation(image)[middle].mean() < 0.25 * PRESS_M
 
 
-def test_the_default_sees_31_pixels_to_each_side():
+def test_the_default_receptive_field_reaches_31_pixels_to_each_side():
     network = GelNetwork(4, CnnEstimator.Options().dilations, 0.0).eval()
     features = torch.zeros(1, PLANES, 1, 101, requires_grad=True)
     with torch.no_grad():
@@ -182,7 +182,7 @@ def test_the_default_sees_31_pixels_to_each_side():
     assert (int(seen.min()), int(seen.max())) == (50 - 31, 50 + 31)
 
 
-def test_what_was_saved_is_read_again(tmp_path, presses):
+def test_saved_weights_give_the_same_indentation(tmp_path, presses):
     first = fitted(Tips(6), epochs=1)
     first.save(tmp_path / "w.safetensors")
     second = made(seed=9)
@@ -195,7 +195,7 @@ def test_what_was_saved_is_read_again(tmp_path, presses):
     assert np.array_equal(found, first.read_indentation(image))
 
 
-def test_damaged_weights_and_those_of_another_estimator_are_refused(tmp_path):
+def test_damaged_or_foreign_weights_are_refused(tmp_path):
     estimator = made()
     whole = weights(estimator, tmp_path / "w")
     (tmp_path / "cut").write_bytes(whole[: len(whole) // 2])
@@ -205,17 +205,17 @@ def test_damaged_weights_and_those_of_another_estimator_are_refused(tmp_path):
             estimator.load(tmp_path / name)
 
 
-def test_a_loss_that_is_no_number_is_said():
+def test_a_nan_loss_stops_training():
     with pytest.raises(TrainingError, match=naming("NaN", "epoch 1", "rate")):
         fitted(Tips(12), rate=1e30)
 
 
-def test_presses_that_show_nothing_are_refused():
+def test_presses_without_contact_are_refused():
     with pytest.raises(CalibrationError, match="contact"):
         fitted(Untouched())
 
 
-def test_a_contact_without_skirt_is_cut_where_it_stands_out_of_the_noise():
+def test_a_contact_without_skirt_is_cut_at_the_noise_level():
     _, label = Tips().read_press(0)
     slope = np.linspace(0, PRESS_M, 64, dtype=np.float32)[None, :] * label.contact  # from nothing to all of the press
     shape = find_contact_shape(slope, sensor(), 0.0, CnnEstimator.sees_skirt)

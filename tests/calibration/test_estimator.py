@@ -17,7 +17,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 WIDE = SensorGeometry("orthographic", 80, 64, 4000.0, 4000.0, 40.0, 32.0, 0.01, 1.5e-3)
 
 
-def test_what_no_touch_changes_is_scaled_and_oriented():
+def test_fixed_features_are_scaled_and_oriented():
     gel = np.zeros((64, 80, 3), np.uint8)
     gel[..., 0] = 255
     fixed = stack_fixed_features(gel, WIDE)
@@ -27,7 +27,7 @@ def test_what_no_touch_changes_is_scaled_and_oriented():
     np.testing.assert_allclose(fixed[:, [0, 79], 3], [[-1, 1]] * 64)
 
 
-def test_darker_is_negative_and_a_part_is_seen_as_in_the_whole():
+def test_features_of_a_crop_equal_those_of_the_whole_image():
     rng = np.random.default_rng(0)
     image, gel = (rng.integers(0, 256, (64, 80, 3), dtype=np.uint8) for _ in range(2))
     difference = scale_difference(image, gel)

@@ -1,4 +1,4 @@
-"""The calibration folder: written and read back, atomically."""
+"""The calibration folder: atomic writing, and reading."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_what_was_written_comes_back(folder):
+def test_a_written_calibration_is_read_back(folder):
     found = read_calibration(folder)
     assert found.camera_px == GEOMETRY.shape
     assert found.geometry.is_same_sensor(GEOMETRY)
@@ -73,15 +73,15 @@ def test_what_was_written_comes_back(folder):
     )
 
 
-def test_every_file_is_known_and_nothing_is_left_beside(folder):
+def test_writing_leaves_only_the_documented_files(folder):
     assert contents(folder).keys() == OURS - {PICTURE, "sensor_surface.npy"}
     assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
 
 
-def test_one_that_is_there_is_replaced_as_a_whole(folder):
+def test_an_existing_calibration_is_replaced_completely(folder):
     write_image(folder / PICTURE, BALLS.background)
     write(folder, seed=1)
-    assert not (folder / PICTURE).exists()  # of the calibration before
+    assert not (folder / PICTURE).exists()  # it belonged to the previous calibration
     assert read_calibration(folder).estimator.options.seed == 1
     assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
 
@@ -93,7 +93,7 @@ def test_an_empty_folder_may_be_used(tmp_path):
 
 
 @pytest.mark.parametrize("other", ["presses.csv", ".git", "sensor.toml.bak"])
-def test_a_folder_that_holds_something_else_is_not_touched(folder, other):
+def test_a_folder_with_other_files_is_not_changed(folder, other):
     (folder / other).write_text("mine")
     before = contents(folder)
     for refuse in (lambda: write(folder, seed=1), lambda: require_replaceable(folder)):
@@ -102,7 +102,7 @@ def test_a_folder_that_holds_something_else_is_not_touched(folder, other):
     assert contents(folder) == before
 
 
-def test_what_a_killed_process_left_is_nothing_else(folder):
+def test_leftovers_of_a_killed_process_do_not_prevent_writing(folder):
     (folder / ".tmp-new-held-out.png").mkdir()
     read_calibration(write(folder, seed=1))
     assert not [path for path in folder.iterdir() if files.is_unfinished(path)]
@@ -117,7 +117,7 @@ def test_a_file_is_not_replaced(tmp_path):
     assert (tmp_path / "sensor").read_text() == "mine"
 
 
-def test_a_disk_that_refuses_leaves_the_old_one(folder, monkeypatch):
+def test_a_full_disk_leaves_the_old_calibration(folder, monkeypatch):
     before = contents(folder)
 
     def refuse(*_: object) -> None:
@@ -131,7 +131,7 @@ def test_a_disk_that_refuses_leaves_the_old_one(folder, monkeypatch):
     assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
 
 
-def test_an_interruption_leaves_the_old_one(folder, monkeypatch):
+def test_an_interruption_leaves_the_old_calibration(folder, monkeypatch):
     before = contents(folder)
 
     def stop(*_: object) -> None:
@@ -145,7 +145,7 @@ def test_an_interruption_leaves_the_old_one(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("exchanges", [True, False])
-def test_a_kill_at_any_step_leaves_the_old_one_or_the_new(folder, monkeypatch, exchanges):
+def test_a_kill_at_any_step_leaves_the_old_or_the_new_calibration(folder, monkeypatch, exchanges):
     if not exchanges:
         monkeypatch.setattr(files, "_exchange", lambda one, other: False)
     new, seen = untrained(1), set()
@@ -158,7 +158,7 @@ def test_a_kill_at_any_step_leaves_the_old_one_or_the_new(folder, monkeypatch, e
     assert seen == {0, 1}
 
 
-def test_what_identifies_it_is_what_it_holds(folder, tmp_path):
+def test_the_description_depends_only_on_the_contents(folder, tmp_path):
     described = read_calibration(folder).describe()
     shutil.copytree(folder, tmp_path / "elsewhere")
     assert read_calibration(tmp_path / "elsewhere").describe() == described
@@ -167,7 +167,7 @@ def test_what_identifies_it_is_what_it_holds(folder, tmp_path):
     assert json.loads(json.dumps(described, allow_nan=False)) == described
 
 
-def test_a_folder_that_is_not_there(tmp_path):
+def test_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match=naming(tmp_path / "none", "tactile-loc calibrate")):
         read_calibration(tmp_path / "none")
     with pytest.raises(CalibrationError, match=naming(tmp_path, "sensor.toml")):
@@ -189,7 +189,7 @@ def test_a_damaged_file_is_refused(folder, name):
         read_calibration(folder)
 
 
-def test_damaged_weights_are_refused_when_they_are_needed(folder):
+def test_damaged_weights_are_refused_on_first_use(folder):
     whole = (folder / WEIGHTS).read_bytes()
     (folder / WEIGHTS).write_bytes(whole[:-50])
     with pytest.raises(WeightsError, match=naming("estimator.safetensors", "calibrate")):
@@ -209,7 +209,7 @@ def test_a_record_of_another_version_is_refused(folder, version):
 
 
 @pytest.mark.parametrize("text", ["[]", "3", "{}"])
-def test_a_record_that_is_none_is_refused(folder, text):
+def test_a_record_that_is_not_a_complete_object_is_refused(folder, text):
     (folder / CALIBRATION).write_text(text)
     with pytest.raises(CalibrationError, match=naming("calibration.json", "calibrate")):
         read_calibration(folder)
@@ -229,13 +229,13 @@ def test_a_record_that_is_none_is_refused(folder, text):
         ("camera_px", ["a", "b"]),
     ],
 )
-def test_a_record_without_what_reading_takes_is_refused(folder, key, value):
+def test_a_record_with_a_missing_or_ill_typed_value_is_refused(folder, key, value):
     rewrite(folder, **{key: value})
     with pytest.raises(CalibrationError, match=naming("calibration.json", key)):
         read_calibration(folder)
 
 
-def test_a_record_of_what_is_not_known_is_refused(folder):
+def test_a_record_with_an_unknown_estimator_or_option_is_refused(folder):
     rewrite(folder, estimator="magic")
     with pytest.raises(CalibrationError, match="'magic'"):
         _ = read_calibration(folder).estimator

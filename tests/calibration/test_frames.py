@@ -27,7 +27,7 @@ GEL = render_background(GEOMETRY, OPTICS["gelslim"])
 
 
 def pressed(*balls: tuple[float, float], press_m: float = 7e-4, seed: int = 0) -> np.ndarray:
-    """A photo of balls (x, y), metres, at a press."""
+    """A photo of balls at positions (x, y), in metres, and one press depth."""
     indentation = np.max([ball_indentation(GEOMETRY, x, y, press_m) for x, y in balls], axis=0)[None]
     return render_images(gel_under(indentation, GEOMETRY), GEOMETRY, OPTICS["gelslim"], np.random.default_rng(seed))[0]
 
@@ -36,12 +36,12 @@ PRESSES = [pressed(tuple(place), seed=n) for n, place in enumerate(PLACES)]
 
 
 def frames(*more: np.ndarray, untouched: int = 1) -> list[Frame]:
-    """The presses, a number of images of the untouched gel, and more images."""
+    """The presses, then images of the untouched gel, then more images."""
     images = [*PRESSES, *[GEL] * untouched, *more]
     return [Frame(f"{n:02d}.png", image) for n, image in enumerate(images)]
 
 
-BAD = {  # by the reason for which they are dropped
+BAD = {  # images by the reason for dropping them
     "two balls": pressed((-4e-3, -2e-3), (4e-3, 2e-3)),
     "cut off at the border": pressed((7.4e-3, 0.0)),
     "over-exposed": np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8),
@@ -69,7 +69,7 @@ def test_the_untouched_gel_and_every_ball_are_found():
     np.testing.assert_allclose(centres, 40 + 1e3 * PLACES / MM_PER_PX, atol=0.6)
 
 
-def test_a_gel_that_no_image_shows_untouched_is_pieced_together(never_untouched):
+def test_the_untouched_gel_is_assembled_from_presses(never_untouched):
     found = never_untouched
     assert found.untouched_names == ()
     assert len(found.used) == len(PRESSES)
@@ -83,7 +83,7 @@ def test_bad_images_are_dropped_with_the_reason(with_bad_ones):
     assert len(with_bad_ones.used) == len(PRESSES)
 
 
-def test_a_hand_on_the_gel_is_no_ball():
+def test_a_hand_on_the_gel_is_dropped():
     y, x = np.mgrid[:80, :80]
     shade = 40 * (x > 30) * (y > 20 + x / 4)
     hand = np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8)
@@ -100,7 +100,7 @@ def textured(shift: int) -> np.ndarray:
     return dots[10:90, 10 + shift : 90 + shift]
 
 
-def test_a_camera_that_moved_is_seen_by_the_gels_texture():
+def test_a_moved_camera_is_detected_by_the_gel_texture():
     def photo(image, by=0):
         return np.clip(image + textured(by), 0, 255).astype(np.uint8)
 
@@ -114,14 +114,14 @@ def test_a_camera_that_moved_is_seen_by_the_gels_texture():
         find_presses([Frame("gel.png", photo(GEL)), Frame("gel2.png", photo(GEL)), *most])
 
 
-def test_no_ball_anywhere():
+def test_images_without_a_ball_are_refused():
     noise = np.random.default_rng(0).integers(-2, 3, (6, *GEL.shape))
     images = [Frame(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
     with pytest.raises(CalibrationError, match=naming("ball", "gel")):
         find_presses(images)
 
 
-def test_a_ball_larger_than_the_image_is_none():
+def test_a_ball_larger_than_the_image_is_refused():
     images = [Frame(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
     with pytest.raises(CalibrationError, match=naming("ball", "gel")):
         find_presses([*images, Frame("gel.png", GEL[31:49, 31:49])])
@@ -132,7 +132,7 @@ def test_two_images_are_too_few():
         find_presses(frames()[:2])
 
 
-def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(with_bad_ones, tmp_path):
+def test_the_written_table_is_readable_and_never_overwritten(with_bad_ones, tmp_path):
     found = with_bad_ones
     for frame in frames(*BAD.values()):
         write_image(tmp_path / frame.name, frame.image)
@@ -144,7 +144,7 @@ def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(with_
         write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
 
 
-def test_circles_larger_than_the_ball_are_cut_to_it_and_a_missing_gel_is_written(never_untouched, tmp_path):
+def test_the_table_limits_circles_to_the_ball_and_adds_the_untouched_gel(never_untouched, tmp_path):
     for frame in frames(untouched=0):
         write_image(tmp_path / frame.name, frame.image)
     write_labels(tmp_path, never_untouched, 1.5, MM_PER_PX)
@@ -163,7 +163,7 @@ def test_the_sheet_shows_every_press(with_bad_ones):
     assert any(not missing(title, "09.png", "two balls") for title in titles)
 
 
-def test_a_folder_without_images_or_with_other_things(tmp_path):
+def test_a_folder_without_equal_colour_images_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match=naming(tmp_path, "PNG", "JPEG")):
         read_frames(tmp_path)
     write_image(tmp_path / "a.png", GEL)
@@ -180,7 +180,7 @@ def test_a_folder_without_images_or_with_other_things(tmp_path):
 
 
 def film() -> list[np.ndarray]:
-    """Untouched, and three touches that grow and fade."""
+    """The frames of three touches that deepen and fade, with the untouched gel between them."""
     touches = []
     for number in range(3):
         depths = (2e-4, 5e-4, 8e-4, 5e-4, 2e-4)
@@ -188,7 +188,7 @@ def film() -> list[np.ndarray]:
     return [*touches, *[GEL] * 6]
 
 
-def test_of_a_video_the_deepest_frames_and_the_untouched_gel_are_chosen():
+def test_choose_frames_selects_the_deepest_and_untouched_frames():
     chosen = choose_frames(np.stack(film()).astype(np.float32))
     deepest = {8, 19, 30}
     assert deepest <= set(chosen)
@@ -197,7 +197,7 @@ def test_of_a_video_the_deepest_frames_and_the_untouched_gel_are_chosen():
 
 
 @pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason="imageio reads the video")
-def test_a_video_becomes_a_folder_of_frames_and_is_left_alone_then(tmp_path):
+def test_a_video_is_extracted_into_a_folder_only_once(tmp_path):
     pictures = [Image.fromarray(image).quantize(256, dither=Image.Dither.NONE) for image in film()]
     pictures[0].save(tmp_path / "film.gif", save_all=True, append_images=pictures[1:], duration=40)
     folder, found = read_frames(tmp_path / "film.gif")
@@ -210,7 +210,7 @@ def test_a_video_becomes_a_folder_of_frames_and_is_left_alone_then(tmp_path):
     assert not (folder / touched[0].name).exists()
 
 
-def test_a_video_that_cannot_be_read(tmp_path):
+def test_an_unreadable_video_is_refused(tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"no film")
     with pytest.raises(CalibrationError, match=naming("film.mp4", "pip install 'tactile-loc[video]'")):
         read_frames(tmp_path / "film.mp4")

@@ -1,4 +1,4 @@
-"""The health of images with known figures."""
+"""Image health: the measures of synthetic images, and the limits for warnings and errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ USUAL = Health(light=4.0, unfit=0.2)
 
 
 def bump() -> np.ndarray:
-    """The slopes (H, W, 2) of a smooth hill, as steep as 0.6."""
+    """The slopes (H, W, 2) of a smooth hill; the steepest is 0.6."""
     x = np.linspace(-3, 3, 64)
     hill = np.exp(-(x[:, None] ** 2) - x[None] ** 2)
     down, across = np.gradient(hill)
@@ -26,34 +26,34 @@ def bump() -> np.ndarray:
     return (0.6 * slopes / np.abs(slopes).max()).astype(np.float32)
 
 
-def test_slopes_of_a_surface_fit_and_those_of_a_whirl_do_not():
+def test_slopes_with_curl_fit_no_surface():
     whirl = np.stack([-bump()[..., 1], bump()[..., 0]], axis=-1)
     assert measure_health(UNTOUCHED, UNTOUCHED, bump(), GEOMETRY).unfit < 0.05
     assert measure_health(UNTOUCHED, UNTOUCHED, whirl, GEOMETRY).unfit == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("slopes", [None, 0.1 * bump()], ids=["none", "flat"])
-def test_what_is_not_steep_says_nothing(slopes):
+def test_shallow_slopes_give_no_surface_measure(slopes):
     assert np.isnan(measure_health(UNTOUCHED, UNTOUCHED, slopes, GEOMETRY).unfit)
 
 
-def test_the_light_is_what_half_of_the_image_differs_by():
+def test_the_light_is_the_median_change_of_the_image():
     image = UNTOUCHED.copy()
-    image[:20] += 90  # a press, of less than half of the image
+    image[:20] += 90  # a press that covers less than half of the image
     assert measure_health(image, UNTOUCHED, None, GEOMETRY).light < 1.0
     image = UNTOUCHED.copy()
     image[..., 2] += 12
     assert measure_health(image, UNTOUCHED, None, GEOMETRY).light == pytest.approx(12.0)
 
 
-def test_the_figure_is_the_worse_of_both():
+def test_the_health_ratio_is_the_worse_of_both_measures():
     assert Health(8.0, 0.2).compare(USUAL) == pytest.approx(2.0)
     assert Health(4.0, 0.6).compare(USUAL) == pytest.approx(3.0)
     assert Health(4.0, np.nan).compare(USUAL) == pytest.approx(1.0)
-    assert Health(8.0, 0.9).compare(Health(4.0, np.nan)) == pytest.approx(9.0)  # nothing steep was learned from
+    assert Health(8.0, 0.9).compare(Health(4.0, np.nan)) == pytest.approx(9.0)  # calibration without steep slopes
 
 
-def test_the_worst_of_presses_and_what_is_kept():
+def test_the_worst_health_is_found_and_recorded():
     found = find_worst([Health(1.0, np.nan), Health(3.0, 0.2), Health(2.0, 0.1)])
     assert found == Health(3.0, 0.2)
     assert Health.of_record(found.record()) == found
@@ -62,7 +62,7 @@ def test_the_worst_of_presses_and_what_is_kept():
     assert np.isnan(Health.of_record(unknown.record()).unfit)
 
 
-def test_first_a_warning_then_a_refusal(caplog):
+def test_poor_health_warns_and_worse_health_is_refused(caplog):
     with caplog.at_level(logging.WARNING):
         require_healthy(Health(4.0, 0.25), USUAL)
         assert not caplog.records
@@ -73,7 +73,7 @@ def test_first_a_warning_then_a_refusal(caplog):
         require_healthy(Health(4.0, 0.6), USUAL)
 
 
-def test_slopes_in_metres_a_metre_are_those_of_the_sensor():
+def test_metric_slopes_of_a_ball_fit_a_surface():
     indentation = ball_indentation(GEOMETRY, press_m=4e-4)
     sx, sy = GEOMETRY.scale_at_surface
     down, across = np.gradient(indentation)

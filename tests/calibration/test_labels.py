@@ -37,7 +37,7 @@ def test_pixel_centres_lie_at_half_integers():
     assert four[0, 0] == pytest.approx(np.sqrt(BALL_M**2 - rho2) - np.sqrt(BALL_M**2 - RADIUS_M**2), rel=1e-5)
 
 
-def test_indentation_is_the_balls_own_and_nothing_outside():
+def test_the_indentation_matches_the_ball_inside_and_is_zero_outside():
     press_m = 6e-4
     radius_px = contact_radius(press_m) / PITCH_M
     label = label_ball(GEOMETRY, (35.0, 42.0), radius_px, BALL_M)
@@ -59,7 +59,7 @@ def test_slope_is_the_derivative_of_the_indentation():
     assert not label.slope[~label.contact].any()
 
 
-def test_twice_the_pixels_show_the_same_ball():
+def test_finer_pixels_show_the_same_ball():
     coarse = label_ball(sensor(80), (33.0, 47.0), RADIUS_PX, BALL_M)
     fine = label_ball(sensor(240), (99.0, 141.0), 3 * RADIUS_PX, BALL_M)
     np.testing.assert_allclose(fine.indentation_m[1::3, 1::3], coarse.indentation_m, atol=1e-9)
@@ -67,7 +67,7 @@ def test_twice_the_pixels_show_the_same_ball():
     np.testing.assert_array_equal(fine.known[1::3, 1::3], coarse.known)
 
 
-def test_pixels_that_are_not_square_see_a_round_ball():
+def test_a_ball_is_round_in_pixels_that_are_not_square():
     flat = dataclasses.replace(GEOMETRY, height_px=40, fy=2500.0, cy=20.0)  # 0.2 x 0.4 mm
     label = label_ball(flat, (40.0, 20.0), 6.0, BALL_M)
     x, y = places(flat)
@@ -78,14 +78,14 @@ def test_pixels_that_are_not_square_see_a_round_ball():
     np.testing.assert_allclose(label.indentation_m[label.contact], true[label.contact], atol=1e-9)
 
 
-def test_between_contact_and_untouched_gel_nothing_is_known():
+def test_pixels_between_contact_and_untouched_gel_are_unknown():
     label = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
     rho = np.hypot(*places(GEOMETRY))
     np.testing.assert_array_equal(label.contact, rho < RADIUS_M)
     np.testing.assert_array_equal(~label.known, (rho >= RADIUS_M) & (rho <= SKIRT * RADIUS_M))
 
 
-def test_a_circle_may_be_cut_by_the_images_border():
+def test_the_image_border_may_cut_a_circle():
     label = label_ball(GEOMETRY, (0.0, 40.0), RADIUS_PX, BALL_M)
     whole = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
     np.testing.assert_array_equal(label.indentation_m[:, :40], whole.indentation_m[:, 40:])
@@ -121,7 +121,7 @@ def test_a_box_at_a_yaw_is_flat_inside_its_outline(make_scene, make_box, yaw_deg
     x, y = places(GEOMETRY)
     x, y = x - 2e-3, y - 1e-3
     along, across = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
-    beyond = np.maximum(np.abs(along) - 3e-3, np.abs(across) - 1.5e-3)  # of the outline, metres
+    beyond = np.maximum(np.abs(along) - 3e-3, np.abs(across) - 1.5e-3)  # distance outside the outline, in metres
     assert label.contact[beyond < -PITCH_M].all()
     assert not label.contact[beyond > PITCH_M].any()
     np.testing.assert_allclose(label.indentation_m[beyond < -PITCH_M], press_m, rtol=1e-4)
@@ -129,10 +129,10 @@ def test_a_box_at_a_yaw_is_flat_inside_its_outline(make_scene, make_box, yaw_deg
     assert label.absolute
     inside = label.known & label.contact
     assert inside.any()
-    np.testing.assert_allclose(label.slope[inside], 0, atol=1e-3)  # the step at the outline is not known
+    np.testing.assert_allclose(label.slope[inside], 0, atol=1e-3)  # the step at the outline is unknown
 
 
-def test_around_a_mesh_the_skirt_is_not_known(make_scene, make_box):
+def test_the_skirt_around_a_mesh_is_unknown(make_scene, make_box):
     label = label_of_box(make_scene, make_box, 0.0)
     x, y = places(GEOMETRY)
     away = np.hypot(np.maximum(np.abs(x) - 3e-3, 0), np.maximum(np.abs(y - 1e-3) - 1.5e-3, 0))
@@ -146,7 +146,7 @@ def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box):
 
 
 @pytest.mark.parametrize("press_m", [0.0, -1e-4])
-def test_a_mesh_is_pressed_in(make_scene, make_box, press_m):
+def test_a_press_depth_of_a_mesh_must_be_positive(make_scene, make_box, press_m):
     with pytest.raises(CalibrationError, match=naming("press depth", f"{1e3 * press_m:.3g} mm")):
         label_of_box(make_scene, make_box, 0.0, press_m=press_m)
 

@@ -63,14 +63,14 @@ def same(a: PhotometricEstimator, b: PhotometricEstimator) -> bool:
     return left.keys() == right.keys() and all(np.array_equal(left[k], right[k]) for k in left)
 
 
-def test_it_learns_the_slope_of_presses_that_it_has_not_seen(estimator):
+def test_the_estimator_generalizes_to_unseen_presses(estimator):
     errors = [measure_press(estimator, *BALLS.read_press(number)) for number in (9, 10, 11)]
     assert np.mean([e.slope_deg for e in errors]) < 1.5
     assert np.mean([e.shape_m for e in errors]) < 2e-5
     assert np.mean([e.untouched_m for e in errors]) < 1e-5
 
 
-def test_signs_and_axes_are_the_sensors(estimator):
+def test_slopes_have_the_signs_and_axes_of_the_sensor_frame(estimator):
     image = photographed(ball_indentation(GEOMETRY, 1e-3, -2e-3)[None], GEOMETRY)[0]
     slope = estimator.estimate_slopes(image)
     assert slope.shape == (64, 64, 2)
@@ -82,7 +82,7 @@ def test_signs_and_axes_are_the_sensors(estimator):
     assert np.median(np.abs(slope[ring, 1] + y[ring] / steep)) < 0.1
 
 
-def test_the_indentation_is_a_balls_and_zero_elsewhere(estimator):
+def test_the_indentation_matches_the_ball_and_is_zero_elsewhere(estimator):
     true = ball_indentation(GEOMETRY, -1e-3, 1.5e-3, 7e-4)
     found = estimator.read_indentation(photographed(true[None], GEOMETRY)[0])
     assert found.shape == GEOMETRY.shape
@@ -96,14 +96,14 @@ def test_the_untouched_gel_is_flat(estimator):
     assert np.abs(estimator.read_indentation(BALLS.background)).max() < 2e-5
 
 
-def test_the_same_seed_learns_the_same_and_another_one_does_not():
+def test_the_seed_determines_the_weights():
     first, again, other = trained(steps=20), trained(steps=20), trained(steps=20, seed=1)
     assert same(first, again)
     assert not same(first, other)
     assert not same(make(), make(seed=1))
 
 
-def test_training_leaves_the_callers_random_numbers_alone():
+def test_training_leaves_the_callers_random_state_unchanged():
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
@@ -111,7 +111,7 @@ def test_training_leaves_the_callers_random_numbers_alone():
     assert torch.equal(torch.rand(3), expected)
 
 
-def test_what_was_learned_survives_a_file(estimator, tmp_path):
+def test_saved_weights_give_the_same_slopes(estimator, tmp_path):
     path = tmp_path / "e.safetensors"
     estimator.save(path)
     other = make(steps=500)
@@ -145,12 +145,12 @@ class Untouched(LabelledPresses):
         return BALLS.background, label_untouched(GEOMETRY)
 
 
-def test_presses_without_contact_teach_nothing():
+def test_presses_without_contact_are_refused():
     with pytest.raises(CalibrationError, match="contact"):
         make().fit(problem(Untouched()))
 
 
-def test_a_loss_that_is_no_number_stops_with_advice(monkeypatch):
+def test_a_nan_loss_stops_training_with_advice(monkeypatch):
     monkeypatch.setattr(
         torch.nn.functional, "huber_loss", lambda *a, **k: torch.tensor(float("nan"), requires_grad=True)
     )
@@ -167,8 +167,8 @@ def test_unknown_options_and_estimators_are_named():
         load_estimator("photometrik")
 
 
-def test_a_pixel_is_judged_by_the_colour_around_it_and_no_farther():
-    """One bright pixel changes the slopes as far as the widest smoothing reaches, three standard deviations."""
+def test_a_pixel_changes_slopes_only_within_the_widest_smoothing():
+    """The widest smoothing reaches three standard deviations."""
     image = BALLS.background.copy()
     image[30, 40] = 255
     changed = np.argwhere(

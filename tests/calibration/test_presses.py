@@ -30,13 +30,13 @@ BOX = {"mesh": "box.stl", "units": "mm", "x_mm": 1, "y_mm": -0.5, "roll_deg": 0,
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Three presses of a ball, and a box as a mesh in mm."""
+    """A folder with three presses of a ball, and the mesh of a box in mm."""
     trimesh.creation.box((6, 3, 4)).export(tmp_path / "box.stl")
     return BALLS.write(tmp_path)
 
 
 def change(folder: Path, line: int, **values: object) -> None:
-    """Change the row that stands in this line of the table (the first press is in line 3); None removes a value."""
+    """Change the row in a line of the table (the first press is in line 3); None removes a value."""
     rows = BALLS.rows()
     rows[line - 2] |= values
     write_table(folder, rows)
@@ -51,7 +51,7 @@ def refused(folder: Path, *words: str, median: bool = False) -> None:
         assert word in message
 
 
-def test_balls_are_read_as_they_were_written(folder):
+def test_written_balls_are_read_back(folder):
     presses = read_presses(folder, GEOMETRY)
     assert len(presses) == 3
     np.testing.assert_array_equal(presses.background, BALLS.background)
@@ -60,11 +60,11 @@ def test_balls_are_read_as_they_were_written(folder):
         known = BALLS.read_press(number)[1]
         np.testing.assert_allclose(label.indentation_m, known.indentation_m, atol=1e-9)
         deeper = (BALLS.indentation_m[number] - label.indentation_m)[label.contact]
-        np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # how deep the visible circle lies
+        np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # the unknown depth of the visible circle
         np.testing.assert_array_equal(label.known, known.known)
 
 
-def test_a_cameras_images_are_reduced_and_their_labels_with_them(tmp_path):
+def test_images_and_labels_are_reduced_together(tmp_path):
     larger = magnified(BALLS, 3)
     presses = read_presses(larger.write(tmp_path), larger.geometry, size_px=(GEOMETRY.width_px, GEOMETRY.height_px))
     assert presses.geometry.is_same_sensor(GEOMETRY)
@@ -76,7 +76,7 @@ def test_a_cameras_images_are_reduced_and_their_labels_with_them(tmp_path):
 
 
 @pytest.mark.parametrize("size_px", [(64, 32), (128, 128), (0, 0)])
-def test_images_are_not_reduced_to_another_shape_or_a_larger_size(folder, size_px):
+def test_a_reduced_size_of_another_shape_or_larger_is_refused(folder, size_px):
     with pytest.raises(CalibrationError, match=naming("64 x 64 px", f"{size_px[0]} x {size_px[1]}")):
         read_presses(folder, GEOMETRY, size_px=size_px)
 
@@ -107,10 +107,10 @@ def test_a_mesh_is_pressed_at_its_pose(folder, caplog):
     change(folder, 4, kind="mesh", **BOX)
     with caplog.at_level(logging.WARNING):
         presses = read_presses(folder, GEOMETRY)
-    assert not caplog.records  # its unit is said
+    assert not caplog.records  # the table names the unit
     label = presses.label(1)
     x, y = (v / MM for v in places(GEOMETRY))
-    beyond = np.maximum(np.abs(x - 1) - 1.5, np.abs(y + 0.5) - 3)  # turned by 90 degrees
+    beyond = np.maximum(np.abs(x - 1) - 1.5, np.abs(y + 0.5) - 3)  # rotated by 90 degrees
     assert label.contact[beyond < -0.25].all()
     assert not label.contact[beyond > 0.25].any()
     np.testing.assert_allclose(label.indentation_m[beyond < -0.25], 4e-4, rtol=1e-4)
@@ -130,14 +130,14 @@ def test_a_tilted_mesh_is_deepest_at_its_lowest_edge(folder, angle, edge_mm):
     assert np.ptp(along[label.contact]) == pytest.approx(6 if angle == "roll_deg" else 3, abs=0.3)
 
 
-def test_a_mesh_and_an_image_are_found_from_the_table(folder):
+def test_paths_are_relative_to_the_table(folder):
     (folder / "images").mkdir()
     (folder / "0000.png").rename(folder / "images" / "0000.png")
     change(folder, 3, image="images/0000.png", kind="mesh", **BOX)
     assert read_presses(folder, GEOMETRY).label(0).contact.any()
 
 
-def test_units_matter(folder):
+def test_the_unit_scales_the_mesh(folder):
     change(folder, 3, kind="mesh", **(BOX | {"units": "cm", "x_mm": 0, "y_mm": 0}))
     assert read_presses(folder, GEOMETRY).label(0).contact.all()  # 60 x 30 mm
     change(folder, 3, kind="mesh", **(BOX | {"units": "feet"}))
@@ -158,14 +158,14 @@ def test_units_matter(folder):
         ({"roll_deg": "steep"}, ("roll_deg", "'steep'")),
     ],
 )
-def test_what_can_be_wrong_with_a_mesh(folder, changes, words):
+def test_a_wrong_value_of_a_mesh_is_refused_with_its_line(folder, changes, words):
     change(folder, 4, kind="mesh", **(BOX | changes))
     refused(folder, "line 4", *words)
 
 
 @pytest.mark.parametrize("column", ["center_x_px", "center_y_px", "radius_px", "ball_radius_mm"])
 @pytest.mark.parametrize(("text", "said"), [("", ""), ("9;5", "'9;5'"), ("nan", "nan"), ("inf", "inf")])
-def test_what_can_be_wrong_with_a_balls_numbers(folder, column, text, said):
+def test_a_wrong_number_of_a_ball_is_refused_with_its_line(folder, column, text, said):
     change(folder, 5, **{column: text})
     refused(folder, "line 5", column, said, "ball")
 
@@ -180,7 +180,7 @@ def test_what_can_be_wrong_with_a_balls_numbers(folder, column, text, said):
         ({"ball_radius_mm": -3}, ("-3 mm",)),
     ],
 )
-def test_circles_that_cannot_be(folder, changes, words):
+def test_an_impossible_circle_is_refused_with_its_line(folder, changes, words):
     change(folder, 3, **changes)
     refused(folder, "line 3", *words)
 
@@ -196,12 +196,12 @@ def test_circles_that_cannot_be(folder, changes, words):
         ({"image": "."}, ("colour",)),
     ],
 )
-def test_what_can_be_wrong_with_a_row(folder, changes, words):
+def test_a_wrong_kind_or_image_is_refused_with_its_line(folder, changes, words):
     change(folder, 4, **changes)
     refused(folder, "line 4", *words)
 
 
-def test_the_line_that_is_named_counts_empty_lines_too(folder):
+def test_the_reported_line_number_counts_empty_lines(folder):
     change(folder, 4, kind="bull")
     text = (folder / "presses.csv").read_text().splitlines()
     (folder / "presses.csv").write_text("\n".join([*text[:2], "", "", *text[2:]]))
@@ -219,7 +219,7 @@ def test_images_must_be_in_colour(folder, mode, suffix):
     refused(folder, "line 3", f"odd.{suffix}", "colour")
 
 
-def test_images_must_all_be_of_the_sensors_size(folder):
+def test_all_images_must_have_the_size_of_the_sensor(folder):
     image_of("RGB", (64, 48)).save(folder / "0002.png")
     refused(folder, "line 5", "0002.png", "64 x 48 px", "64 x 64 px")
     with pytest.raises(CalibrationError, match=naming("line 2", "background.png", "64 x 64 px", "32 x 32 px")):
@@ -232,17 +232,17 @@ def test_damaged_images_are_named(folder):
     refused(folder, "line 4", "0001.png", "damaged")
 
 
-def test_a_folder_without_a_table(tmp_path):
+def test_a_folder_without_a_table_is_refused(tmp_path):
     refused(tmp_path, "presses.csv")
 
 
 @pytest.mark.parametrize("column", ["image", "kind"])
-def test_a_table_without_its_columns(folder, column):
+def test_a_table_without_a_required_column_is_refused(folder, column):
     write_table(folder, BALLS.rows(), [name for name in COLUMNS if name != column])
     refused(folder, f"column {column}")
 
 
-def test_tables_that_are_none(folder):
+def test_an_unreadable_table_is_refused(folder):
     table = folder / "presses.csv"
     table.write_text("")
     refused(folder, "image", "kind")
@@ -259,7 +259,7 @@ def test_a_table_may_come_from_a_spreadsheet(folder):
     assert len(read_presses(folder, GEOMETRY)) == 3
 
 
-def test_a_table_without_presses_or_without_the_untouched_gel(folder):
+def test_a_table_without_presses_or_untouched_gel_is_refused(folder):
     write_table(folder, BALLS.rows()[:1])
     refused(folder, "ball", "mesh")
     write_table(folder, [])
@@ -268,7 +268,7 @@ def test_a_table_without_presses_or_without_the_untouched_gel(folder):
     refused(folder, "background", "--background median")
 
 
-def test_the_ball_is_the_tables(folder):
+def test_the_table_gives_the_ball_radius(folder):
     change(folder, 3, ball_radius_mm=2 * BALL_M / MM)
     flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.read_press(0)[1]
     assert flatter.indentation_m.max() < 0.6 * ball.indentation_m.max()
@@ -301,7 +301,7 @@ def test_every_format_is_tested():
 
 
 @EACH
-def test_images_and_circles_arrive(format, source, tmp_path):
+def test_convert_keeps_images_and_circles(format, source, tmp_path):
     table = convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
     background = [row["image"] for row in rows_of(table) if row["kind"] == "background"]
     balls = [row for row in rows_of(table) if row["kind"] == "ball"]
@@ -317,7 +317,7 @@ def test_images_and_circles_arrive(format, source, tmp_path):
 
 
 @EACH
-def test_what_is_converted_can_be_calibrated_with(format, source, tmp_path):
+def test_a_converted_set_can_be_read_for_calibration(format, source, tmp_path):
     convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
     if format == "fots":  # has no untouched gel
         with pytest.raises(CalibrationError, match="--background median"):
@@ -340,7 +340,7 @@ def test_a_set_of_another_format_is_refused(format, source, tmp_path):
 
 
 @EACH
-def test_a_set_that_is_not_there_is_refused(format, tmp_path):
+def test_a_missing_set_is_refused(format, tmp_path):
     refused_set(tmp_path / "none", format, tmp_path / "out")
 
 
@@ -363,7 +363,7 @@ def test_a_set_without_its_images_is_refused(format, source, tmp_path):
     refused_set(source, format, tmp_path / "out")
 
 
-def test_a_line_that_is_no_circle_is_not_passed_over(tmp_path):
+def test_a_malformed_circle_line_is_refused(tmp_path):
     source = write("circles", tmp_path / "source")
     with (source / "labels.txt").open("a") as file:
         file.write("press_0.png 20 31 5\n")
@@ -381,8 +381,8 @@ def test_an_unknown_format_is_refused(tmp_path):
         convert(tmp_path, tmp_path / "out", "gelsight", 3.0, 0.1)
 
 
-# What the public sets say of their first presses: where, in which format, ball radius and pixel in mm, image size and
-# number of presses, and the first one's circle.
+# The public sets: format, file, ball radius and pixel pitch in mm, image size (H, W), number of presses, and the circle
+# of the first press.
 PUBLIC = {
     "gelsight_mini_balls": ("gs_sdk", "", 4.735, 0.0634, (240, 320), 50, (196.5, 160.5, 29)),
     "gelsight_balls_160x120": ("taxim", "dataPack_small.npz", 2.0, 0.1245, (120, 160), 49, (84.5, 66.5, 15.742)),
@@ -393,7 +393,7 @@ PUBLIC = {
 
 @pytest.fixture
 def public(shared_data: Path, tmp_path: Path):
-    """Convert and read a public set, which is not part of the project."""
+    """Return a function that converts and reads a public set; the sets are not part of the project."""
 
     def read(name: str):
         format, file, ball_mm, mm_per_px, (height, width), *_ = PUBLIC[name]
@@ -410,7 +410,7 @@ def public(shared_data: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", PUBLIC)
-def test_public_sets_are_read_as_they_are(public, name):
+def test_public_sets_are_read_with_their_counts_and_circles(public, name):
     *_, count, (x, y, radius) = PUBLIC[name]
     presses = public(name)
     assert len(presses) == count
@@ -419,10 +419,10 @@ def test_public_sets_are_read_as_they_are(public, name):
     assert (column, row) == pytest.approx((x, y), abs=0.1)
     assert label.contact.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
     changed = np.abs(image.astype(int) - presses.background).max(axis=2)
-    assert changed[label.contact].mean() > 3 * np.median(changed)  # where the label says, the image has changed
+    assert changed[label.contact].mean() > 3 * np.median(changed)  # the image has changed inside the label
 
 
-def test_a_real_sensor_is_learned_in_a_few_steps(public):
+def test_a_few_training_steps_calibrate_a_real_sensor(public):
     presses = public("gelslim_balls")
     found = calibrate(presses, presses.geometry, presses.background, "photometric", {"steps": 150, "hidden": 16})
     mean = average_errors(found.errors)
@@ -441,7 +441,7 @@ def test_a_real_sensor_is_learned_in_a_few_steps(public):
         ((640, 480), (160, 120)),
     ],
 )
-def test_images_are_reduced_to_what_locating_takes(camera, reading):
+def test_the_chosen_image_size_suits_locating(camera, reading):
     width, height = camera
     geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)
     assert choose_size_px(geometry) == reading

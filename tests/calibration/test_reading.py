@@ -1,4 +1,4 @@
-"""From an indentation to a contact shape, and images that are refused before estimating."""
+"""Contact shapes from indentations, and the checks of an image before it is read."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def within_a_lighter_press(found_m: float, press_m: float) -> bool:
 
 
 @pytest.mark.parametrize("hanging_m", [1e-3, 1.5e-3])
-def test_gel_that_hangs_straight_from_an_edge_is_not_contact(hanging_m):
-    """However far it hangs, the imprint is three pixels too wide at most; at half of the press it is half of that."""
+def test_a_straight_gel_skirt_at_an_edge_is_not_contact(hanging_m):
+    """The contact is at most three pixels too wide. A threshold at half the press depth would include more."""
     x, y = places(GEOMETRY)
     beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - 2e-3, 0)
     indentation = gaussian_filter(PRESS_M * np.clip(1 - beyond / hanging_m, 0, 1), 1).astype(np.float32)
@@ -57,7 +57,7 @@ def test_gel_that_hangs_straight_from_an_edge_is_not_contact(hanging_m):
     assert (indentation > PRESS_M / 2)[hanging].any()
 
 
-def test_a_gap_that_the_gel_bridges_is_not_contact():
+def test_a_gap_bridged_by_the_gel_is_not_contact():
     x, y = places(GEOMETRY)
     two = np.where((np.abs(np.abs(x) - 1.5e-3) < 1e-3) & (np.abs(y) < 2e-3), PRESS_M, 0.0)
     indentation = np.maximum(gaussian_filter(two, 3e-4 / PITCH_M), 0.45 * PRESS_M * (np.hypot(x, y) < 1e-3))
@@ -74,11 +74,11 @@ def test_a_shallow_bump_elsewhere_is_not_contact():
 
 
 @pytest.mark.parametrize("softness_m", [0.0, 3e-4])
-def test_a_flat_punch_is_where_it_is_though_the_gel_rounds_its_edge(softness_m):
+def test_the_contact_of_a_flat_punch_is_exact_under_soft_gel(softness_m):
     shape = find_contact_shape(flat_punch(softness_m=softness_m), GEOMETRY, 0.0)
     x, y = places(GEOMETRY)
     inside = np.maximum(np.abs(x), np.abs(y)) < 3e-3
-    corner = np.hypot(np.abs(x) - 3e-3, np.abs(y) - 3e-3) < 1.5 * softness_m  # these do get round
+    corner = np.hypot(np.abs(x) - 3e-3, np.abs(y) - 3e-3) < 1.5 * softness_m  # the gel rounds the corners
     np.testing.assert_array_equal(shape.contact[~corner], inside[~corner])
     flat = np.maximum(np.abs(x), np.abs(y)) < 3e-3 - 4 * softness_m
     np.testing.assert_allclose(shape.depth_m[flat], 0, atol=1e-7)
@@ -86,10 +86,10 @@ def test_a_flat_punch_is_where_it_is_though_the_gel_rounds_its_edge(softness_m):
     assert shape.depth_m.dtype == np.float32
 
 
-def test_a_balls_contact_shape_is_that_of_the_lighter_press():
+def test_a_balls_contact_shape_equals_that_of_a_lighter_press():
     shape = find_contact_shape(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY, 0.0)
     tip_m = PRESS_M - measure_press_m(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY)
-    assert 0 <= tip_m < TIP_M**2 / (2 * np.pi * BALL_M) + 3e-6  # how far the ball falls off over the deepest area
+    assert 0 <= tip_m < TIP_M**2 / (2 * np.pi * BALL_M) + 3e-6  # the ball's rise over the deepest area
     assert within_a_lighter_press(shape.press_depth_m, PRESS_M - tip_m)
     rho = np.hypot(*places(GEOMETRY))
     true_m = contact_radius(shape.press_depth_m + tip_m)
@@ -97,10 +97,10 @@ def test_a_balls_contact_shape_is_that_of_the_lighter_press():
     rise = BALL_M - np.sqrt(BALL_M**2 - rho**2, where=rho < BALL_M, out=np.zeros_like(rho))
     np.testing.assert_allclose(shape.depth_m[shape.contact], np.maximum(rise - tip_m, 0)[shape.contact], atol=1e-7)
     assert shape.depth_m.min() == 0.0
-    Touch(shape, GEOMETRY)  # it is one
+    Touch(shape, GEOMETRY)  # the shape is a valid touch
 
 
-def test_one_pixel_does_not_make_the_press():
+def test_a_single_pixel_does_not_determine_the_press_depth():
     indentation = flat_punch()
     indentation[5, 5] = 1.4e-3
     assert measure_press_m(indentation, GEOMETRY) == pytest.approx(PRESS_M)
@@ -109,25 +109,25 @@ def test_one_pixel_does_not_make_the_press():
     assert measure_press_m(indentation, GEOMETRY) == pytest.approx(1e-3)
 
 
-def test_the_press_is_the_same_in_smaller_pixels():
+def test_the_press_depth_does_not_depend_on_the_pixel_size():
     found = [measure_press_m(ball_indentation(g, press_m=PRESS_M), g) for g in (sensor(64), sensor(256))]
     assert found[0] == pytest.approx(found[1], abs=3e-6)
 
 
 @pytest.mark.parametrize("depth_m", [0.0, -1e-3, 0.9 * LEAST_M])
-def test_without_contact_it_says_so(depth_m):
+def test_an_indentation_without_contact_is_refused(depth_m):
     with pytest.raises(NoContactError, match=naming("0.05 mm")):
         find_contact_shape(np.full(GEOMETRY.shape, depth_m, np.float32), GEOMETRY, 0.0)
 
 
-def test_noise_raises_what_counts_as_contact():
+def test_noise_raises_the_contact_threshold():
     light = ball_indentation(GEOMETRY, press_m=1.5e-4)
     assert find_contact_shape(light, GEOMETRY, 1e-5).contact.any()
     with pytest.raises(NoContactError, match=naming("0.2 mm") + r".*\b0\.1[45] mm"):
         find_contact_shape(light, GEOMETRY, 2e-4 / ABOVE_NOISE)
 
 
-def test_a_press_is_deeper_than_what_the_untouched_gel_seems_to_be():
+def test_a_press_no_deeper_than_the_false_press_is_refused():
     light = ball_indentation(GEOMETRY, press_m=1.5e-4)
     assert find_contact_shape(light, GEOMETRY, 0.0, false_press_m=2e-3).contact.any()
     lightest = ball_indentation(GEOMETRY, press_m=8e-5)
@@ -136,7 +136,7 @@ def test_a_press_is_deeper_than_what_the_untouched_gel_seems_to_be():
         find_contact_shape(lightest, GEOMETRY, 0.0, false_press_m=6e-5)
 
 
-def test_an_indentation_of_the_contact_alone_is_all_of_it():
+def test_an_indentation_without_skirt_is_contact_everywhere():
     ball = ball_indentation(GEOMETRY, press_m=PRESS_M)
     shape = find_contact_shape(ball, GEOMETRY, 1e-5, sees_skirt=False)
     np.testing.assert_array_equal(shape.contact, ball > LEAST_M)
@@ -149,13 +149,13 @@ def test_an_indentation_of_the_contact_alone_is_all_of_it():
         find_contact_shape(ball, GEOMETRY, 3e-4, sees_skirt=False)
 
 
-def test_a_press_beyond_the_sensors_range_is_cut_at_it():
+def test_a_press_depth_is_limited_to_the_sensors_range():
     shape = find_contact_shape(flat_punch(press_m=5 * MM), GEOMETRY, 0.0)
     assert within_a_lighter_press(shape.press_depth_m, GEOMETRY.max_depth_m)
     assert shape.contact.sum() == (flat_punch() > 0).sum()
 
 
-def test_what_is_not_observed_is_neither_contact_nor_press():
+def test_unobserved_pixels_are_neither_contact_nor_press():
     observed = np.ones(GEOMETRY.shape, bool)
     observed[:, :64] = False
     half = dataclasses.replace(GEOMETRY, observed=observed)
@@ -171,7 +171,7 @@ def test_an_image_of_this_sensor_passes():
     assert require_image(dim, GEL) is dim
 
 
-def test_a_cameras_own_image_is_reduced_to_the_means_of_what_pixels_cover():
+def test_a_full_size_image_is_reduced_by_averaging_pixels():
     finer = GEL.repeat(3, axis=0).repeat(3, axis=1)
     finer[::3, ::3] = np.minimum(finer[::3, ::3], 240) + 9  # a ninth of each pixel is 9 counts brighter
     finer[1::3, 1::3] -= np.minimum(finer[1::3, 1::3], 9)
@@ -187,7 +187,7 @@ def refused(image, *words: str, gel=GEL) -> None:
         require_image(image, gel)
     message = str(caught.value)
     assert "\n" not in message
-    assert not message.endswith(".")  # one sentence, which the file's name goes before
+    assert not message.endswith(".")  # the caller puts the file name before it
     for word in words:
         assert word in message
 
@@ -203,7 +203,7 @@ def test_another_size_is_refused():
     [GEL[..., 0], np.dstack([GEL, GEL[..., 0]]), GEL[..., :1], GEL / 255.0, GEL.astype(np.uint16), GEL.astype(str)],
     ids=["grey", "alpha", "one channel", "float", "16 bits", "text"],
 )
-def test_what_is_no_colour_image_of_8_bits_is_refused(image):
+def test_only_8_bit_colour_images_are_accepted(image):
     refused(image, str(image.dtype), str(image.shape), "8 bits")
 
 
@@ -216,7 +216,7 @@ def test_black_and_white_images_are_refused():
     refused(bright, "saturated")
 
 
-def test_a_gel_that_is_saturated_itself_is_no_reason_to_refuse():
+def test_a_saturated_background_permits_saturated_images():
     bright = np.full_like(GEL, 255)
     assert require_image(bright, bright) is bright
 

@@ -1,4 +1,4 @@
-"""A curved gel's surface from presses of balls, and their labels, compared with spheres."""
+"""The surface of a curved gel, learned from presses of balls, and the labels of balls on it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COLUMNS = ["image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_rad
 
 
 def pressed(geometry: SensorGeometry, x: float, y: float, press_m: float) -> np.ndarray:
-    """The contact depths (H, W) of the ball over (x, y), two spheres that touch, pressed in along z."""
+    """The contact depths (H, W) of a ball that touches a spherical gel over (x, y) and is pressed in along z."""
     z = geometry.surface_m - GEL_M + np.sqrt((GEL_M + BALL_M) ** 2 - x**2 - y**2) - press_m
     across, down = np.meshgrid(*geometry.pixel_slopes)
     below2 = BALL_M**2 - (across - x) ** 2 - (down - y) ** 2
@@ -69,17 +69,17 @@ def test_balls_teach_the_surface_of_a_curved_gel(presses):
     assert (off_m - off_m.mean()).std() < 0.25 * CURVED.relief_m.std()
     middle = np.s_[20:-20, 15:-15]
     along_y, along_x = np.gradient(off_m[middle], 1 / CURVED.fy)
-    assert np.hypot(along_x, along_y).mean() < 0.06  # radians, of 0.16 that the gel has there
+    assert np.hypot(along_x, along_y).mean() < 0.06  # radians; the gel's own slope there is 0.16
 
 
-def test_too_few_balls_are_said(presses):
+def test_too_few_balls_are_refused(presses):
     few = dataclasses.replace(presses, rows=presses.rows[:7], images=presses.images[:7])
     with pytest.raises(CalibrationError, match=naming("7 presses", 8)):
         learn_relief(few)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (3e-3, 5e-3), (-4e-3, -6e-3)])
-def test_a_balls_label_on_a_curved_gel_is_what_it_presses_in(place):
+def test_a_balls_label_on_a_curved_gel_matches_its_indentation(place):
     press_m = 7e-4
     depth_m = pressed(CURVED, *place, press_m)
     contact = depth_m < press_m
@@ -92,7 +92,7 @@ def test_a_balls_label_on_a_curved_gel_is_what_it_presses_in(place):
     assert label.slope[inner] == pytest.approx(np.stack([along_x, along_y], axis=-1)[inner], abs=0.04)
 
 
-def test_a_flat_gels_label_is_the_one_of_no_relief():
+def test_a_zero_relief_gives_the_label_of_a_flat_gel():
     level = dataclasses.replace(FLAT, relief_m=np.zeros(FLAT.shape, np.float32))
     ours, theirs = (label_ball(geometry, (40.0, 60.0), 9.0, BALL_M) for geometry in (level, FLAT))
     assert ours.slope == pytest.approx(theirs.slope, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Presses of the calibration boards: their content, and that they are rendered once."""
+"""Simulated presses of the calibration boards: labels, lamps, seeds and storage."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
         assert label.indentation_m.max() <= press_m[number] + 1e-6
 
 
-def test_the_untouched_gel_is_the_same_under_lamps_that_differ(store):
+def test_different_lamps_leave_the_untouched_gel_unchanged(store):
     presses = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
     assert np.array_equal(presses.background, render_background(sensor(), LAMPS))
     for image, label in presses.read_presses():
@@ -66,7 +66,7 @@ def test_lamps_differ_from_shard_to_shard(store):
     assert not np.array_equal(even.images[0], varied.images[0])
 
 
-def test_all_shards_are_there_and_the_last_may_be_short(store):
+def test_all_shards_exist_and_the_last_may_be_short(store):
     presses = simulate_presses(sensor(), LAMPS, SHARD + 3, 0, store)
     assert [len(shard) for shard in presses.images] == [SHARD, 3]
     image, label = presses.read_press(SHARD + 2)
@@ -75,20 +75,20 @@ def test_all_shards_are_there_and_the_last_may_be_short(store):
     assert presses.name(7) == "simulated press 7"
 
 
-def test_a_seed_gives_the_same_presses_and_another_others(tmp_path):
+def test_the_seed_determines_the_presses(tmp_path):
     one, same, other = (simulate_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
         (1, 1, 2), "abc", strict=True))  # fmt: skip
     assert np.array_equal(one.images[0], same.images[0])
     assert not np.array_equal(one.codes[0], other.codes[0])
 
 
-def test_what_is_in_the_store_is_not_rendered_again(store, monkeypatch):
+def test_stored_presses_are_not_rendered_again(store, monkeypatch):
     first = simulate_presses(sensor(), LAMPS, 8, 0, store)
     monkeypatch.setattr(module, "press_boards", lambda *a, **k: pytest.fail("rendered again"))
     assert np.array_equal(simulate_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
 
 
-def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
+def test_an_interruption_keeps_the_finished_shards(tmp_path, monkeypatch):
     whole = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
     asked, real = [], module.press_boards
 

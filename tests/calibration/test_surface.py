@@ -46,19 +46,19 @@ def punch(geometry: SensorGeometry, half_m: float, press_m: float, x_m: float = 
 
 
 def bent(geometry: SensorGeometry, strength: float = 0.02) -> np.ndarray:
-    """Slopes (H, W, 2) that are wrong everywhere: by a constant, and by more and more across the image."""
+    """Slope errors (H, W, 2): a constant, and a part that grows across the image."""
     x, y = (v / 8e-3 for v in places(geometry))
     return strength * np.stack([0.5 + x - 0.5 * x * y, -0.4 + 0.6 * y + 0.3 * x**2], axis=-1)
 
 
-def test_a_plane_comes_back_exactly():
+def test_integration_recovers_a_plane_exactly():
     x, y = places(FINE)
     slope = np.broadcast_to([0.03, -0.05], (96, 96, 2))
     plane = 0.03 * x - 0.05 * y
     np.testing.assert_allclose(integrate(slope, FINE), plane - plane.mean(), atol=1e-12)
 
 
-def test_exact_slopes_give_the_surface_to_second_order_in_the_pixel():
+def test_the_integration_error_is_second_order_in_the_pixel_size():
     errors = [worst_m(sensor(px)) for px in (48, 96, 192)]
     assert errors[0] < 25 * UM
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.25)
@@ -75,7 +75,7 @@ def test_pixels_need_not_be_square():
     np.testing.assert_allclose(found, surface - surface.mean(), atol=0.1 * UM)
 
 
-def test_slopes_that_fit_no_surface_give_the_nearest():
+def test_slopes_with_curl_give_the_nearest_surface():
     x, y = places(FINE)
     _, slope = waves(FINE)
     r2 = (x**2 + y**2) / (4e-3) ** 2
@@ -85,18 +85,18 @@ def test_slopes_that_fit_no_surface_give_the_nearest():
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.02, -0.02])
-def test_a_ball_comes_back_without_the_drift(drift):
+def test_a_ball_is_recovered_without_the_drift(drift):
     true = ball_indentation(FINE, 1e-3, -1.5e-3, 6e-4)
     found = find_indentation(slopes_of(true, FINE) + bent(FINE, drift), FINE)
     assert found.dtype == np.float32
     plain = integrate(slopes_of(true, FINE) + bent(FINE, drift), FINE)
     if drift:
         assert np.ptp(plain - true) > 150 * UM  # a drift that matters
-    assert float(np.abs(found - true).max()) < 40 * UM  # at the rim, which is no smooth surface
+    assert float(np.abs(found - true).max()) < 40 * UM  # the largest error is at the rim, where the slope jumps
     assert np.sqrt(np.mean((found - true)[true == 0] ** 2)) < 6 * UM
 
 
-def test_the_drift_that_is_taken_out_does_not_depend_on_the_pixels():
+def test_drift_removal_does_not_depend_on_the_pixel_size():
     found = []
     for px in (80, 240):
         geometry = sensor(px)
@@ -116,7 +116,7 @@ def test_the_flat_middle_of_a_punch_keeps_its_depth(half_m):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.005])
-def test_a_light_press_of_a_flat_face_keeps_its_depth_though_its_walls_are_not_steep(drift):
+def test_a_light_press_of_a_flat_face_keeps_its_depth(drift):
     x, y = (v / MM for v in places(FINE))
     flat = np.where((np.abs(x) < 2.5) & (np.abs(y) < 3.5), 1.5e-4, 0.0)
     true = gaussian_filter(flat, 8e-4 / FINE.pixel_pitch_m, mode="nearest")
@@ -146,7 +146,7 @@ def test_noise_does_not_hide_a_press():
 
 
 @pytest.mark.parametrize(("x_m", "y_m"), [(8e-3, 0.0), (-8e-3, 1e-3), (0.0, 7.5e-3), (7.5e-3, -7.5e-3)])
-def test_a_ball_at_the_images_border(x_m, y_m):
+def test_a_ball_at_the_image_border_keeps_its_depth(x_m, y_m):
     true = ball_indentation(FINE, x_m, y_m, 6e-4)
     found = find_indentation(slopes_of(true, FINE) + bent(FINE, 0.01), FINE)
     assert found.max() == pytest.approx(true.max(), abs=60 * UM)
@@ -160,7 +160,7 @@ def test_a_ball_at_the_images_border(x_m, y_m):
 @pytest.mark.parametrize(
     "corners_mm", [(3, 99, -3, 3), (-99, 0, -99, 99), (-99, 99, -99, -3), (2, 99, 2, 99), (-99, 4, -99, 99)]
 )
-def test_a_flat_face_that_reaches_over_the_images_border_keeps_its_depth(corners_mm, yaw_deg, drift):
+def test_a_flat_face_that_crosses_the_image_border_keeps_its_depth(corners_mm, yaw_deg, drift):
     x, y = (v / MM for v in places(FINE))
     c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
     x, y = c * x - s * y, s * x + c * y
@@ -172,14 +172,14 @@ def test_a_flat_face_that_reaches_over_the_images_border_keeps_its_depth(corners
     assert np.abs(found[true < 1e-9]).mean() < 20 * UM
 
 
-def test_what_is_enclosed_is_filled_as_scipy_does():
+def test_holes_are_filled_as_scipy_fills_them():
     rng = np.random.default_rng(0)
     for _ in range(50):
         marked = gaussian_filter(rng.normal(size=rng.integers(3, 60, 2)), 1) > 0
         np.testing.assert_array_equal(module._fill_holes(marked), binary_fill_holes(marked))
 
 
-def test_smoothing_by_matrices_is_scipys():
+def test_matrix_smoothing_equals_that_of_scipy():
     image = np.random.default_rng(0).normal(size=(60, 80))
     down, across = (module._weigh_gaussian(blocks, 9.3) for blocks in image.shape)
     np.testing.assert_allclose(

@@ -18,13 +18,13 @@ max_depth_mm = 2.0
 mm_per_px = 0.35
 """
 NO_CONTACT_M = 0.002
-HANGS_S = 1800  # a process that takes longer than this hangs: no test is about speed, and machines may be busy
+HANGS_S = 1800  # generous limit against hanging processes, since a machine may be busy
 
 Cli = Callable[..., Result]
 
 
 def command(*words: object) -> list[str]:
-    """The command line of a process of its own."""
+    """The command line of a separate process."""
     return [sys.executable, "-m", "tactile_loc_cli.main", *map(str, words)]
 
 
@@ -49,7 +49,7 @@ def assert_refused(result: Result, *mentioned: str) -> None:
 
 
 def touch_depths(shape: tuple[int, int] = (200, 200)) -> np.ndarray:
-    """A contact shape in metres with an edge in it: a box's corner on the left of the image."""
+    """A contact shape in metres with an edge: the corner of a box on the left of the image."""
     depth = np.full(shape, NO_CONTACT_M, np.float32)
     depth[60:140, :90] = 0.0
     return depth
@@ -69,6 +69,6 @@ FACES = ["1 3 2", "1 4 3", "5 6 7", "5 7 8", "1 2 6", "1 6 5", "2 3 7", "2 7 6",
 
 
 def write_box(path: Path, x: object = 30, y: object = 20, z: object = 10, faces: int = 12) -> Path:
-    """Write a box as OBJ, of its twelve faces the first `faces`."""
+    """Write a box as OBJ, with the first `faces` of its twelve faces."""
     path.write_text(BOX.format(x=x, y=y, z=z) + "".join(f"f {face}\n" for face in FACES[:faces]))
     return path

@@ -1,4 +1,4 @@
-"""The command in this process for speed, and in a process of its own where that matters."""
+"""Fixtures that run the command in this process for speed, or in a separate process where that matters."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def blank(figure: Figure, path: Path, dpi: int, **_: object) -> None:
 
 @pytest.fixture
 def drawn_pictures() -> None:
-    """For tests that inspect the pictures of a command in this process."""
+    """Draw real pictures, for tests that inspect them."""
 
 
 @pytest.fixture(autouse=True)
 def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """White pictures for all other tests: a command that finds its model in the store draws longer than it locates."""
+    """Save white pictures in all other tests, because drawing takes longer than locating with a stored model."""
     if "drawn_pictures" not in request.fixturenames:
         monkeypatch.setattr(Figure, "savefig", blank)
 
@@ -49,7 +49,7 @@ def cli(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
 
 @pytest.fixture
 def run_process(store: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run the command in a process of its own, or in several; keywords are environment variables."""
+    """Run the command in one or several separate processes; keywords are environment variables."""
 
     def run(*words: object, processes: int = 1, **environment: str) -> subprocess.CompletedProcess[str]:
         line = command(*words)

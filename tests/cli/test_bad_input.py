@@ -13,7 +13,7 @@ OUT = Path("out")
 
 @pytest.fixture
 def refused(cli: Cli):
-    """Run with arguments that cannot be used; the message must mention the given words."""
+    """Run with invalid arguments; the message must mention the given words."""
 
     def run(*words: object, mentions: tuple[str, ...]) -> None:
         assert_refused(cli("run", *TINY, "--out", OUT, *words), *mentions)
@@ -23,76 +23,76 @@ def refused(cli: Cli):
 
 
 @pytest.mark.parametrize("coverage", [0.999, 1.5])
-def test_a_coverage_that_cannot_be_promised(refused, coverage):
+def test_an_impossible_coverage_is_refused(refused, coverage):
     refused("--coverage", coverage, mentions=("coverage",))
 
 
-def test_missing_mesh_file(refused):
+def test_a_missing_mesh_file_is_refused(refused):
     refused("--object", "gear.stl", mentions=("gear.stl", "pin"))
 
 
-def test_misspelt_demo_object(refused):
+def test_a_misspelt_demo_object_is_refused_with_a_suggestion(refused):
     refused("--object", "pinn", mentions=("'pin'",))
 
 
-def test_not_a_mesh(refused):
+def test_a_file_without_a_mesh_is_refused(refused):
     Path("notes.stl").write_text("milk, bread, eggs")
     refused("--object", "notes.stl", mentions=("notes.stl",))
 
 
-def test_empty_mesh(refused):
+def test_an_empty_mesh_is_refused(refused):
     write_box(Path("empty.obj"), faces=0)
     refused("--object", "empty.obj", mentions=("empty.obj",))
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])
-def test_vertices_that_are_no_numbers(refused, value):
+def test_a_mesh_with_non_finite_vertices_is_refused(refused, value):
     write_box(Path("bad.obj"), x=value)
     refused("--object", "bad.obj", "--units", "mm", mentions=("bad.obj", "NaN"))
 
 
-def test_zero_extent(refused):
+def test_a_mesh_without_extent_is_refused(refused):
     write_box(Path("point.obj"), 0, 0, 0)
     refused("--object", "point.obj", mentions=("point.obj", "extent"))
 
 
 @pytest.mark.parametrize(("units", "length"), [("m", "3e+04 mm"), ("mm", "0.3 mm")])
-def test_impossible_size(refused, units, length):
+def test_an_object_of_impossible_size_is_refused(refused, units, length):
     scale = 1 if units == "m" else 0.01
     write_box(Path("box.obj"), 30 * scale, 20 * scale, 10 * scale)
     refused("--object", "box.obj", "--units", units, mentions=(length, "1 mm", "1 m"))
 
 
-def test_wrong_symmetry(refused):
+def test_a_wrong_symmetry_is_refused(refused):
     refused("--symmetry", "z5", mentions=("z5",))
     refused("--symmetry", "round", mentions=("round",))
 
 
-def test_missing_touch_file(refused):
+def test_a_missing_touch_file_is_refused(refused):
     refused("--touch", "none.npz", mentions=("none.npz",))
 
 
-def test_touch_of_the_wrong_size(refused):
+def test_a_touch_of_the_wrong_size_is_refused(refused):
     np.save("touch.npy", touch_depths((64, 48)))
     refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("64 x 48", "200 x 200"))
 
 
-def test_touch_of_the_wrong_type(refused):
+def test_a_touch_of_the_wrong_type_is_refused(refused):
     np.save("touch.npy", touch_depths().astype(str))
     refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy",))
 
 
-def test_touch_that_is_no_image(refused):
+def test_a_damaged_touch_file_is_refused(refused):
     Path("touch.npz").write_text("nothing")
     refused("--touch", "touch.npz", mentions=("touch.npz",))
 
 
-def test_touch_without_a_unit(refused):
+def test_a_touch_without_a_unit_is_refused(refused):
     np.save("touch.npy", touch_depths())
     refused("--touch", "touch.npy", mentions=("--touch-unit",))
 
 
-def test_touch_of_the_wrong_unit(refused):
+def test_a_touch_in_the_wrong_unit_is_refused(refused):
     depths = touch_depths() * 1e3
     depths[depths > 1.9] = 1.5
     depths[0] = 900.0
@@ -100,41 +100,41 @@ def test_touch_of_the_wrong_unit(refused):
     refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("unit",))
 
 
-def test_touch_without_contact(refused):
+def test_a_touch_without_contact_is_refused(refused):
     np.save("touch.npy", np.full((200, 200), 0.002))
     refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", " mm"))
 
 
-def test_touch_that_is_all_contact(refused):
+def test_a_touch_of_flat_contact_everywhere_is_refused(refused):
     np.save("touch.npy", np.zeros((200, 200)))
     refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", "flat"))
 
 
-def test_press_deeper_than_the_sensor(refused, cli):
+def test_a_press_depth_beyond_the_sensor_is_refused(refused, cli):
     refused("--press-depth", 5, mentions=("5 mm", "2 mm"))
     assert_refused(cli("build", *TINY, "--press-depth", 5), "5 mm", "2 mm")
 
 
-def test_unknown_component(refused):
+def test_an_unknown_component_is_refused(refused):
     refused("--refiner", "ipc", mentions=("'ipc'", "'icp'"))
     refused("--grid", "zebra", mentions=("'zebra'", "face", "hopf"))
 
 
-def test_unknown_option_lists_the_known_ones(refused):
+def test_an_unknown_option_lists_the_known_ones(refused):
     refused("-o", "grid.spacing=3", mentions=("'spacing'", "'spacing_mm'", "min_contact_percent (float)"))
 
 
-def test_ill_typed_option(refused):
+def test_an_ill_typed_option_is_refused(refused):
     refused("-o", "refiner.iterations=many", mentions=("iterations", "'many'", "whole number"))
     refused("-o", "grid.spacing_mm=-1", mentions=("spacing_mm", "-1"))
 
 
-def test_option_that_cannot_be_read(refused):
+def test_a_malformed_option_is_refused(refused):
     refused("-o", "spacing_mm", mentions=("SLOT.OPTION=VALUE", "grid.spacing_mm=3"))
     refused("-o", "gird.spacing_mm=3", mentions=("'gird'", "'grid'"))
 
 
-def test_unknown_flag_and_value(refused):
+def test_an_unknown_flag_or_value_is_refused(refused):
     refused("--objct", "pin", mentions=("--objct", "tactile-loc run -h"))
     refused("--units", "feet", mentions=("feet", "inch"))
     refused("--units", "feet", mentions=("--units cannot be 'feet'; give auto, m, mm, cm or inch",))
@@ -143,7 +143,7 @@ def test_unknown_flag_and_value(refused):
     refused("--zero", "new.png", mentions=("--zero", "gelslim", "--sensor FOLDER"))
 
 
-def test_a_wrong_value_is_refused_in_the_same_words_everywhere(refused, cli):
+def test_a_wrong_value_has_the_same_message_everywhere(refused, cli):
     refused("--seed", -1, mentions=("--seed cannot be -1; give 0 or more",))
     assert_refused(cli("evaluate", "--seed", -1), "--seed cannot be -1; give 0 or more")
     Path("run.toml").write_text("seed = -1")
@@ -154,11 +154,11 @@ def test_a_wrong_value_is_refused_in_the_same_words_everywhere(refused, cli):
     assert_refused(cli("sweep", "plan.toml"), "plan.toml", "'ipc'", "choose none, ")
 
 
-def test_unknown_command(cli):
+def test_an_unknown_command_is_refused(cli):
     assert_refused(cli("rnu"), "rnu")
 
 
-def test_configuration_files(refused):
+def test_a_bad_configuration_file_is_refused(refused):
     refused("--config", "none.toml", mentions=("none.toml",))
     Path("broken.toml").write_text("grid = ")
     refused("--config", "broken.toml", mentions=("broken.toml", "TOML"))
@@ -168,13 +168,13 @@ def test_configuration_files(refused):
     refused("--config", "flat.toml", mentions=("object", "table"))
 
 
-def test_sensor_files(refused):
+def test_a_bad_sensor_file_is_refused(refused):
     refused("--sensor", "none.toml", mentions=("none.toml",))
     Path("sensor.toml").write_text("camera = 'pinhole'")
     refused("--sensor", "sensor.toml", mentions=("sensor.toml", "image_size_px"))
 
 
-def test_a_file_in_place_of_the_output_folder_is_seen_before_anything_is_built(cli, tmp_path):
+def test_an_output_path_that_is_a_file_is_refused_before_building(cli, tmp_path):
     OUT.write_text("mine")
     store = tmp_path / "untouched"
     for out in (OUT, OUT / "deeper"):
@@ -184,7 +184,7 @@ def test_a_file_in_place_of_the_output_folder_is_seen_before_anything_is_built(c
     assert not store.exists()
 
 
-def test_a_file_in_place_of_the_store(cli, tmp_path):
+def test_a_store_path_that_is_a_file_is_refused(cli, tmp_path):
     Path("store").write_text("mine")
     assert_refused(cli("run", *TINY, "--out", OUT, "--store", "store"), "--store")
     assert_refused(cli("build", *TINY, "--store", "store"), "--store")
@@ -192,11 +192,11 @@ def test_a_file_in_place_of_the_store(cli, tmp_path):
     assert not OUT.exists()
 
 
-def test_no_contact_at_all_in_the_grid(cli):
+def test_a_grid_without_contact_is_refused(cli):
     assert_refused(cli("build", *TINY, "-o", "grid.min_contact_percent=100"), "min_contact_percent")
 
 
 @pytest.mark.parametrize("count", [0, -3])
-def test_nothing_to_simulate(cli, count):
+def test_a_count_of_zero_touches_is_refused(cli, count):
     assert_refused(cli("simulate", "--count", count, "--out", OUT), "--count")
     assert not OUT.exists()

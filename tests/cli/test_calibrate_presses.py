@@ -46,19 +46,19 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 @pytest.fixture
 def presses(cli: Cli) -> Path:
-    """The folder of presses, in the command's folder."""
+    """A folder of presses in the working folder."""
     return BALLS.write(Path("presses"))
 
 
 def write_ell(path: Path) -> None:
-    """A part of the shape of an L, 9 x 8.5 x 4 mm."""
+    """Write an L-shaped part of 9 x 8.5 x 4 mm."""
     parts = [trimesh.creation.box((9, 3, 4)), trimesh.creation.box((3, 7, 4))]
     parts[1].apply_translation([3, 5, 0])
     trimesh.util.concatenate(parts).export(path)
 
 
 def add_m(found: list, true: list) -> float:
-    """The mean distance between the part's corners at two poses, metres."""
+    """The mean distance between the part's corners at two poses, in metres."""
     corners = MM * np.array(
         [[-4.5, -1.5, 2], [4.5, -1.5, 2], [4.5, 8.5, 2], [1.5, 8.5, 2], [-4.5, 1.5, -2], [3, 3, -2]]
     )
@@ -67,7 +67,7 @@ def add_m(found: list, true: list) -> float:
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, presses):
+def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
     done = cli("calibrate", presses, *STEPS, "--out", "mine")
     assert done.exit_code == 0, done.stderr
     assert "3 of 16" in done.stdout
@@ -107,7 +107,7 @@ def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, pre
     assert not Path("none").exists()
 
 
-def test_a_camera_of_more_pixels_is_calibrated_at_the_size_asked_for(cli, presses):
+def test_image_size_sets_the_size_of_the_calibrated_images(cli, presses):
     larger = magnified(BALLS, 2)
     larger.write(Path("larger"))
     for words in ([presses, "--out", "mine"], ["larger", "--image-size", 80, 80, "--out", "reduced"]):
@@ -124,7 +124,7 @@ def test_a_camera_of_more_pixels_is_calibrated_at_the_size_asked_for(cli, presse
     assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "90 x 80")
 
 
-def test_the_second_time_nothing_is_trained_and_what_was_there_is_replaced(cli, presses, monkeypatch):
+def test_a_second_calibration_is_reused_and_replaces_the_folder(cli, presses, monkeypatch):
     first = cli("calibrate", presses, *FEW, "--out", "mine")
     monkeypatch.setattr(PhotometricEstimator, "fit", None)
     again = cli("calibrate", presses, *FEW, "--out", "mine")
@@ -132,7 +132,7 @@ def test_the_second_time_nothing_is_trained_and_what_was_there_is_replaced(cli, 
     assert again.stdout == first.stdout
 
 
-def test_an_interruption_leaves_nothing_half_written(cli, presses, monkeypatch):
+def test_an_interruption_leaves_no_unfinished_output(cli, presses, monkeypatch):
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -144,7 +144,7 @@ def test_an_interruption_leaves_nothing_half_written(cli, presses, monkeypatch):
     assert cli("calibrate", presses, *FEW, "--out", "mine", "--store", "store").exit_code == 0
 
 
-def test_the_seed_says_what_is_held_out(cli, presses):
+def test_the_seed_determines_the_held_out_presses(cli, presses):
     assert cli("calibrate", presses, *FEW, "--seed", 5, "--out", "mine").exit_code == 0
     held_out = json.loads(Path("mine/calibration.json").read_text())["held_out"]["presses"]
     assert held_out == list(split(16, 5)[1]) != list(split(16, 0)[1])
@@ -216,14 +216,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_what_is_wrong_is_said_in_one_sentence(cli, presses, what):
+def test_each_fault_of_a_folder_is_one_sentence(cli, presses, what):
     spoil, words = BAD[what]
     spoil(presses)
     assert_refused(cli("calibrate", presses, *FEW, "--out", "mine"), *words)
     assert not Path("mine").exists()
 
 
-def test_a_folder_that_is_not_there(cli):
+def test_a_missing_folder_is_refused(cli):
     assert_refused(cli("calibrate", "none", *FEW), "none", "folder")
 
 
@@ -236,15 +236,15 @@ def test_a_folder_that_is_not_there(cli):
         ("steps", ("steps", "OPTION=VALUE")),
     ],
 )
-def test_options_that_cannot_be(cli, presses, option, words):
+def test_a_wrong_estimator_option_is_refused(cli, presses, option, words):
     assert_refused(cli("calibrate", presses, "-o", option, "--out", "mine"), *words)
     assert not Path("mine").exists()
 
 
-def test_a_place_that_is_taken_is_seen_before_anything_is_learned(cli, presses, monkeypatch):
+def test_an_unusable_output_path_is_refused_before_training(cli, presses, monkeypatch):
     monkeypatch.setattr(PhotometricEstimator, "fit", None)
     before = sorted(os.listdir(presses))
-    new = ["-o", "seed=99"]  # that no store has
+    new = ["-o", "seed=99"]  # not in the store
     assert_refused(cli("calibrate", presses, *FEW, *new, "--out", presses), presses.name, "--out")
     assert sorted(os.listdir(presses)) == before
     Path("file").write_text("mine")
@@ -252,7 +252,7 @@ def test_a_place_that_is_taken_is_seen_before_anything_is_learned(cli, presses, 
     assert_refused(cli("calibrate", presses, *FEW, "--out", "file/deeper"), "file", "--out")
 
 
-def test_a_calibration_that_is_not_whole_is_refused(cli, presses):
+def test_an_incomplete_calibration_is_refused(cli, presses):
     assert cli("calibrate", presses, *FEW, "--out", "mine").exit_code == 0
     write_ell(Path("ell.stl"))
     photo = write_image(Path("photo.png"), BALLS.images[0])

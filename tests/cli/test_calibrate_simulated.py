@@ -1,4 +1,4 @@
-"""`tactile-loc calibrate --simulated`: a sensor calibrated without touching anything."""
+"""`tactile-loc calibrate --simulated`: a sensor calibrated on simulated presses."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def calibrate(cli):
 
 @pytest.mark.parametrize("estimator", TINY)
 @pytest.mark.usefixtures("drawn_pictures")
-def test_it_is_calibrated_on_boards_under_the_lamps_asked_for(calibrate, estimator):
+def test_the_sensor_is_calibrated_under_the_chosen_lamps(calibrate, estimator):
     done = calibrate("--sensor", "sensor.toml", "--optics", "digit", *TINY[estimator], "--out", "out")
     assert done.exit_code == 0, done.stderr
     assert "2 of 12" in done.stdout
@@ -53,7 +53,7 @@ def test_it_is_calibrated_on_boards_under_the_lamps_asked_for(calibrate, estimat
         assert min(picture.size) > 100
 
 
-def test_the_same_again_is_found_and_a_new_seed_is_not(calibrate):
+def test_equal_seeds_give_equal_weights(calibrate):
     words = ["--sensor", "sensor.toml", *TINY["cnn"]]
     for out, seed in (("a", 1), ("b", 1), ("c", 2)):
         done = calibrate(*words, "--seed", seed, "--out", out)
@@ -61,10 +61,10 @@ def test_the_same_again_is_found_and_a_new_seed_is_not(calibrate):
     a, b, c = (Path(name, "estimator.safetensors").read_bytes() for name in "abc")
     assert a == b != c
     record = json.loads(Path("a/calibration.json").read_text())
-    assert record["simulated"]["optics"] == OPTICS["gelslim"].describe()  # nobody described this sensor's lamps
+    assert record["simulated"]["optics"] == OPTICS["gelslim"].describe()  # the default lamps
 
 
-def test_a_known_sensor_also_takes_images_of_its_cameras_own_size(cli):
+def test_a_built_in_sensor_also_reads_full_size_camera_images(cli):
     done = cli("calibrate", "--simulated", "--presses", 8, *TINY["photometric"], "--out", "mine")
     assert done.exit_code == 0, done.stderr
     sensor = CalibratedSensor(CalibratedSensor.Options(path="mine"))
@@ -77,7 +77,7 @@ def test_a_known_sensor_also_takes_images_of_its_cameras_own_size(cli):
     )
 
 
-def test_one_source_of_presses_is_wanted(cli, calibrate):
+def test_exactly_one_source_of_presses_is_required(cli, calibrate):
     assert_refused(calibrate("somewhere"), "--simulated", "FOLDER")
     assert_refused(calibrate("--format", "taxim"), "--format")
     assert_refused(calibrate("--image-size", 20, 20), "--image-size")
@@ -95,6 +95,6 @@ def test_one_source_of_presses_is_wanted(cli, calibrate):
         (["--estimator", "cnn", "-o", "depth=3"], ["cnn", "depth", "dilations"]),
     ],
 )
-def test_what_there_is_not_is_refused_before_anything_is_made(calibrate, words, mentioned):
+def test_unknown_names_are_refused_before_anything_is_written(calibrate, words, mentioned):
     assert_refused(calibrate(*words, "--out", "out"), *mentioned)
     assert not Path("out").exists()

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 @pytest.fixture
 def photos(cli: Cli) -> Path:
-    """A folder of photos alone, in the command's folder."""
+    """A folder with only photos in the working folder."""
     folder = BALLS.write(Path("photos"))
     for name in ("presses.csv", "sensor.toml"):
         (folder / name).unlink()
@@ -41,7 +41,7 @@ def table(folder: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_photos_alone_become_a_sensor_and_a_table_that_can_be_corrected(cli, photos):
+def test_unlabelled_photos_give_a_sensor_and_an_editable_table(cli, photos):
     write_image(photos / "two.png", np.maximum(BALLS.images[0], BALLS.images[0][::-1, ::-1]))
     done = cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine", "--json")
     assert done.exit_code == 0, done.stderr
@@ -64,7 +64,7 @@ def test_photos_alone_become_a_sensor_and_a_table_that_can_be_corrected(cli, pho
     assert (photos / "presses.csv").read_text() == corrected
 
 
-def test_what_is_missing_is_said_in_one_sentence(cli, photos):
+def test_each_missing_input_is_one_sentence(cli, photos):
     assert_refused(cli("calibrate", photos, *FEW), "presses.csv", "--ball-radius", "docs/sensors.md")
     assert_refused(cli("calibrate", photos, *BALL, *FEW), "--mm-per-px")
     assert_refused(cli("calibrate", photos, "--ball-radius", 0, *SCALE, *FEW), "--ball-radius", "0")
@@ -85,13 +85,13 @@ def test_what_is_missing_is_said_in_one_sentence(cli, photos):
         (["--ball-radius", 0.4, "--mm-per-px", 0.2], ("ball", " mm")),
     ],
 )
-def test_lengths_that_cannot_be_are_refused_and_leave_nothing(cli, photos, lengths, said):
+def test_impossible_lengths_are_refused_and_leave_no_files(cli, photos, lengths, said):
     before = {path.name for path in photos.iterdir()}
     assert_refused(cli("calibrate", photos, *lengths, *FEW), *said)
     assert {path.name for path in photos.iterdir()} == before
 
 
-def test_a_table_of_another_ball_is_refused_and_photos_beside_it_are_told(cli, photos):
+def test_another_ball_is_refused_and_unlabelled_photos_are_reported(cli, photos):
     BALLS.write(photos)
     assert_refused(cli("calibrate", photos, "--ball-radius", 9, *FEW), "--ball-radius", "9", "table")
     write_image(photos / "new.png", BALLS.images[0])
@@ -100,11 +100,11 @@ def test_a_table_of_another_ball_is_refused_and_photos_beside_it_are_told(cli, p
     assert not missing(done.stdout, "presses.csv", 1)
 
 
-def test_a_scale_that_contradicts_the_sensors_file(cli, photos):
+def test_a_scale_that_contradicts_the_sensor_file_is_refused(cli, photos):
     BALLS.write(photos)
     assert_refused(cli("calibrate", photos, "--mm-per-px", 0.3, *FEW), "--mm-per-px", "0.3", "sensor.toml", "0.2")
 
 
-def test_a_video_that_nothing_reads(cli):
+def test_an_unreadable_video_is_refused(cli):
     Path("film.mp4").write_bytes(b"no film")
     assert_refused(cli("calibrate", "film.mp4", *BALL, *SCALE, *FEW), "film.mp4", "pip install")

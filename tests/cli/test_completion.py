@@ -1,4 +1,4 @@
-"""Completion, asked for as the shells ask."""
+"""Shell completion, through the requests that the shells make."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def ask(line: list[str], **environment: str) -> str:
 
 
 def bash(words: str) -> set[str]:
-    """Return bash's completions of the last word of a line, which may be empty."""
+    """Return the completions in bash of the last word of a line; the word may be empty."""
     typed = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
     asked = {**typed, "_TACTILE_LOC_COMPLETE": "complete_bash"}
     done = CliRunner().invoke(app, [], env=asked, prog_name="tactile-loc")
@@ -38,46 +38,46 @@ def bash(words: str) -> set[str]:
 
 
 @pytest.mark.parametrize("slot", ["sensor", "renderer", "refiner"])
-def test_names_of_components(slot):
+def test_component_names_are_completed(slot):
     assert bash(f"tactile-loc run --{slot} ") == set(registry().names(slot))
 
 
-def test_a_beginning_narrows_them():
+def test_a_typed_beginning_narrows_the_completions():
     assert bash("tactile-loc run --renderer r") == {"raycast"}
     assert bash("tactile-loc evaluate --encoder pixel --encoder mo") == {"moco"}
     assert bash("tactile-loc run --sensor ./") == set()  # the shell offers files
 
 
-def test_demo_objects():
+def test_demo_objects_are_completed():
     assert bash("tactile-loc evaluate --object ") == set(DEMO_OBJECTS)
 
 
-def test_slots_and_the_components_of_one():
+def test_slots_and_their_components_are_completed():
     assert bash("tactile-loc plugins ") == set(SLOTS)
     assert bash("tactile-loc plugins grid ") == set(registry().names("grid"))
     assert bash("tactile-loc plugins nonsense ") == set()
 
 
-def test_commands_options_and_choices():
+def test_commands_options_and_choices_are_completed():
     assert bash("tactile-loc ev") == {"evaluate"}
     assert bash("tactile-loc store ") == {"list", "size", "prune"}
     assert "--json" in bash("tactile-loc objects --")
     assert bash("tactile-loc run --noise ") == {"none", "mild", "strong"}
 
 
-def test_zsh_and_fish_are_told_what_the_names_mean():
+def test_zsh_and_fish_get_descriptions_of_names():
     typed = {"_TYPER_COMPLETE_ARGS": "tactile-loc run --object "}
     zsh = ask(command(), **typed, _TACTILE_LOC_COMPLETE="complete_zsh")
     assert re.search(r'"pin":"\w', zsh)
     fish = ask(
         command(), **typed, _TACTILE_LOC_COMPLETE="complete_fish", _TYPER_COMPLETE_FISH_ACTION="get-args"
     ).splitlines()
-    assert [line.split("\t")[0] for line in fish] == list(DEMO_OBJECTS)  # one line a name
+    assert [line.split("\t")[0] for line in fish] == list(DEMO_OBJECTS)  # one line per name
     assert all(line.split("\t")[1] for line in fish)
 
 
 @pytest.mark.parametrize("words", ["run --refiner ", "run --object ", "plugins grid ", "pl"])
-def test_nothing_heavy_is_imported(words):
+def test_completion_imports_no_heavy_library(words):
     typed = {"COMP_WORDS": f"tactile-loc {words}", "COMP_CWORD": str(len(words.split(" ")))}
     done = subprocess.run(
         [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=HANGS_S,
@@ -96,7 +96,7 @@ def test_nothing_heavy_is_imported(words):
         ("fish", ".config/fish/completions/tactile-loc.fish"),
     ],
 )
-def test_installation(tmp_path, shell, path):
+def test_completion_is_installed_for_each_shell(tmp_path, shell, path):
     environment = {"HOME": str(tmp_path), **WITH_CHOSEN_SHELL}
     assert path in ask(command("--install-completion", shell), **environment).replace("\n", "")
     shown = ask(command("--show-completion", shell), **environment)
@@ -105,7 +105,7 @@ def test_installation(tmp_path, shell, path):
 
 
 @pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")
-def test_bash_completes_a_line_with_the_script(tmp_path: Path):
+def test_the_bash_script_completes_a_line(tmp_path: Path):
     program = tmp_path / "tactile-loc"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tactile_loc_cli.main "$@"\n')
     program.chmod(0o755)

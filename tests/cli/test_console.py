@@ -6,7 +6,7 @@ from tactile_loc_cli import console
 from tactile_loc_cli.console import Bars, say_table
 
 
-def test_a_note_is_shown_beside_its_bar(monkeypatch):
+def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
     import rich.progress
 
     shown = []
@@ -25,12 +25,12 @@ def test_a_note_is_shown_beside_its_bar(monkeypatch):
     assert shown == ["training: loss 1.25"]
 
 
-def test_a_short_row_runs_on_and_widens_no_column(capsys):
+def test_a_short_row_does_not_widen_a_column(capsys):
     say_table([["name", "x", "y"], ["a", "1", "22"], ["b", "cannot be located at all"]], left=1, gap=2)
     assert capsys.readouterr().out.splitlines() == ["name  x   y", "a     1  22", "b     cannot be located at all"]
 
 
-def test_the_last_column_is_folded_where_the_window_is_narrow(capsys, monkeypatch):
+def test_a_narrow_window_wraps_the_last_column(capsys, monkeypatch):
     rows = [["a", "about"], ["bc", "some words that do not fit"]]
     say_table(rows, gap=2, fold=True)
     assert capsys.readouterr().out.splitlines() == ["a   about", "bc  some words that do not fit"]

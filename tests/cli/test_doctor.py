@@ -24,7 +24,7 @@ FEW = tuple(library for library in LIBRARIES if library.module in ("numpy", "num
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Wait for a trial's answer however busy the machine is."""
+    """Raise the time limit of trials, since a machine may be busy."""
     monkeypatch.setattr(checks, "TIMEOUT_S", HANGS_S)
 
 
@@ -34,7 +34,7 @@ def libraries(monkeypatch):
     return lambda *chosen: monkeypatch.setattr(checks, "LIBRARIES", chosen)
 
 
-def test_what_works_is_found_to_work(cli, libraries, tmp_path):
+def test_working_parts_are_reported_as_ok(cli, libraries, tmp_path):
     libraries(*FEW)
     done = cli("doctor", "--json", "--store", tmp_path / "store")
     found = json.loads(done.stdout)
@@ -51,7 +51,7 @@ def test_what_works_is_found_to_work(cli, libraries, tmp_path):
     assert not (tmp_path / "store").exists()
 
 
-def test_every_declared_dependency_that_people_notice_is_looked_at():
+def test_the_checked_libraries_include_the_main_dependencies():
     assert {"numpy", "numba", "open3d", "pyrender", "torch", "safetensors", "kiss_icp", "small_gicp", "distributed",
             "pyarrow"} <= {library.module for library in LIBRARIES}  # fmt: skip
     required = {library.module for library in LIBRARIES if library.required}
@@ -62,7 +62,7 @@ def test_every_declared_dependency_that_people_notice_is_looked_at():
 ABSENT = Library("no_such_module_here", ("no-such-thing",), "the renderer nobody", "pip install no-such-thing")
 
 
-def test_a_missing_library_is_named_with_its_installation(cli, libraries, tmp_path):
+def test_a_missing_library_is_named_with_its_install_command(cli, libraries, tmp_path):
     libraries(ABSENT)
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if "no_such_module_here" in line]
@@ -72,7 +72,7 @@ def test_a_missing_library_is_named_with_its_installation(cli, libraries, tmp_pa
     assert done.exit_code == 0
 
 
-def test_only_what_is_required_makes_it_fail(cli, libraries):
+def test_only_a_missing_required_library_is_an_error(cli, libraries):
     libraries(dataclasses.replace(ABSENT, required=True))
     plain, done = cli("doctor"), cli("doctor", "--json")
     assert (plain.exit_code, done.exit_code) == (1, 1)
@@ -84,7 +84,7 @@ def test_only_what_is_required_makes_it_fail(cli, libraries):
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """Put a module where the trials find it."""
+    """Return a function that writes a module where the trials import it."""
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
     (tmp_path / "site").mkdir()
 
@@ -105,19 +105,19 @@ def module(tmp_path, monkeypatch):
         ("import os; os._exit(0)", "nothing"),
     ],
 )
-def test_whatever_a_library_does_is_said(module, body, failure):
+def test_each_kind_of_import_failure_is_reported(module, body, failure):
     assert failure in attempt("import", module(body)).failure
 
 
-def test_a_library_that_chatters_is_no_failure(module):
+def test_a_library_that_prints_is_no_failure(module):
     assert attempt("import", module("print('chatter')")).failure == ""
 
 
-def test_a_library_that_hangs_is_given_up(module):
+def test_a_hanging_library_is_stopped(module):
     assert attempt("import", module("import signal; signal.pause()"), timeout_s=2).failure.endswith("2 s")
 
 
-def test_a_library_that_is_installed_but_cannot_be_loaded_names_the_package(cli, libraries, module, monkeypatch):
+def test_a_library_that_fails_to_load_names_the_system_package(cli, libraries, module, monkeypatch):
     name = module("raise ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')")
     monkeypatch.setattr(checks.shutil, "which", lambda _: "/usr/bin/apt-get")
     libraries(Library(name, ("numpy",), "tests", "pip install numpy", True))
@@ -128,7 +128,7 @@ def test_a_library_that_is_installed_but_cannot_be_loaded_names_the_package(cli,
     assert done.exit_code == 1
 
 
-def test_without_egl_the_packages_are_named_and_nothing_is_fatal(cli, libraries, monkeypatch):
+def test_missing_egl_names_the_packages_and_is_not_fatal(cli, libraries, monkeypatch):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "no-such-platform")
     libraries(*(library for library in FEW if library.module == "pyrender"))
     done = cli("doctor")
@@ -137,13 +137,13 @@ def test_without_egl_the_packages_are_named_and_nothing_is_fatal(cli, libraries,
     assert done.exit_code == 0
 
 
-def test_files_of_the_folder_we_are_in_are_not_taken_for_libraries(cli):
+def test_files_in_the_working_folder_are_not_imported(cli):
     Path("numpy.py").write_text("raise RuntimeError('not numpy')")
     assert attempt("import", "numpy").failure == ""
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no"), ImportError("no"), OSError(5, "no"), MemoryError("no")])
-def test_a_probe_that_fails_is_a_finding(error):
+def test_a_failing_probe_is_reported_as_broken(error):
     def look():
         raise error
 
@@ -152,7 +152,7 @@ def test_a_probe_that_fails_is_a_finding(error):
     assert "no" in check.says
 
 
-def test_nothing_that_is_broken_brings_it_down(monkeypatch):
+def test_broken_checks_do_not_stop_the_doctor(monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("broken")
 
@@ -170,7 +170,7 @@ def test_nothing_that_is_broken_brings_it_down(monkeypatch):
     assert {"store", "plugins", "numpy"} <= {check.name for check in found if check.is_fatal}
 
 
-def test_plugins_that_failed_to_load_are_named_and_hurt_nobody(cli, libraries, monkeypatch):
+def test_plugins_that_failed_to_load_are_named_and_not_fatal(cli, libraries, monkeypatch):
     libraries()
     found = Registry([])
     found.components += registry_module.registry().components
@@ -183,13 +183,13 @@ def test_plugins_that_failed_to_load_are_named_and_hurt_nobody(cli, libraries, m
     assert done.exit_code == 0
 
 
-def test_without_the_built_in_components_nothing_works(cli, libraries, monkeypatch):
+def test_missing_built_in_components_are_fatal(cli, libraries, monkeypatch):
     libraries()
     monkeypatch.setattr(registry_module, "registry", lambda: Registry([]))
     assert cli("doctor").exit_code == 1
 
 
-def test_a_store_that_cannot_be_written(cli, libraries):
+def test_an_unwritable_store_is_fatal(cli, libraries):
     libraries()
     Path("file").write_text("mine")
     done = cli("doctor", "--store", "file/store")
@@ -197,8 +197,8 @@ def test_a_store_that_cannot_be_written(cli, libraries):
     assert not missing(done.stdout, "TACTILE_LOC_STORE", "--store")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="it is looked at on Linux only")
-def test_missing_shared_libraries_are_named_with_their_debian_packages(monkeypatch):
+@pytest.mark.skipif(sys.platform != "linux", reason="the check is for Linux")
+def test_missing_shared_libraries_are_named_with_their_packages(monkeypatch):
     monkeypatch.setattr(checks, "PACKAGES", {"libabsent.so.7": "libabsent7", "libc.so.6": "libc6"})
     monkeypatch.setattr(checks.shutil, "which", lambda _: None)
     (check,) = [check for check in checks.check_shared_libraries() if check.name.startswith("lib")]
@@ -207,7 +207,7 @@ def test_missing_shared_libraries_are_named_with_their_debian_packages(monkeypat
     assert not check.is_fatal
 
 
-def test_the_pairs_are_those_of_the_script():
+def test_the_package_table_matches_the_script():
     text = SCRIPT.read_text()
     table = re.search(r'libraries="\n(.*?)\n"', text, re.DOTALL)
     assert dict(line.split() for line in table[1].splitlines()) == dict(checks.PACKAGES)
@@ -220,7 +220,7 @@ def test_a_check_is_written_as_json():
     assert json.loads(json.dumps(check.record())) == expected
 
 
-def test_what_locating_takes_is_compiled_when_asked(cli, libraries, monkeypatch, tmp_path):
+def test_the_compile_option_compiles_the_kernels(cli, libraries, monkeypatch, tmp_path):
     libraries()
     asked = []
 
@@ -235,7 +235,7 @@ def test_what_locating_takes_is_compiled_when_asked(cli, libraries, monkeypatch,
     assert (found["state"], found["seconds"], asked.count("kernels")) == ("ok", 9.5, 1)
 
 
-def test_what_locating_takes_compiles():
+def test_the_kernels_of_locating_compile():
     outcome = checks.attempt("kernels", timeout_s=300)
     assert not outcome.failure
     assert outcome.facts["seconds"] > 0

@@ -17,7 +17,7 @@ FEW = ["--count", 3, "--refiner", "none", *TINY]
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_several_objects_are_evaluated_and_written(cli, tmp_path):
+def test_results_of_several_objects_are_written(cli, tmp_path):
     done = cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
     assert done.exit_code == 0, done.stderr
     out = tmp_path / "evaluation"
@@ -47,7 +47,7 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
         assert name in done.stdout
 
 
-def test_images_are_read_by_a_sensor_calibrated_on_simulated_ones(cli, tmp_path):
+def test_images_are_evaluated_with_a_calibrated_sensor(cli, tmp_path):
     (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
     learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
     made = cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine")
@@ -59,7 +59,7 @@ def test_images_are_read_by_a_sensor_calibrated_on_simulated_ones(cli, tmp_path)
     assert re.search(r"\b3 simulated touches\b.*images", (tmp_path / "evaluation" / "results.md").read_text())
 
 
-def test_the_same_command_finds_what_was_done(cli, tmp_path):
+def test_a_repeated_command_gives_the_same_table(cli, tmp_path):
     tables = []
     for out in ("a", "b"):
         assert cli("evaluate", "--object", "pin", *FEW, "--noise", "mild", "--out", out).exit_code == 0
@@ -95,7 +95,7 @@ def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
     assert run["configuration"]["encoder"]["options"]["cells"] == 12
 
 
-def test_by_default_all_demo_objects_are_evaluated():
+def test_the_default_is_all_demo_objects():
     from tactile_loc_cli.commands.evaluate import TouchKind, _choose_touches, _list_jobs
     from tactile_loc_cli.options import RunOptions
 
@@ -107,7 +107,7 @@ def test_by_default_all_demo_objects_are_evaluated():
     assert {settings.touch.noise for settings, _ in jobs} == {"strong"}
 
 
-def test_an_encoders_option_goes_to_the_encoders_that_have_it(monkeypatch):
+def test_an_encoder_option_goes_only_to_encoders_that_have_it(monkeypatch):
     from tactile_loc_cli.commands.evaluate import _choose_options
 
     from tactile_loc.core.slots.component import ComponentOptions
@@ -150,7 +150,7 @@ def test_bad_input_is_one_sentence(cli, tmp_path, words, mentioned):
     assert_refused(cli("evaluate", *words, *TINY), *mentioned)
 
 
-def test_two_objects_of_one_name_are_refused(cli, tmp_path):
+def test_two_objects_with_the_same_name_are_refused(cli, tmp_path):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         write_box(tmp_path / folder / "part.obj")

@@ -15,7 +15,7 @@ FEW = ["--count", 3, "--refiner", "none", *TINY]
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_objects_are_evaluated_by_number_of_contacts_and_written(cli, tmp_path):
+def test_results_by_number_of_contacts_are_written(cli, tmp_path):
     done = cli("evaluate", "--contacts", "1..3", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
     assert done.exit_code == 0, done.stderr
     out = tmp_path / "evaluation"
@@ -53,7 +53,7 @@ def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
     assert cli(*line).exit_code == 0
 
 
-def test_by_default_a_hundred_examples(cli, monkeypatch):
+def test_the_default_is_a_hundred_examples(cli, monkeypatch):
     asked = []
     monkeypatch.setattr(evaluate, "_evaluate_fusion", lambda *arguments: asked.append(arguments))
     assert cli("evaluate", "--contacts", "1..7", "--object", "pin", *TINY).exit_code == 0
@@ -65,10 +65,10 @@ def test_by_default_a_hundred_examples(cli, monkeypatch):
     ("text", "numbers"),
     [("1..7", (1, 2, 3, 4, 5, 6, 7)), ("3", (3,)), ("1, 2,5", (1, 2, 5)), ("5,1..2,2", (1, 2, 5)), ("20..20", (20,))],
 )
-def test_ranges_and_lists(text, numbers):
+def test_ranges_and_lists_of_contacts_are_parsed(text, numbers):
     assert parse_contacts(text) == numbers
 
 
 @pytest.mark.parametrize("text", ["", "0", "7..1", "1..21", "1-7", "one", "1,,2", "1..", "-1", "1.5", "0..3"])
-def test_other_texts_are_refused_in_one_sentence(cli, text):
+def test_malformed_numbers_of_contacts_are_refused_in_one_sentence(cli, text):
     assert_refused(cli("evaluate", f"--contacts={text}", "--object", "pin", *TINY), "--contacts", "1..7")

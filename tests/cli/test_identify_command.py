@@ -27,7 +27,7 @@ def parts(cli) -> Path:
     return Path("parts")
 
 
-def test_a_touch_tells_which_object_it_is_of_or_none(cli, parts):
+def test_identify_names_the_object_or_none(cli, parts):
     done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--json")
     assert done.exit_code == 0, done.stderr
     said = json.loads(done.stdout)
@@ -40,7 +40,7 @@ def test_a_touch_tells_which_object_it_is_of_or_none(cli, parts):
     assert re.search(r"identified\b.*\bnone\b", done.stdout)
 
 
-def test_what_cannot_be_used_is_one_sentence(cli, parts):
+def test_bad_input_is_one_sentence(cli, parts):
     touch = ["--touch", "touches/touch-0000.npz"]
     assert_refused(cli("identify", "--objects", "nowhere", *touch), "nowhere", "folder")
     Path("empty").mkdir()

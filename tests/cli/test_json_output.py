@@ -1,4 +1,4 @@
-"""--json: one document on stdout and nothing else, whatever becomes of the command."""
+"""--json: stdout contains exactly one document, also when the command fails."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def document(cli):
 
 
 def parsed(stdout: str) -> dict:
-    """The one object that stdout holds; JSON's own values only."""
+    """The single JSON object in stdout; NaN and infinity are refused."""
 
     def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} is no JSON")
+        raise AssertionError(f"{constant} is not valid JSON")
 
     value = json.loads(stdout, parse_constant=refuse)
     assert isinstance(value, dict)
@@ -47,7 +47,7 @@ def parsed(stdout: str) -> dict:
 
 
 def commands() -> dict[str, typer.core.TyperCommand]:
-    """Every command by its words, those of groups too."""
+    """Every command by its words, including commands of groups."""
     found = {}
     for name, command in typer.main.get_command(app).commands.items():
         parts = getattr(command, "commands", None)
@@ -61,11 +61,11 @@ def test_every_command_has_the_shared_options(cli, words):
     assert all(option in text for option in ("--json", "-v, --verbose", "-q, --quiet"))
 
 
-def test_objects(document):
+def test_objects_lists_the_demo_objects(document):
     assert [o["name"] for o in document("objects")["objects"]] == list(DEMO_OBJECTS)
 
 
-def test_build(document, tmp_path):
+def test_build_reports_object_grid_and_stages(document, tmp_path):
     found = document("build", *PIN, "--store", tmp_path / "store")
     assert (found["object"]["name"], found["object"]["symmetry"]) == ("pin", "z2")
     assert max(found["object"]["size_m"]) == pytest.approx(0.031, abs=1e-3)
@@ -75,7 +75,7 @@ def test_build(document, tmp_path):
     assert found["store"] == str(tmp_path / "store")
 
 
-def test_simulate(document):
+def test_simulate_reports_touches_images_and_poses(document):
     found = document("simulate", *PIN, "--count", 2, "--images", "--out", "out")
     assert found["press_depth_m"] == pytest.approx(2e-3)
     for touch, image in zip(found["touches"], found["images"], strict=True):
@@ -84,14 +84,14 @@ def test_simulate(document):
             assert stored["T_sensor_object"].tolist() == found["T_sensor_object"][Path(touch).stem]
 
 
-def test_run(document):
+def test_run_reports_its_result_file(document):
     found = document("run", *PIN, "--out", "out")
     stored = json.loads(Path("out/result.json").read_text())
     assert {key: found[key] for key in stored} == stored
     assert all(Path(path).is_file() for path in found["written"])
 
 
-def test_run_of_a_folder(cli, document):
+def test_run_of_a_folder_reports_every_touch(cli, document):
     cli("simulate", *PIN, "--count", 2, "--out", "touches")
     np.savez("touches/zero.npz", depth=np.full((200, 200), 0.002, np.float32), unit="m")
     found = document("run", *PIN, "--touch", "touches", "--out", "out")
@@ -102,7 +102,7 @@ def test_run_of_a_folder(cli, document):
     assert (first["T_sensor_object"], first["probability"]) == (best["T_sensor_object"], best["probability"])
 
 
-def test_evaluate_is_what_is_in_its_file_but_for_the_single_touches(document):
+def test_evaluate_reports_its_file_without_single_touches(document):
     found = document("evaluate", *PIN, "--count", 2, "--refiner", "none", "--out", "out")
     (written, *_) = [path for path in found["written"] if path.endswith("results.json")]
     stored = json.loads(Path(written).read_text())
@@ -113,7 +113,7 @@ def test_evaluate_is_what_is_in_its_file_but_for_the_single_touches(document):
     assert not {"errors_m", "posterior_metrics"} & run.keys()
 
 
-def test_calibrate_is_in_radians(document):
+def test_calibrate_reports_angles_in_radians(document):
     Path("sensor.toml").write_text(
         'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
     )
@@ -125,7 +125,7 @@ def test_calibrate_is_in_radians(document):
     assert Path(found["picture"]).is_file()
 
 
-def test_store(document, tmp_path):
+def test_store_reports_entries_and_bytes(document, tmp_path):
     store = tmp_path / "store"
     document("build", *PIN, "--store", store)
     entries = document("store", "list", "--store", store)["entries"]
@@ -147,12 +147,12 @@ def test_store(document, tmp_path):
         (["objects", "store"], "UsageError", 2),
     ],
 )
-def test_an_error_is_a_document_too_and_the_rest_is_as_ever(cli, words, kind, code):
+def test_an_error_is_a_document_and_stderr_is_unchanged(cli, words, kind, code):
     plain, done = cli(*words), cli(*words, "--json")
     assert (done.exit_code, plain.exit_code) == (code, code)
     error = parsed(done.stdout)["error"]
     assert error["kind"] == kind
-    if words[0] not in ("rnu", "store"):  # there is no command then that --json could be an option of
+    if words[0] not in ("rnu", "store"):  # without a valid command, --json belongs to no command
         assert done.stderr == plain.stderr
     assert f"error: {error['message']}\n" in done.stderr
     assert plain.stdout == ""
@@ -162,7 +162,7 @@ def test_an_error_is_a_document_too_and_the_rest_is_as_ever(cli, words, kind, co
     ("raised", "kind", "code"),
     [(ZeroDivisionError("so"), "ZeroDivisionError", 1), (KeyboardInterrupt(), "Interrupted", 130)],
 )
-def test_what_nobody_expected_and_an_interruption_are_documents(cli, monkeypatch, raised, kind, code):
+def test_an_unexpected_error_or_interruption_is_a_document(cli, monkeypatch, raised, kind, code):
     for raised, kind, code in (
         (ZeroDivisionError("so"), "ZeroDivisionError", 1),
         (KeyboardInterrupt, "Interrupted", 130),
@@ -179,7 +179,7 @@ def test_what_nobody_expected_and_an_interruption_are_documents(cli, monkeypatch
 
 @pytest.fixture
 def made_up():
-    """A program of two commands, both of the same function, one of them with what make_command adds."""
+    """A program with two commands from make_command: one prints and returns a document, one returns nothing."""
     made = typer.Typer()
 
     def talk() -> dict:
@@ -195,7 +195,7 @@ def made_up():
     return made
 
 
-def test_nothing_else_is_on_stdout_whoever_writes(made_up):
+def test_stdout_contains_only_the_document(made_up):
     done = CliRunner().invoke(made_up, ["talk", "--json"])
     expected = {"path": "a", "nan": None, "array": [0, 1], "one": 1.0, "nested": [[], {}]}
     assert parsed(done.stdout) == expected
@@ -204,5 +204,5 @@ def test_nothing_else_is_on_stdout_whoever_writes(made_up):
     assert plain.stdout == "a line\na b\nrich\na stranger\n"
 
 
-def test_a_command_that_returns_nothing_found_nothing(made_up):
+def test_a_command_without_a_result_gives_an_empty_document(made_up):
     assert parsed(CliRunner().invoke(made_up, ["quiet", "--json"]).stdout) == {}

@@ -21,13 +21,13 @@ OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
 PIXEL = ["--object", "pin", *TINY, "--sensor", "flat.toml"]
 PIN = [*PIXEL, *MOCO]
-SURE = ["-o", "temperature=0.05"]  # none is to be fitted
+SURE = ["-o", "temperature=0.05"]  # no temperature is fitted
 EVALUATE = ["evaluate", *PIN, *SURE, "--encoder", "pixel", "--refiner", "none", "--count", 2]
 
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a sensor of few pixels, and a store that holds all that needs no learning."""
+    """A folder with a sensor of few pixels, and a store with all stages that need no training."""
     folder = tmp_path_factory.mktemp("prepared")
     (folder / "flat.toml").write_text(FLAT_SENSOR)
     with contextlib.chdir(folder):
@@ -38,7 +38,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def stores(prepared: Path, cli) -> None:
-    """Copies of it, one for each test's needs, and the file of the sensor."""
+    """Copy the sensor file, and make three copies of the prepared store."""
     shutil.copy(prepared / "flat.toml", ".")
     for name in ("whole", "stopped", "fresh"):
         shutil.copytree(prepared / "store", name)
@@ -55,7 +55,7 @@ def table(cli, folder: str) -> str:
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 
-def test_the_same_seed_gives_the_same_table_though_training_was_interrupted(cli, monkeypatch):
+def test_an_interrupted_training_gives_the_same_table(cli, monkeypatch):
     whole = table(cli, "whole")
     assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
 
@@ -73,14 +73,14 @@ def test_the_same_seed_gives_the_same_table_though_training_was_interrupted(cli,
     step = training.Trainer._step
     monkeypatch.setattr(training.Trainer, "_step", lambda self, *a: steps.append(1) or step(self, *a))
     assert table(cli, "stopped") == whole
-    assert len(steps) == 2 * recipe.PRESETS["cpu"].repeats  # the second epoch's; the first's are not done again
+    assert len(steps) == 2 * recipe.PRESETS["cpu"].repeats  # only the steps of the second epoch
 
 
 def build(cli, *words: object):
     return cli("build", *PIN, "--store", "fresh", *words)
 
 
-def test_weights_that_are_not_there_or_damaged_or_of_another_network(cli):
+def test_missing_damaged_or_foreign_weights_are_refused(cli):
     resnet = ["-o", "encoder.backbone=resnet18", "-o"]
     assert_refused(build(cli, *resnet, "encoder.pretrained=none.safetensors"), "none.safetensors")
     assert_refused(build(cli, *resnet, "encoder.pretrained=hub"), "hub", ".safetensors")
@@ -90,23 +90,23 @@ def test_weights_that_are_not_there_or_damaged_or_of_another_network(cli):
     assert_refused(build(cli, *resnet, "encoder.pretrained=cut.safetensors"), "cut.safetensors", "damaged")
 
 
-def test_a_gpu_that_is_not_there(cli, monkeypatch):
+def test_a_missing_gpu_is_refused(cli, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert_refused(build(cli, "-o", "encoder.device=cuda"), "CUDA", "encoder.device")
 
 
-def test_a_grid_too_large_for_memory(cli, monkeypatch):
+def test_a_grid_too_large_for_memory_is_refused(cli, monkeypatch):
     monkeypatch.setattr(encoder, "_find_available_bytes", lambda: 10**5)
     assert_refused(build(cli), "GiB", "encoder.negatives", "grid.spacing_mm")
 
 
-def test_a_loss_that_is_no_number(cli, monkeypatch):
+def test_a_nan_loss_is_refused(cli, monkeypatch):
     monkeypatch.setattr(training.Trainer, "_step", lambda *a: float("nan"))
     assert_refused(build(cli), "NaN", "encoder.rate")
     assert not [entry for entry in StageStore(Path("fresh")).entries() if entry.stage == "encoder" and entry.complete]
 
 
-def test_a_stored_encoder_that_was_cut_off_is_trained_again(cli):
+def test_a_truncated_stored_encoder_is_trained_again(cli):
     assert build(cli).exit_code == 0
     (stored,) = Path("fresh").glob("encoder/*/encoder.safetensors")
     whole = stored.read_bytes()
@@ -119,7 +119,7 @@ def test_a_stored_encoder_that_was_cut_off_is_trained_again(cli):
     assert stored.read_bytes() == whole
 
 
-def test_a_training_can_be_watched_in_tensorboard(cli):
+def test_training_writes_tensorboard_events(cli):
     pytest.importorskip("tensorboard")
     assert build(cli, "-o", "encoder.tensorboard=log").exit_code == 0
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -132,7 +132,7 @@ def test_a_training_can_be_watched_in_tensorboard(cli):
 WHOLE = ["--object", "pin", "--grid", "whole", "-o", "grid.directions=100", "--sensor", "flat.toml", *SURE, *MOCO]
 
 
-def test_the_places_of_a_whole_object_are_learned_ahead_of_time(cli):
+def test_build_trains_the_encoder_of_a_whole_object(cli):
     words = ["build", *WHOLE, "--store", "fresh"]
     first, again = cli(*words), cli(*words)
     assert first.exit_code == again.exit_code == 0, first.stderr + again.stderr
@@ -141,7 +141,7 @@ def test_the_places_of_a_whole_object_are_learned_ahead_of_time(cli):
     assert cli(*words, "-o", "encoder.seed=1").stdout.count("encoder: built") == 1
 
 
-def test_a_training_on_places_that_was_interrupted_goes_on(cli, monkeypatch):
+def test_an_interrupted_training_on_places_is_resumed(cli, monkeypatch):
     save = training.Trainer._checkpoint
 
     def save_and_stop(self):
@@ -161,10 +161,10 @@ def test_a_training_on_places_that_was_interrupted_goes_on(cli, monkeypatch):
 
 @pytest.mark.slow
 def test_several_processes_train_one_encoder(tmp_path, run_process):
-    (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # none is to be fitted
+    (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # no temperature is fitted
     words = ["--config", "sure.toml", "--store", "fresh"]
     done = run_process("build", *PIN, *words, processes=2, OMP_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("encoder: ") == 1  # the first process says what was built
+    assert done.stdout.count("encoder: ") == 1  # only the first process reports the stages
     store = StageStore(tmp_path / "fresh")
     assert [entry.complete for entry in store.entries() if entry.stage == "encoder"] == [True]

@@ -1,4 +1,4 @@
-"""`tactile-loc live`: a line a frame, a page while it goes on, and one sentence where the source goes away."""
+"""`tactile-loc live`: one line per frame, a web page while it runs, and one sentence if the source fails."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from message_helpers import missing
 from tactile_loc.io.streams import frame_sources
 
 LOCATED = ["--object", "pin", *TINY, "-o", "temperature=0.001"]
-WITH_POSE = {"certain", "ambiguous", "poor fit"}  # of a grid so coarse, any
+WITH_POSE = {"certain", "ambiguous", "poor fit"}  # the grid is too coarse to expect one of them
 NOTHING = np.full((200, 200), 0.002, np.float32)
 
 
 @pytest.fixture(scope="module")
 def touches(tmp_path_factory, store) -> Path:
-    """A folder of three touches, an image without contact, and one that no sensor took."""
+    """A folder of three touches, one without contact, and one of the wrong size."""
     folder = tmp_path_factory.mktemp("touches")
     line = command("simulate", "--object", "pin", *TINY, "--count", "3", "--seed", "1", "--out", folder)
     subprocess.run(line, check=True, env={**os.environ, "TACTILE_LOC_STORE": str(store)}, timeout=HANGS_S)
@@ -47,7 +47,7 @@ def records(path: Path | str) -> list[dict]:
     return [json.loads(line) for line in Path(path).read_text().splitlines()]
 
 
-def test_every_frame_of_a_folder_is_a_line(cli, touches):
+def test_every_frame_of_a_folder_gives_a_line(cli, touches):
     words = ["live", touches, *LOCATED, "--once", "--no-view", "--out", "found.jsonl"]
     done = cli(*words)
     assert done.exit_code == 0, done.stderr
@@ -67,7 +67,7 @@ def test_every_frame_of_a_folder_is_a_line(cli, touches):
     assert len(records("found.jsonl")) == 10  # appended
 
 
-def test_frames_that_are_all_refused_are_an_error(cli, touches):
+def test_refusing_all_frames_is_an_error(cli, touches):
     Path("in").mkdir()
     shutil.copy(touches / "touch-strange.npz", "in")
     done = cli("live", "in", *LOCATED, "--once", "--no-view", "--out", "found.jsonl")
@@ -78,7 +78,7 @@ def test_frames_that_are_all_refused_are_an_error(cli, touches):
     assert [record["verdict"] for record in records("found.jsonl")] == [None]
 
 
-def test_a_folder_that_vanishes_ends_it_and_what_was_written_stays(cli, touches, monkeypatch):
+def test_a_vanished_folder_is_one_sentence_and_keeps_the_lines(cli, touches, monkeypatch):
     shutil.copytree(touches, "in")
     monkeypatch.setattr(frame_sources.time, "sleep", lambda _: shutil.rmtree("in"))
     done = cli("live", "in", *LOCATED, "--no-view", "--out", "found.jsonl")
@@ -87,7 +87,7 @@ def test_a_folder_that_vanishes_ends_it_and_what_was_written_stays(cli, touches,
     assert records("found.jsonl")[0]["dropped"] == 4
 
 
-def test_a_camera_that_goes_away_is_one_sentence(cli, touches, monkeypatch):
+def test_a_disconnected_camera_is_one_sentence(cli, touches, monkeypatch):
     reads = iter([(True, np.zeros((200, 200, 3), np.uint8)), (False, None)])
     camera = SimpleNamespace(isOpened=lambda: True, read=lambda: next(reads), release=lambda: None)
     monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=lambda device: camera))
@@ -97,7 +97,7 @@ def test_a_camera_that_goes_away_is_one_sentence(cli, touches, monkeypatch):
     assert "--sensor" in records("found.jsonl")[0]["says"]
 
 
-def test_what_cannot_be_done_is_one_sentence(cli, touches):
+def test_bad_input_is_one_sentence(cli, touches):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -117,7 +117,7 @@ def test_what_cannot_be_done_is_one_sentence(cli, touches):
 
 @pytest.fixture
 def going(touches, tmp_path, store) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start the command in a process of its own; it is ended after the test."""
+    """Return a function that starts the command in a separate process; the fixture ends it after the test."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*words: object) -> subprocess.Popen[str]:
@@ -149,7 +149,7 @@ def wait_for_lines(path: Path, count: int) -> None:
         time.sleep(0.05)
 
 
-def test_it_waits_for_more_shows_the_newest_and_ends_with_ctrl_c(going, touches, tmp_path):
+def test_live_shows_new_frames_until_ctrl_c(going, touches, tmp_path):
     (folder := tmp_path / "in").mkdir()
     live = going(folder, "--port", "0", "--out", "found.jsonl")
     url = live.stdout.readline().split("view: ")[1].strip()
@@ -172,7 +172,7 @@ def test_it_waits_for_more_shows_the_newest_and_ends_with_ctrl_c(going, touches,
     assert second == "no contact"
 
 
-def test_killed_it_leaves_whole_lines(going, touches, tmp_path):
+def test_a_killed_process_leaves_whole_lines(going, touches, tmp_path):
     live = going(touches, "--no-view", "--once", "--out", "found.jsonl")
     wait_for_lines(tmp_path / "found.jsonl", 1)
     live.kill()

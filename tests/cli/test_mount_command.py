@@ -1,4 +1,4 @@
-"""`tactile-loc mount`: from a list of touches to a mount that a list of touches uses; bad lists are one sentence."""
+"""`tactile-loc mount`: from a list of touches to a mount file that `run` uses; bad lists are one sentence."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def table(name: str, F: np.ndarray) -> str:
 
 @pytest.fixture
 def tables(cli) -> list[str]:
-    """A list's tables of eight touches of the pin, which stands still at Y."""
+    """The TOML tables of eight touches of the pin, which is fixed at pose Y."""
     simulated = cli("simulate", *PIN, "--count", 8, "--noise", "mild", "--out", "touches")
     assert simulated.exit_code == 0, simulated.stderr
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
@@ -39,7 +39,7 @@ def written(name: str, *tables: str) -> str:
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_mount_is_found_and_used(cli, tables):
-    Path("run.toml").write_text("temperature = 1e-3\n")  # which need not be fitted then
+    Path("run.toml").write_text("temperature = 1e-3\n")  # no temperature is fitted
     touches = written("touches.toml", *tables)
     done = cli("mount", *PIN, "--config", "run.toml", "--touch", touches, "--out", "out", "--json")
     assert done.exit_code == 0, done.stderr
@@ -56,7 +56,7 @@ def test_a_mount_is_found_and_used(cli, tables):
     assert result["errors"]["best_m"] < 1e-3
 
 
-def test_what_cannot_be_used_is_one_sentence(cli, tables):
+def test_bad_input_is_one_sentence(cli, tables):
     no_flange = '[[touch]]\npath = "touches/touch-0000.npz"\n'
     turned = [
         table(f"touch-{k:04d}", make_transform(rotation_about([0, 0, 1], 0.3 * k), [0.1, 0, 0])) for k in range(5)

@@ -1,4 +1,4 @@
-"""`tactile-loc new-plugin`: the written package works, has tests and is found; bad names and folders are errors."""
+"""`tactile-loc new-plugin`: the written package works, passes its tests and is found; bad names are errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def name_of(slot: str) -> str:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a new package for each slot, beside the metadata that an editable installation would leave."""
+    """A folder with a new package for each slot, and the metadata of an editable installation."""
     folder = tmp_path_factory.mktemp("site")
     for slot in SLOTS:
         naming = Naming(slot, name_of(slot))
@@ -66,7 +66,7 @@ def test_every_new_package_passes_all_contract_checks_and_its_own_tests(site):
         naming = Naming(slot, name_of(slot))
         passed = [line for line in done.stdout.splitlines() if f"test_my_{slot}.py::" in line and "PASSED" in line]
         assert len([line for line in passed if f"[{naming.class_name}-check_" in line]) > 8
-        assert [line for line in passed if "test_contract" not in line], f"{slot} has a test of its own"
+        assert [line for line in passed if "test_contract" not in line], f"{slot} has no own test that passed"
 
 
 def test_every_new_component_is_found(site):
@@ -78,7 +78,7 @@ def test_every_new_component_is_found(site):
 
 def test_all_new_components_locate_an_object_together(site, tmp_path):
     chosen = [word for slot in SLOTS for word in (f"--{slot}", name_of(slot))]
-    (tmp_path / "sure.toml").write_text("temperature = 0.1")  # none is to be fitted
+    (tmp_path / "sure.toml").write_text("temperature = 0.1")  # no temperature is fitted
     words = ["--config", tmp_path / "sure.toml", "--out", tmp_path / "out", "--store", tmp_path / "store"]
     line = command("run", "--object", "pin", *TINY, *chosen, *words)
     done = run(site, line)
@@ -89,7 +89,7 @@ def test_all_new_components_locate_an_object_together(site, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a", "x" * LONGEST, "-".join("abcdefghij1234")])
-def test_ruff_has_no_complaint_whatever_the_names_length(tmp_path, name):
+def test_ruff_accepts_packages_with_names_of_any_length(tmp_path, name):
     for slot in SLOTS:
         folder = tmp_path / slot
         package.write(Naming(slot, name), folder)
@@ -100,7 +100,7 @@ def test_ruff_has_no_complaint_whatever_the_names_length(tmp_path, name):
                 assert done.returncode == 0, done.stdout
 
 
-def test_it_says_what_was_written_and_what_to_type_next(cli: Cli, tmp_path):
+def test_the_output_lists_the_files_and_the_next_commands(cli: Cli, tmp_path):
     done = cli("new-plugin", "refiner", "my-spline")
     assert done.exit_code == 0, done.output
     written, _, following = done.stdout.partition("\nnext:\n")
@@ -115,7 +115,7 @@ def test_it_says_what_was_written_and_what_to_type_next(cli: Cli, tmp_path):
     ]
 
 
-def test_the_folder_is_the_one_asked_for(tmp_path, monkeypatch):
+def test_the_package_is_written_to_the_given_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     written = new_plugin("matcher", "soft", Path("deep down/here"))
     assert {k: v for k, v in written.items() if k != "files"} == {
@@ -128,28 +128,28 @@ def test_the_folder_is_the_one_asked_for(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "name", ["My-refiner", "my_refiner", "-my", "my-", "my--own", "3d", "größer", "a b", "", "../x"]
 )
-def test_names_that_cannot_be(cli, tmp_path, name):
+def test_an_invalid_name_is_refused(cli, tmp_path, name):
     assert_refused(cli("new-plugin", "refiner", "--", name), repr(name), "hyphens")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_too_long_a_name(cli):
+def test_a_name_that_is_too_long_is_refused(cli):
     assert_refused(cli("new-plugin", "refiner", "x" * (LONGEST + 1)), str(LONGEST))
 
 
-def test_names_that_are_taken(cli, tmp_path):
+def test_a_name_already_in_use_is_refused(cli, tmp_path):
     assert_refused(cli("new-plugin", "refiner", "icp"), "'icp'", "tactile-loc")
     assert_refused(cli("new-plugin", "refiner", "cli"), "tactile_loc_cli")
     assert list(tmp_path.iterdir()) == []
-    assert cli("new-plugin", "encoder", "icp").exit_code == 0, "a name is taken in its slot alone"
+    assert cli("new-plugin", "encoder", "icp").exit_code == 0, "a name must be unique only within its slot"
 
 
-def test_an_unknown_slot(cli, tmp_path):
+def test_an_unknown_slot_is_refused(cli, tmp_path):
     assert_refused(cli("new-plugin", "refinr", "mine"), "'refinr'", "'refiner'")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_exists_is_left_as_it_is(cli, tmp_path):
+def test_existing_files_and_folders_are_not_changed(cli, tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("mine")
     (tmp_path / "link").symlink_to("nowhere")
@@ -161,7 +161,7 @@ def test_what_exists_is_left_as_it_is(cli, tmp_path):
     assert_refused(cli("new-plugin", "grid", "mine", "--out", "file/below"), "file/below")
 
 
-def test_nothing_half_written_is_left(tmp_path, monkeypatch):
+def test_a_failed_write_leaves_no_files(tmp_path, monkeypatch):
     monkeypatch.setattr(package, "render", lambda naming: {"a": "written", "a/b": "cannot be, since a is a file"})
     with pytest.raises(OutputError, match=naming(tmp_path / "mine", "--out")):
         package.write(Naming("grid", "mine"), tmp_path / "mine")
@@ -177,5 +177,5 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch):
         ("grid", "two-face-3d", "TwoFace3dGrid"),
     ],
 )
-def test_the_class_is_called_after_it(slot, name, class_name):
+def test_the_class_is_named_after_the_component(slot, name, class_name):
     assert Naming(slot, name).class_name == class_name

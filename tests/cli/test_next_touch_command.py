@@ -15,7 +15,7 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 @pytest.fixture
 def result(cli) -> Path:
     """The result of one simulated touch."""
-    Path("run.toml").write_text("temperature = 0.05\n")  # which need not be fitted then
+    Path("run.toml").write_text("temperature = 0.05\n")  # no temperature is fitted
     done = cli("run", "--object", "pin", *TINY, "--config", "run.toml", "--out", "located")
     assert done.exit_code == 0, done.stderr
     return Path("located/result.json")
@@ -27,7 +27,7 @@ def listed(name: str, *starts: np.ndarray, more: str = "") -> str:
 
 
 def motion(x_mm: float, yaw_deg: float = 0.0) -> np.ndarray:
-    """Back by 50 mm, aside and turned."""
+    """A motion back by 50 mm, along x, and about z."""
     return make_transform(rotation_about([0, 0, 1], np.radians(yaw_deg)), [1e-3 * x_mm, 0.0, -0.05])
 
 
@@ -50,7 +50,7 @@ def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     assert "approach 3" in table.stdout
 
 
-def test_what_cannot_be_used_is_one_sentence(cli, result):
+def test_bad_input_is_one_sentence(cli, result):
     poses = listed("poses.toml", motion(0))
     assert_refused(cli("next-touch", "nowhere.json", "--candidates", poses), "nowhere.json")
     assert_refused(cli("next-touch", result, "--candidates", "no.toml"), "no.toml")

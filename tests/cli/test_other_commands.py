@@ -1,4 +1,4 @@
-"""build, simulate, objects, plugins, and the command itself."""
+"""The commands build, simulate, objects and plugins, and the options --version and --help."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.store.store import StageStore
 
 
-def test_version_and_help(cli: Cli):
+def test_version_and_help_are_printed(cli: Cli):
     assert cli("--version").stdout == f"tactile-loc {__version__}\n"
     assert cli("-h").stdout == cli("--help").stdout == cli().stdout
     for command in ("run", "build", "simulate", "objects", "plugins"):
@@ -38,7 +38,7 @@ def stages(stdout: str) -> dict[str, str]:
     return {pair[0]: pair[1] for pair in pairs if pair[1] in ("built", "reused")}
 
 
-def test_build_builds_once_and_reuses_what_the_change_does_not_touch(cli, tmp_path):
+def test_build_repeats_only_the_stages_that_a_change_affects(cli, tmp_path):
     store = tmp_path / "store"
     first, again, other = (
         cli("build", *TINY, "--store", store, *more) for more in ([], [], ["-o", "encoder.cells=10"])
@@ -51,7 +51,7 @@ def test_build_builds_once_and_reuses_what_the_change_does_not_touch(cli, tmp_pa
     assert all(entry.complete for entry in StageStore(store).entries())
 
 
-def test_build_states_the_grids_size_and_spacing(cli, tmp_path):
+def test_build_prints_the_size_and_spacing_of_the_grid(cli, tmp_path):
     done = cli("build", *TINY, "--store", tmp_path / "store")
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("grid: ") and "poses" in line]
     words = line.split()
@@ -59,7 +59,7 @@ def test_build_states_the_grids_size_and_spacing(cli, tmp_path):
     assert float(words[3]) == pytest.approx(8, rel=0.15)
 
 
-def test_run_uses_what_build_built(cli, tmp_path):
+def test_run_reuses_the_stages_of_build(cli, tmp_path):
     cli("build", *TINY, "--store", tmp_path / "store")
     before = sorted((tmp_path / "store").rglob("*.np[yz]"))
     assert cli("run", *TINY, "--store", tmp_path / "store").exit_code == 0
@@ -85,14 +85,14 @@ def test_simulate_writes_touches_that_run_reads(cli):
     assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]
 
 
-def test_simulate_with_noise(cli):
+def test_simulate_with_noise_follows_the_seed(cli):
     done = [cli("simulate", "--count", 3, *noise, "--out", out) for noise, out in
             ([[], "clean"], [["--noise", "strong"], "a"], [["--noise", "strong"], "b"])]  # fmt: skip
     assert [d.exit_code for d in done] == [0, 0, 0]
     clean, noisy = (json.loads(Path(f"{out}/poses.json").read_text()) for out in ("clean", "a"))
     assert (clean["noise"], noisy["noise"]) == ("none", "strong")
     assert clean["press_depth_m"] == pytest.approx(2e-3)
-    assert noisy["press_depth_m"] is None  # each touch has its own
+    assert noisy["press_depth_m"] is None  # each touch has its own press depth
     presses = set()
     for name in noisy["T_sensor_object"]:
         with np.load(f"a/{name}.npz") as a, np.load(f"b/{name}.npz") as b:
@@ -103,7 +103,7 @@ def test_simulate_with_noise(cli):
     assert run.exit_code == 0, run.stderr
 
 
-def test_objects(cli):
+def test_objects_lists_every_demo_object(cli):
     shown = cli("objects").stdout
     for name, demo in DEMO_OBJECTS.items():
         assert name in shown
@@ -118,13 +118,13 @@ def test_plugins_lists_every_slot(cli):
         assert [slot, default, "tactile-loc"] in [row[:3] for row in rows]
 
 
-def test_plugins_of_one_slot(cli):
+def test_plugins_lists_the_components_of_one_slot(cli):
     rows = [line.split() for line in cli("plugins", "refiner").stdout.splitlines()][1:]
     assert {"none", "icp"} <= {row[1] for row in rows}
     assert {row[0] for row in rows} == {"refiner"}
 
 
-def test_options_of_one_component(cli):
+def test_plugins_lists_the_options_of_one_component(cli):
     shown = cli("plugins", "grid", "face").stdout
     (row,) = [line for line in shown.splitlines() if "grid.spacing_mm" in line]
     default = str(FaceGrid.Options().spacing_mm)
@@ -133,7 +133,7 @@ def test_options_of_one_component(cli):
     assert "options" in cli("plugins", "refiner", "none").stdout
 
 
-def test_unknown_slot_and_component(cli):
+def test_an_unknown_slot_or_component_is_refused(cli):
     assert_refused(cli("plugins", "refinr"), "'refiner'")
     assert_refused(cli("plugins", "refiner", "ipc"), "'icp'")
     assert_refused(cli("plugins", "refinr", "icp"), "refiner")

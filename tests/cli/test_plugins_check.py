@@ -62,13 +62,13 @@ class Stranger:
 
 @pytest.fixture
 def strange(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The matchers above are installed, and nothing else."""
+    """Install only the matchers above."""
     (tmp_path / "strange_parts.py").write_text(PARTS)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(registry, "registry", lambda: registry.Registry([Stranger()]))
 
 
-def test_a_built_in_passes(cli: Cli):
+def test_a_built_in_component_passes(cli: Cli):
     done = cli("plugins", "matcher", "dense", "--check")
     assert done.exit_code == 0, done.output
     heading, *lines, summary = done.stdout.splitlines()
@@ -78,7 +78,7 @@ def test_a_built_in_passes(cli: Cli):
     assert summary.startswith(f"{len(checks)} of {len(checks)} ")
 
 
-def test_properties_are_tried_if_asked_for(cli: Cli):
+def test_the_properties_option_adds_properties(cli: Cli):
     done = cli("plugins", "fuser", "product", "--check", "--properties")
     assert done.exit_code == 0, done.output
     component = registry.registry().create("fuser", "product")
@@ -86,7 +86,7 @@ def test_properties_are_tried_if_asked_for(cli: Cli):
     assert done.stdout.splitlines()[1:-1] == [f"ok      {check.__name__}" for check in chosen]
 
 
-def test_a_property_that_fails_is_one_line_that_names_a_case(cli, strange):
+def test_a_failing_property_names_a_case_in_one_line(cli, strange):
     done = cli("plugins", "matcher", "uneven", "--check", "--properties")
     assert done.exit_code == 1
     lines = [line for line in done.stdout.splitlines() if line.startswith("FAILED  property_equal_rows: ")]
@@ -94,7 +94,7 @@ def test_a_property_that_fails_is_one_line_that_names_a_case(cli, strange):
     assert "row=" in lines[0]
 
 
-def test_properties_without_hypothesis_are_one_sentence(cli, monkeypatch):
+def test_missing_hypothesis_is_one_sentence(cli, monkeypatch):
     monkeypatch.setitem(sys.modules, "hypothesis", None)
     assert_refused(cli("plugins", "fuser", "product", "--check", "--properties"), "pip install 'tactile-loc[testing]'")
     assert_refused(cli("plugins", "fuser", "product", "--properties"), "--properties", "--check")
@@ -112,22 +112,22 @@ def test_a_broken_plugin_fails_with_exit_code_1(cli, strange):
     assert "Traceback" not in done.output
 
 
-def test_another_exception_is_named(cli, strange):
+def test_an_unexpected_exception_is_named_with_its_line(cli, strange):
     done = cli("plugins", "matcher", "raising", "--check")
     assert done.exit_code == 1
     assert "FAILED  check_definition: KeyError: 'key' (strange_parts.py, line 15)" in done.stdout
 
 
-def test_options_are_the_components(cli, strange):
+def test_options_reach_the_checked_component(cli, strange):
     assert cli("plugins", "matcher", "doubled", "--check", "-o", "matcher.factor=1").exit_code == 0
     assert_refused(cli("plugins", "matcher", "doubled", "--check", "-o", "matcher.factr=1"), "'factor'")
 
 
-def test_a_component_that_cannot_be_made_is_one_sentence(cli, strange):
+def test_a_component_that_fails_to_initialize_is_one_sentence(cli, strange):
     assert_refused(cli("plugins", "matcher", "unmade", "--check"), "'unmade'", "OSError: no licence")
 
 
-def test_an_encoder_that_learns_is_trained(cli, monkeypatch):
+def test_a_learned_encoder_is_trained(cli, monkeypatch):
     from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder
 
     monkeypatch.setattr(MocoEncoder, "fit", lambda self, problem: 1 / 0)
@@ -137,17 +137,17 @@ def test_an_encoder_that_learns_is_trained(cli, monkeypatch):
 
 
 @pytest.mark.parametrize("words", [[], ["matcher"]])
-def test_check_is_of_one_component(cli, words):
+def test_check_requires_one_component(cli, words):
     assert_refused(cli("plugins", *words, "--check"), "--check")
 
 
-def test_options_are_for_the_check_of_their_component(cli):
+def test_options_require_a_check_of_their_component(cli):
     assert_refused(cli("plugins", "grid", "face", "-o", "grid.spacing_mm=3"), "--check")
     assert_refused(cli("plugins", "matcher", "dense", "--check", "-o", "grid.spacing_mm=3"), "'dense'", "grid")
     assert_refused(cli("plugins", "matcher", "dens", "--check"), "'dense'")
 
 
-def test_plugins_of_other_interfaces_are_named_where_components_are_listed(cli):
+def test_the_list_names_plugins_of_other_interfaces(cli):
     with installed():
         done = cli("plugins", "matcher")
     told = [line for line in done.stdout.splitlines() if line.startswith("interface: ")]
@@ -158,7 +158,7 @@ def test_plugins_of_other_interfaces_are_named_where_components_are_listed(cli):
 
 
 @pytest.mark.parametrize("words", [[], ["--check"]])
-def test_one_component_of_an_earlier_interface_says_what_to_change(cli, words):
+def test_a_component_of_an_earlier_interface_is_shown_with_advice(cli, words):
     with installed():
         done = cli("plugins", "matcher", "plain", *words)
         outcome = plugins("matcher", "plain", bool(words))
@@ -169,12 +169,12 @@ def test_one_component_of_an_earlier_interface_says_what_to_change(cli, words):
 
 
 @pytest.mark.parametrize("words", [[], ["--check"]])
-def test_one_component_of_a_later_interface_is_refused(cli, words):
+def test_a_component_of_a_later_interface_is_refused(cli, words):
     with installed():
         assert_refused(cli("plugins", "matcher", "ahead", *words), "'ahead'", "plugin interface 99")
 
 
-def test_what_it_returns(strange):
+def test_the_command_returns_components_options_and_checks(strange):
     listed = plugins("matcher")
     assert listed["components"][0] == {
         "slot": "matcher", "name": "doubled", "distribution": "strange-matchers", "summary": "made up",

@@ -1,4 +1,4 @@
-"""docs/cli.md agrees with the program."""
+"""docs/cli.md matches the program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tactile-loc replay`: a simulated recording in, poses out that another library reads; bad input is one sentence."""
+"""`tactile-loc replay`: poses from a simulated recording, in files that another library reads."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from tactile_loc.io.streams.ros_messages import (
 )
 
 HEAD = ["--object", "head", "--sensor", "gelslim"]
-LOCATED = [*HEAD, *TINY, "-o", "temperature=0.001"]  # which need not be fitted then
+LOCATED = [*HEAD, *TINY, "-o", "temperature=0.001"]  # no temperature is fitted
 IMAGES = 14
 
 
 @pytest.fixture(scope="module")
 def slide(tmp_path_factory) -> Path:
-    """A slide over the head, drawn by another renderer."""
+    """A recording of a slide over the head, drawn by another renderer."""
     from tactile_loc_cli.main import app
     from typer.testing import CliRunner
 
@@ -74,8 +74,8 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
     assert float(rows[5]["x_mm"]) == pytest.approx(1e3 * poses[4][1].pose.pose.position.x, abs=1e-3)
 
 
-def test_the_simulated_recording_says_the_truth(slide):
-    """Poses in the sensor's frame give one place in the base's frame by the TF."""
+def test_the_simulated_recording_contains_the_true_poses(slide):
+    """With the TF, the poses in the sensor frame give one constant pose in the base frame."""
     tree = Recording(slide).read_frame_tree()
     for _, message in decoded(slide, "/object/truth"):
         p, q = message.pose.position, message.pose.orientation
@@ -85,8 +85,8 @@ def test_the_simulated_recording_says_the_truth(slide):
     np.testing.assert_allclose(tree.look_up("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
 
 
-def test_a_rerun_file_has_the_poses_where_the_sensor_was(cli, slide):
-    """In the file the object hangs below the sensor, and that in the base frame: together the poses in that."""
+def test_a_rerun_file_contains_the_poses_in_the_base_frame(cli, slide):
+    """The file stores the object's pose in the sensor frame, and the sensor's pose in the base frame."""
     pytest.importorskip("rerun", reason="rerun is not installed")
     done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--rerun", "slide.rrd", "--out", "out.mcap")
     assert done.exit_code == 0, done.stderr
@@ -99,7 +99,7 @@ def test_a_rerun_file_has_the_poses_where_the_sensor_was(cli, slide):
     for frame, (t,), (place,), (turn,) in zip(frames, below, places, turns, strict=True):
         R = np.reshape(turn, (3, 3)).T
         np.testing.assert_allclose(R @ t + place, np.array(frame["T_frame_object"])[:3, 3], atol=1e-6)
-    assert len(found["image"].get("Image:buffer", [])) == 0  # it is of depths
+    assert len(found["image"].get("Image:buffer", [])) == 0  # the recording contains depth images
     assert len(found["contact_shape"]["DepthImage:buffer"]) == IMAGES - 2
 
 
@@ -128,7 +128,7 @@ def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):
     assert sorted(path.name for path in Path().iterdir()) == ["out.csv", "out.json", "out.mcap"]
 
 
-def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
+def test_the_existing_part_of_a_truncated_recording_is_located(cli, slide):
     Path("cut.mcap").write_bytes(slide.read_bytes()[: slide.stat().st_size // 2])
     done = cli("replay", "cut.mcap", *LOCATED, "--frame", "sensor")
     assert done.exit_code == 0, done.stderr
@@ -138,7 +138,7 @@ def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
     assert {pose.header.frame_id for _, pose in poses} == {"sensor"}
 
 
-def test_what_cannot_be_replayed_is_one_sentence(cli, slide):
+def test_bad_input_is_one_sentence(cli, slide):
     def images(name: str, encoding: str) -> str:
         message = make_image(np.zeros((200, 200), np.uint8), "mono8", 0, "gel")
         message.encoding = encoding

@@ -14,7 +14,7 @@ from message_helpers import missing
 PIN = ["--object", "pin", *TINY]
 
 
-def test_a_run_leaves_what_a_report_needs(cli):
+def test_a_run_writes_the_files_for_a_report(cli):
     done = cli("run", *PIN, "--out", "out")
     assert done.exit_code == 0, done.stderr
     assert sorted(path.name for path in Path("out").iterdir()) == ["result.json", "result.npz", "result.png"]
@@ -26,7 +26,7 @@ def test_a_run_leaves_what_a_report_needs(cli):
     assert page.endswith("</html>\n")
 
 
-def test_a_run_makes_its_report_itself(cli):
+def test_the_report_option_writes_the_same_report(cli):
     done = cli("run", *PIN, "--report", "--out", "out")
     assert done.exit_code == 0, done.stderr
     assert "out/report.html" in done.stdout
@@ -34,7 +34,7 @@ def test_a_run_makes_its_report_itself(cli):
     assert Path("pages/again.html").read_text() == Path("out/report.html").read_text()
 
 
-def test_several_touches_are_all_in_the_report(cli):
+def test_the_report_contains_all_touches(cli):
     assert cli("simulate", *PIN, "--count", 2, "--seed", 3, "--out", "touches").exit_code == 0
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
     text = ""
@@ -48,7 +48,7 @@ def test_several_touches_are_all_in_the_report(cli):
     assert all(re.search(rf"observed[^<]*\b{name}\b", page) for name in poses)
 
 
-def test_an_evaluation_has_a_report(cli):
+def test_evaluations_have_reports(cli):
     done = cli("evaluate", *PIN, "--count", 3, "--out", "evaluation")
     assert done.exit_code == 0, done.stderr
     assert cli("report", "evaluation").exit_code == 0
@@ -67,7 +67,7 @@ def test_an_evaluation_has_a_report(cli):
         (["result.json", "results.json"], "results.json"),
     ],
 )
-def test_what_is_no_result_is_one_sentence(cli, files, says):
+def test_a_folder_without_a_result_is_one_sentence(cli, files, says):
     Path("out").mkdir()
     for name in files:
         Path("out", name).write_text("")
@@ -75,12 +75,12 @@ def test_what_is_no_result_is_one_sentence(cli, files, says):
     assert not Path("out/report.html").exists()
 
 
-def test_a_folder_of_touches_and_a_report_do_not_go_together(cli):
+def test_a_report_of_a_folder_of_touches_is_refused(cli):
     Path("touches").mkdir()
     assert_refused(cli("run", *PIN, "--touch", "touches", "--report"), "--report", "touches")
 
 
-def test_a_place_that_refuses_is_one_sentence(cli):
+def test_an_unusable_report_path_is_one_sentence(cli):
     assert cli("run", *PIN, "--out", "out").exit_code == 0
     Path("file").touch()
     assert_refused(cli("report", "out", "--out", "file/page.html"), "file/page.html")

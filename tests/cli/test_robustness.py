@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, hear_ctrl_c
 
-# `tactile-loc build` in small shards, which stops at a point that it names and goes on when it is told to
+# `tactile-loc build` with small shards; it prints a line and waits at the point that its first argument names
 BUILD = """
 import signal, sys
 from tactile_loc.locate import model, probabilities
@@ -39,7 +39,7 @@ main()
 
 
 def start(tmp_path: Path, store: Path, stop: str = "nowhere") -> subprocess.Popen[str]:
-    """Start a build as in a terminal."""
+    """Start a build that reacts to Ctrl-C as in a terminal."""
     return subprocess.Popen(
         [sys.executable, "-c", BUILD, stop, "build", *TINY], cwd=tmp_path, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c,
@@ -48,7 +48,7 @@ def start(tmp_path: Path, store: Path, stop: str = "nowhere") -> subprocess.Pope
 
 
 def ended(process: subprocess.Popen[str], code: int) -> tuple[str, str]:
-    """Wait for a process, require success, and return its output."""
+    """Wait for a process, require its exit code, and return its output."""
     stdout, stderr = process.communicate(timeout=HANGS_S)
     assert process.returncode == code, stderr
     return stdout, stderr
@@ -69,7 +69,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[st
 
 
 @pytest.mark.slow
-def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted):
+def test_an_interrupted_build_is_resumed_with_the_same_result(tmp_path, uninterrupted):
     store = tmp_path / "store"
     process = start(tmp_path, store, "first shard")
     assert process.stdout.readline() == "a shard is saved\n"
@@ -87,7 +87,7 @@ def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted)
     assert len(list(shard.parent.glob("depth-*.npz"))) > 2
 
 
-def test_two_processes_build_the_same_object_at_once(tmp_path, uninterrupted):
+def test_two_concurrent_builds_share_the_work(tmp_path, uninterrupted):
     store = tmp_path / "store"
     processes = [start(tmp_path, store, "start") for _ in range(2)]
     assert [process.stdout.readline() for process in processes] == ["ready\n", "ready\n"]
@@ -96,7 +96,7 @@ def test_two_processes_build_the_same_object_at_once(tmp_path, uninterrupted):
         process.stdin.flush()
     outputs = [ended(process, 0) for process in processes]
     assert contents(store) == uninterrupted
-    for stage in ("grid", "shapes"):  # of banks there are several: either may build some
+    for stage in ("grid", "shapes"):  # there are several banks, and each process may build some
         words = sorted(line for stdout, _ in outputs for line in stdout.splitlines() if line.startswith(f"{stage}: "))
         assert [w for w in words if "poses" not in w] == [f"{stage}: built", f"{stage}: reused"]
 
@@ -113,10 +113,10 @@ def test_a_truncated_artifact_is_rebuilt(cli, tmp_path):
     first, second = (json.loads(Path(out, "result.json").read_text())["hypotheses"] for out in ("first", "second"))
     assert [h["probability"] for h in first] == [h["probability"] for h in second]
     poses = [np.array([h["T_sensor_object"] for h in hypotheses]) for hypotheses in (first, second)]
-    assert poses[0] == pytest.approx(poses[1], abs=1e-8)  # threads add up in any order
+    assert poses[0] == pytest.approx(poses[1], abs=1e-8)  # threads sum in varying order
 
 
-def test_a_full_disk_under_the_store(cli, tmp_path):
+def test_a_full_disk_is_reported_without_damaged_files(cli, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)], capture_output=True).returncode:
@@ -134,7 +134,7 @@ def test_a_full_disk_under_the_store(cli, tmp_path):
         subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
-def test_results_that_cannot_be_written_leave_the_old_ones(cli, monkeypatch):
+def test_a_failed_write_keeps_the_old_results(cli, monkeypatch):
     assert cli("run", *TINY, "--out", "out").exit_code == 0
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
 

@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether somebody else would have to wait for a folder."""
+    """Return whether another process holds the lock of a folder."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -38,7 +38,7 @@ def is_locked(folder: Path) -> bool:
 
 @pytest.fixture(scope="module")
 def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """What `run` finds on a tiny grid, with its output and files."""
+    """The result of `run` on a tiny grid, with its output and files."""
     folder, write, alone = tmp_path_factory.mktemp("run"), result_arrays.write_arrays, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -51,7 +51,7 @@ def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     return {**said, **json.loads((folder / "out/result.json").read_text())}
 
 
-def test_without_a_touch_it_simulates_one_and_finds_it_again(result):
+def test_run_without_a_touch_locates_a_simulated_one(result):
     assert result["object"]["name"] == "hook"
     assert result["touch"]["path"] is None
     T = np.array(result["hypotheses"][0]["T_sensor_object"])
@@ -77,13 +77,13 @@ def test_the_table_shows_the_pose_in_mm_and_degrees(result):
     assert shown[-1] == pytest.approx(1e3 * best["error_m"], abs=0.06)
 
 
-def test_it_says_how_certain_how_far_off_how_long_and_where(result):
+def test_the_output_names_entropy_error_time_and_files(result):
     for words in ("entropy", "error: ", "time: ", "out/result.json", "out/result.png"):
         assert words in result["stdout"]
     assert result["stderr"] == ""
 
 
-def test_it_says_which_side_of_the_object_was_searched(cli, result):
+def test_the_output_names_the_searched_side_of_the_object(cli, result):
     mesh = load_object(result["object"]["name"]).mesh
     (line,) = [line for line in result["stdout"].splitlines() if line.startswith("searched: the object's side")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
@@ -93,19 +93,19 @@ def test_it_says_which_side_of_the_object_was_searched(cli, result):
     assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
 
 
-def test_files_that_belong_together_are_written_while_others_wait(result):
+def test_result_files_are_written_under_a_lock(result):
     assert result["alone"] == [True]
     assert not is_locked(result["folder"])
 
 
-def test_the_picture_is_a_whole_png(result):
+def test_the_picture_is_a_complete_png(result):
     with Image.open(result["folder"] / "result.png") as picture:
         picture.load()
         assert picture.width > 1000
     assert sorted(path.name for path in result["folder"].iterdir()) == ["result.json", "result.npz", "result.png"]
 
 
-def test_a_plain_setting_is_given_like_a_components_option(cli, tmp_path):
+def test_the_option_flag_also_sets_plain_settings(cli, tmp_path):
     done = cli("build", "--object", "pin", *TINY, "-o", "drawing=papr")
     assert done.exit_code != 0
     assert "drawing" in done.stderr
@@ -126,7 +126,7 @@ def as_toml(value: object) -> str:
 def test_the_configuration_in_the_result_gives_the_same_result(cli, result, tmp_path):
     configuration = result["configuration"]
     assert configuration["grid"]["options"]["spacing_mm"] == 8
-    assert configuration["grid"]["options"]["face"] == "auto"  # a default, written out
+    assert configuration["grid"]["options"]["face"] == "auto"  # the default is written explicitly
     lines = [f"{key} = {as_toml(value)}" for key, value in configuration.items() if value is not None]
     Path("again.toml").write_text("\n".join(lines))
     done = cli("run", "--config", "again.toml", "--out", "again")
@@ -136,10 +136,10 @@ def test_the_configuration_in_the_result_gives_the_same_result(cli, result, tmp_
         assert again[key] == result[key]
     assert [h["probability"] for h in again["hypotheses"]] == [h["probability"] for h in result["hypotheses"]]
     poses = [np.array([h["T_sensor_object"] for h in found["hypotheses"]]) for found in (result, again)]
-    assert poses[0] == pytest.approx(poses[1], abs=1e-8)  # threads add up in any order
+    assert poses[0] == pytest.approx(poses[1], abs=1e-8)  # threads sum in varying order
 
 
-def test_the_same_seed_gives_the_same_answer_and_another_one_another_touch(cli, result, tmp_path):
+def test_the_seed_determines_the_simulated_touch(cli, result, tmp_path):
     again, other = (cli("run", *TINY, "--seed", seed, "--out", f"out{seed}") for seed in (0, 1))
     assert again.exit_code == other.exit_code == 0
     poses = [
@@ -165,7 +165,7 @@ def test_the_command_line_overrides_the_file(cli, tmp_path):
     assert len(result["hypotheses"]) <= 2
 
 
-def test_a_touch_file_a_mesh_file_and_a_sensor_file(cli, tmp_path):
+def test_run_reads_touch_mesh_and_sensor_files(cli, tmp_path):
     write_box(Path("box.obj"))
     Path("sensor.toml").write_text((ROOT / "examples/my_sensor.toml").read_text())
     simulated = cli("simulate", "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--count", 1,
@@ -181,7 +181,7 @@ def test_a_touch_file_a_mesh_file_and_a_sensor_file(cli, tmp_path):
     assert re.search(r"\bframe\b.*\bsensor\b", done.stdout)
 
 
-def test_without_the_true_pose_no_error_is_claimed(cli, tmp_path):
+def test_no_error_is_reported_without_the_true_pose(cli, tmp_path):
     np.save("touch.npy", touch_depths() * 1e3)
     done = cli("run", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--out", "out")
     assert done.exit_code == 0, done.stderr
@@ -199,7 +199,7 @@ def test_guesses_are_shown_as_one_line_warnings(cli):
     assert any(re.search(r"\bmm\b", line) for line in done.stderr.splitlines())
 
 
-def test_noise_of_a_simulated_touch_is_recorded(cli, result, tmp_path):
+def test_the_result_records_the_noise_of_a_simulated_touch(cli, result, tmp_path):
     done = cli("run", *TINY, "--noise", "mild", "--out", "noisy")
     assert done.exit_code == 0, done.stderr
     noisy = json.loads((tmp_path / "noisy/result.json").read_text())
@@ -208,7 +208,7 @@ def test_noise_of_a_simulated_touch_is_recorded(cli, result, tmp_path):
     assert noisy["touch"]["press_depth_m"] < result["touch"]["press_depth_m"]
 
 
-def test_a_touch_that_is_read_has_its_own_noise(cli, tmp_path):
+def test_noise_for_a_touch_file_is_refused(cli, tmp_path):
     np.save("touch.npy", touch_depths())
     touch = ["--touch", "touch.npy", "--touch-unit", "m"]
     for level in ("none", "mild"):
@@ -219,13 +219,13 @@ def test_a_touch_that_is_read_has_its_own_noise(cli, tmp_path):
     assert json.loads((tmp_path / "out/result.json").read_text())["touch"]["noise"] is None
 
 
-def test_unknown_noise_is_refused(cli):
+def test_an_unknown_noise_level_is_refused(cli):
     assert_refused(cli("run", "--noise", "weak"), "weak", "mild")
     Path("run.toml").write_text('[touch]\nnoise = "weak"\n')
     assert_refused(cli("run", "--config", "run.toml"), "touch.noise", "weak", "mild")
 
 
-def test_all_modes_of_a_set_are_listed(cli, tmp_path):
+def test_the_result_lists_all_modes_of_the_pose_set(cli, tmp_path):
     done = cli("run", *TINY, "--top", 1, "--coverage", 0.9, "--out", "out")
     assert done.exit_code == 0, done.stderr
     result = json.loads((tmp_path / "out/result.json").read_text())

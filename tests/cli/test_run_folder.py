@@ -47,7 +47,7 @@ def test_each_touch_has_a_line_and_its_results(cli, folder):
         assert (Path("out") / Path(row["touch"]).stem / "result.png").stat().st_size > 10_000
 
 
-def test_it_finds_what_each_touch_alone_finds(cli, folder):
+def test_a_touch_in_a_folder_is_located_as_alone(cli, folder):
     assert cli("run", *PIN, "--touch", folder, "--out", "all").exit_code == 0
     assert cli("run", *PIN, "--touch", folder / "touch-0001.npz", "--out", "one").exit_code == 0
     both = [json.loads(Path(p).read_text()) for p in ("all/touch-0001/result.json", "one/result.json")]
@@ -57,7 +57,7 @@ def test_it_finds_what_each_touch_alone_finds(cli, folder):
     assert not Path("all/touch-0001/result.png").exists()
 
 
-def test_touches_of_which_little_is_explained_are_named(cli, folder, monkeypatch):
+def test_poorly_explained_touches_are_named(cli, folder, monkeypatch):
     for module in ("doubts", "results.verdict"):
         monkeypatch.setattr(f"tactile_loc.locate.{module}.LEAST_IOU", 1.01)
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
@@ -65,7 +65,7 @@ def test_touches_of_which_little_is_explained_are_named(cli, folder, monkeypatch
     assert "101 %" not in cli("run", *PIN, "--touch", folder, "--out", "out", "--refiner", "none").stderr
 
 
-def test_photos_beside_contact_shapes_are_told_of(cli, folder):
+def test_photos_beside_contact_shapes_are_reported(cli, folder):
     (folder / "touch-0001.png").write_bytes(b"")
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert done.exit_code == 0, done.stderr
@@ -78,7 +78,7 @@ def test_a_pattern_chooses_files(cli, folder):
     assert_refused(cli("run", *PIN, "--touch", folder / "photo-*.png"), "photo-*.png", ".npz")
 
 
-def test_a_folder_without_touches_or_with_none_that_can_be_located(cli, tmp_path):
+def test_a_folder_without_a_locatable_touch_is_refused(cli, tmp_path):
     (tmp_path / "empty").mkdir()
     assert_refused(cli("run", *PIN, "--touch", "empty"), "empty", ".npz")
     (tmp_path / "bad").mkdir()

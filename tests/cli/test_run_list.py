@@ -16,7 +16,7 @@ OBJECT = ["--object", "pin", *TINY]
 
 @pytest.fixture
 def listed(cli):
-    """Two simulated touches of an object that lies still, and their list; returns the poses."""
+    """Write a list of two simulated touches of a fixed object, and return their poses."""
     assert cli("simulate", *OBJECT, "--count", 2, "--seed", 3, "--out", "touches").exit_code == 0
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
     text = ""
@@ -28,7 +28,7 @@ def listed(cli):
 
 @pytest.fixture
 def one_moved(cli):
-    """Write a list of four touches of one object, with the third's sensor 8 mm off; return its name."""
+    """Write a list of four touches with the sensor pose of the third wrong by 8 mm; return the name of the third."""
     assert cli("simulate", *OBJECT, "--count", 4, "--seed", 1, "--out", "touches").exit_code == 0
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
     text, names = "", list(poses)
@@ -63,7 +63,7 @@ def test_several_touches_are_fused(cli, listed):
     assert Path("both/result.png").is_file()
 
 
-def test_a_touch_of_another_sensor_may_be_among_them(cli, listed):
+def test_touches_of_different_sensors_are_fused(cli, listed):
     size = ["-o", "sensor.image_size_px=[120, 120]"]
     assert cli("simulate", *OBJECT, *size, "--count", 1, "--seed", 9, "--out", "small").exit_code == 0
     (T,) = json.loads(Path("small/poses.json").read_text())["T_sensor_object"].values()
@@ -80,7 +80,7 @@ def test_a_touch_of_another_sensor_may_be_among_them(cli, listed):
     assert sizes == [[200, 200], [120, 120]]
 
 
-def test_a_prior_decides_between_what_a_touch_leaves_open(cli, listed):
+def test_a_prior_reduces_the_entropy_of_an_ambiguous_touch(cli, listed):
     name, T = next(iter(listed.items()))
     file = prior(T=T.tolist(), translation_std_mm=2, rotation_std_deg=5)
     entropies = []
@@ -107,8 +107,8 @@ def test_bad_lists_and_priors_are_one_sentence(cli, listed):
     assert not Path("out").exists()
 
 
-def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, one_moved):
-    # a temperature need not be fitted then, and eight hypotheses are enough for an easy example
+def test_an_outlier_is_named_and_can_be_dropped(cli, one_moved):
+    # no temperature is fitted, and eight hypotheses are enough for an easy example
     Path("run.toml").write_text("temperature = 1e-3\nhypotheses.refined_together = 8\n")
     several = ["run", *OBJECT, "--config", "run.toml", "--touch", "touches.toml", "--report"]
     done = cli(*several, "--out", "all")
@@ -134,7 +134,7 @@ def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, o
     assert one_moved in Path("dropped/report.html").read_text()
 
 
-def test_of_one_touch_or_a_folder_none_can_be_left_out(cli, listed):
+def test_dropping_outliers_requires_a_list_of_touches(cli, listed):
     name = next(iter(listed))
     for touch in ([], ["--touch", f"touches/{name}.npz"], ["--touch", "touches"]):
         assert_refused(cli("run", *OBJECT, *touch, "--drop-outliers", "--out", "out"), "--drop-outliers", "list")

@@ -35,7 +35,7 @@ def simulate(cli, *words: object):
     return done
 
 
-def test_every_touch_has_its_image_and_there_is_a_background(cli):
+def test_every_touch_has_an_image_beside_the_background(cli):
     done = simulate(cli, "--images", "--out", "out", "-o", "grid.min_contact_percent=2")
     assert "background.png" in done.stdout
     names = ["touch-0000", "touch-0001"]
@@ -52,10 +52,10 @@ def test_every_touch_has_its_image_and_there_is_a_background(cli):
         grown = np.pad(contact, 15)
         near = np.any([np.roll(grown, (i, j), (0, 1)) for i in (-15, 0, 15) for j in (-15, 0, 15)], axis=0)
         assert changed.any()
-        assert near[15:-15, 15:-15][changed].mean() > 0.9  # it changes where the object is
+        assert near[15:-15, 15:-15][changed].mean() > 0.9  # the image changes near the contact
 
 
-def test_without_asking_there_are_no_images_and_the_touches_are_the_same(cli):
+def test_images_are_optional_and_do_not_change_the_touches(cli):
     simulate(cli, "--out", "plain")
     simulate(cli, "--images", "--out", "seen")
     assert not list(Path("plain").glob("touch-*.png"))
@@ -64,14 +64,14 @@ def test_without_asking_there_are_no_images_and_the_touches_are_the_same(cli):
             assert np.array_equal(a["depth"], b["depth"])
 
 
-def test_older_touches_in_the_folder_are_told_of(cli):
+def test_older_touches_in_the_folder_are_reported(cli):
     assert "older" not in simulate(cli, "--out", "out").stderr
     done = cli("simulate", "--count", 1, "--seed", 4, "--out", "out")
     assert not missing(done.stderr, "out", 1, "touch-0001.npz")
     assert len(list(Path("out").glob("*.npz"))) == 2
 
 
-def test_one_seed_gives_the_same_images(cli):
+def test_the_same_seed_gives_the_same_images(cli):
     for out in ("a", "b"):
         simulate(cli, "--images", "--out", out)
     assert np.array_equal(image("a/touch-0001.png"), image("b/touch-0001.png"))
@@ -84,18 +84,18 @@ def test_one_seed_gives_the_same_images(cli):
         (["--optics", "gelsight-mini"], GelSlim().geometry, "gelsight-mini"),
     ],
 )
-def test_the_optics_are_the_sensors_or_those_asked_for(cli, words, geometry: SensorGeometry, style):
+def test_the_optics_follow_the_sensor_or_the_option(cli, words, geometry: SensorGeometry, style):
     simulate(cli, *words, "--out", "out")
     assert np.array_equal(image("out/background.png"), render_background(geometry, OPTICS[style]))
 
 
-def test_a_sensor_of_ones_own_has_images_too(cli):
+def test_a_sensor_file_also_gives_images(cli):
     Path("sensor.toml").write_text(SENSOR)
     write_box(Path("box.obj"))
     simulate(cli, "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--images", "--out", "out")
     assert image("out/touch-0000.png").shape == (48, 64, 3)
 
 
-def test_unknown_optics_are_refused_before_anything_is_made(cli):
+def test_unknown_optics_are_refused_before_anything_is_written(cli):
     assert_refused(cli("simulate", "--optics", "gelslam", "--out", "out"), "gelslam", "gelslim")
     assert not Path("out").exists()

@@ -1,4 +1,4 @@
-"""The command starts at once: nothing heavy is imported before it is needed."""
+"""The command starts quickly: heavy libraries are imported only when they are needed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ except SystemExit as end:
 
 
 @pytest.mark.parametrize("line", ["--help", "run --help", "plugins", "plugins grid", "objects", "--version"])
-def test_light_commands_import_nothing_heavy(line):
+def test_light_commands_import_no_heavy_library(line):
     done = subprocess.run([sys.executable, "-c", PROBE, *line.split()], capture_output=True, text=True, timeout=HANGS_S)
     code, modules = json.loads(done.stderr)
     assert code == 0

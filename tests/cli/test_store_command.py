@@ -1,4 +1,4 @@
-"""store list, size and prune."""
+"""The commands `store list`, `store size` and `store prune`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BANKS = [
 
 @pytest.fixture
 def place(tmp_path) -> Path:
-    """A store of five entries: a grid 40 days old, shapes of 20, banks of 10 and 0, and an interrupted build of 30."""
+    """A store of five entries: grid (40 days old), shapes (20), banks (10 and 0) and an interrupted build (30)."""
     root = tmp_path / "place"
     store = StageStore(root)
     for key, days in zip([GRID, SHAPES, *BANKS], [40, 20, 10, 0], strict=True):
@@ -68,11 +68,11 @@ ALL = {LEFT, *(called(key) for key in (GRID, SHAPES, *BANKS))}
 
 @pytest.fixture
 def ask(cli, place) -> Callable:
-    """Run a command of the store."""
+    """Return a function that runs a `store` command."""
     return lambda *words: cli("store", *words, "--store", place)
 
 
-def test_a_store_that_is_not_there_is_empty(cli, tmp_path):
+def test_a_missing_store_counts_as_empty(cli, tmp_path):
     for words in (["list"], ["size"], ["prune", "--all", "--yes"]):
         done = cli("store", *words, "--store", tmp_path / "nowhere")
         assert done.exit_code == 0, done.stderr
@@ -80,7 +80,7 @@ def test_a_store_that_is_not_there_is_empty(cli, tmp_path):
     assert not (tmp_path / "nowhere").exists()
 
 
-def test_the_list_says_what_each_stage_was_made_from(ask):
+def test_the_list_names_the_inputs_of_each_stage(ask):
     entries = json.loads(ask("list", "--json").stdout)["entries"]
     made_from = {f"{e['stage']} {e['digest']}": e["made_from"] for e in entries}
     grid = {"object": "mesh ab12cd34 (z2)", "grid": "face"}
@@ -88,7 +88,7 @@ def test_the_list_says_what_each_stage_was_made_from(ask):
     assert made_from[called(SHAPES)] == {**grid, "renderer": "raycast"}
     assert made_from[called(BANKS[0])] == {**grid, "renderer": "raycast", "encoder": "pixel"}
     assert made_from[LEFT] == {}
-    assert [e["stage"] for e in entries] == ["grid", "encoder", "shapes", "bank", "bank"]  # the newest last
+    assert [e["stage"] for e in entries] == ["grid", "encoder", "shapes", "bank", "bank"]  # newest last
     assert entries[0]["age_s"] == pytest.approx(40 * DAY_S, abs=600)
 
 
@@ -98,7 +98,7 @@ def test_the_list_names_the_object(cli):
     assert {entry["made_from"]["object"] for entry in entries} == {"pin"}
 
 
-def test_the_list_as_people_read_it(ask):
+def test_the_printed_list_has_one_row_per_entry(ask):
     lines = ask("list").stdout.splitlines()
     (row,) = [line for line in lines if line.startswith("shapes")]
     assert row.split() == ["shapes", SHAPES.short, *row.split()[2:4], "20", "d", "complete", "mesh", "ab12cd34",
@@ -108,7 +108,7 @@ def test_the_list_as_people_read_it(ask):
     assert lines[-1].startswith("5 entries, ")
 
 
-def test_a_damaged_manifest_is_listed_as_such(ask, place):
+def test_a_damaged_manifest_is_listed_as_damaged(ask, place):
     manifest = place / "grid" / GRID.short / "manifest.json"
     manifest.write_text(manifest.read_text().replace("z2", "z3"))
     entries = {e["stage"]: e for e in json.loads(ask("list", "--json").stdout)["entries"]}
@@ -116,14 +116,14 @@ def test_a_damaged_manifest_is_listed_as_such(ask, place):
     assert entries["shapes"]["made_from"] == {"renderer": "raycast"}
 
 
-def test_what_refers_to_itself_ends(ask, place, monkeypatch):
+def test_circular_inputs_do_not_hang_the_list(ask, place, monkeypatch):
     from tactile_loc_cli.commands import store
 
     monkeypatch.setattr(store, "_read_inputs", lambda entry: {"itself": GRID.digest, "other": SHAPES.digest})
     assert ask("list").exit_code == 0
 
 
-def test_size_by_stage(ask, place):
+def test_size_is_reported_by_stage(ask, place):
     found = json.loads(ask("size", "--json").stdout)
     files = [path for path in place.glob("*/*/**/*") if path.is_file()]
     assert found["bytes"] == sum(path.stat().st_size for path in files)
@@ -149,7 +149,7 @@ def test_size_by_stage(ask, place):
         (["--keep-newest", 2, "--stage", "bank"], set()),
     ],
 )
-def test_pruning_removes_what_meets_all_conditions(ask, place, words, removed):
+def test_pruning_removes_entries_that_meet_all_conditions(ask, place, words, removed):
     dry = ask("prune", *words, "--dry-run")
     assert held(place) == ALL
     done = ask("prune", *words, "--yes", "--json")
@@ -177,19 +177,19 @@ def test_pruning_removes_what_meets_all_conditions(ask, place, words, removed):
         (["--keep-newest", 0], ["--keep-newest"]),
     ],
 )
-def test_what_cannot_be_meant_is_refused(ask, place, words, mentioned):
+def test_invalid_pruning_conditions_are_refused(ask, place, words, mentioned):
     assert_refused(ask("prune", *words), *mentioned)
     assert held(place) == ALL
 
 
-def test_nothing_is_removed_without_consent(ask, place):
+def test_pruning_without_confirmation_is_refused(ask, place):
     assert_refused(ask("prune", "--all"), "--yes", "--dry-run")
     assert held(place) == ALL
 
 
 @pytest.mark.parametrize(("answer", "left"), [("y\n", set()), ("n\n", ALL), ("\n", ALL)])
 @pytest.mark.parametrize("as_json", [True, False])
-def test_on_a_terminal_the_person_is_asked(place, monkeypatch, answer, left, as_json):
+def test_pruning_on_a_terminal_asks_for_confirmation(place, monkeypatch, answer, left, as_json):
     monkeypatch.setattr("tactile_loc_cli.commands.store._is_terminal", lambda: True)
     line = ["store", "prune", "--all", "--store", str(place), *(["--json"] if as_json else [])]
     done = CliRunner().invoke(app, line, input=answer, prog_name="tactile-loc")
@@ -200,7 +200,7 @@ def test_on_a_terminal_the_person_is_asked(place, monkeypatch, answer, left, as_
         assert len(json.loads(done.stdout)["removed"]) == 5 - len(left)
 
 
-def test_what_is_being_built_is_left_alone_and_said(ask, place):
+def test_pruning_keeps_and_reports_entries_being_built(ask, place):
     with FileLock(place / "encoder" / "0123456789abcdef.lock"):
         entries = {e["stage"]: e for e in json.loads(ask("list", "--json").stdout)["entries"]}
         assert entries["encoder"]["state"] == "being built"
@@ -214,7 +214,7 @@ def test_what_is_being_built_is_left_alone_and_said(ask, place):
     assert held(place) == set()
 
 
-def test_what_another_process_takes_meanwhile_is_left_alone(ask, place, monkeypatch):
+def test_pruning_keeps_entries_that_another_process_locks(ask, place, monkeypatch):
     with FileLock(place / "grid" / f"{GRID.short}.lock"):
         monkeypatch.setattr(StageStore, "is_being_built", _free_at_first())
         done = ask("prune", "--stage", "grid", "--yes")
@@ -224,7 +224,7 @@ def test_what_another_process_takes_meanwhile_is_left_alone(ask, place, monkeypa
 
 
 def _free_at_first() -> Callable:
-    """is_being_built as it was before another process began."""
+    """Return a stand-in for is_being_built whose first answer is False."""
     asked = StageStore.is_being_built
     calls: list[int] = []
 
@@ -235,7 +235,7 @@ def _free_at_first() -> Callable:
     return answer
 
 
-def test_ages_and_sizes_in_words():
+def test_ages_are_parsed_and_written():
     assert [parse_age(t).total_seconds() for t in ("90s", "1.5h", "2d", "1w", " 3M ")] == [
         90,
         5400,

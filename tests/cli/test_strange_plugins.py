@@ -1,4 +1,4 @@
-"""Other people's plugins: missing libraries, failures, and two of one name."""
+"""Third-party plugins: missing libraries, failures, and equal names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def tactile_loc_components():
 
 @pytest.fixture
 def install(tmp_path: Path):
-    """Install a made-up distribution into a folder for PYTHONPATH."""
+    """Return a function that installs an invented distribution into a folder for PYTHONPATH."""
     site = tmp_path / "site"
 
     def add(distribution: str, hook: str, parts: str = "") -> str:
@@ -39,14 +39,14 @@ def hook(name: str, module: str, requires: str = "") -> str:
     return HOOK.format(name=name, module=module, requires=requires)
 
 
-def test_a_missing_library_says_what_to_install(install, run_process):
+def test_a_missing_library_is_reported_with_its_install_command(install, run_process):
     site = install("far-away", hook("far", "far_away", "faraway-lib"), "import faraway")
     assert "refiner   far " in run_process("plugins", PYTHONPATH=site).stdout
     done = run_process("run", *TINY, "--refiner", "far", PYTHONPATH=site)
     assert_one_error(done.stderr, done.returncode, "'far'", "faraway", "pip install faraway-lib")
 
 
-def test_a_plugin_that_raises_hurts_nobody_until_it_is_chosen(install, run_process):
+def test_a_failing_plugin_matters_only_when_it_is_chosen(install, run_process):
     site = install("broken-one", "raise RuntimeError('out of order')")
     listed = run_process("plugins", PYTHONPATH=site)
     assert listed.returncode == 0
@@ -57,13 +57,13 @@ def test_a_plugin_that_raises_hurts_nobody_until_it_is_chosen(install, run_proce
     assert_one_error(done.stderr, done.returncode, "'broken'", "out of order")
 
 
-def test_a_component_that_raises_on_import(install, run_process):
+def test_a_component_that_fails_on_import_is_one_sentence(install, run_process):
     site = install("half-broken", hook("half", "half_broken"), "1 / 0")
     done = run_process("run", *TINY, "--refiner", "half", PYTHONPATH=site)
     assert_one_error(done.stderr, done.returncode, "'half'", "half-broken", "ZeroDivisionError")
 
 
-def test_two_components_of_one_name_name_both_distributions(install, run_process):
+def test_a_name_conflict_names_both_distributions(install, run_process):
     install("first-twin", hook("twin", "first_twin"), "")
     site = install("second-twin", hook("twin", "second_twin"), "")
     done = run_process("run", *TINY, "--refiner", "twin", PYTHONPATH=site)
@@ -75,6 +75,6 @@ def test_two_components_of_one_name_name_both_distributions(install, run_process
     assert "second-twin" not in alone.stdout
 
 
-def test_without_egl_pyrender_says_what_to_do(run_process):
+def test_missing_egl_is_reported_with_another_renderer(run_process):
     done = run_process("run", *TINY, "--renderer", "pyrender", "--out", "out", PYOPENGL_PLATFORM="no-such-platform")
     assert_one_error(done.stderr, done.returncode, "pyrender", "--renderer heightmap")

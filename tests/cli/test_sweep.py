@@ -15,7 +15,7 @@ import pytest
 from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, write_box
 from message_helpers import missing
 
-psutil = pytest.importorskip("psutil")  # distributed brings it
+psutil = pytest.importorskip("psutil")  # a dependency of distributed
 pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
@@ -33,7 +33,7 @@ FILES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png
 
 @pytest.fixture
 def plan(tmp_path: Path) -> Path:
-    """The file of a plan, in the folder where commands run."""
+    """A plan file in the working folder."""
     (tmp_path / "flat.toml").write_text(FLAT_SENSOR)
     path = tmp_path / "sweep.toml"
     path.write_text(PLAN)
@@ -41,7 +41,7 @@ def plan(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_a_plan_is_swept_and_written_and_not_done_again(cli, plan, tmp_path):
+def test_a_plan_is_evaluated_once_and_written(cli, plan, tmp_path):
     done = cli("sweep", "sweep.toml", "--workers", 1, "--json")
     assert done.exit_code == 0, done.stderr
     report = json.loads(done.stdout)
@@ -86,7 +86,7 @@ def test_the_command_line_overrides_the_plan(cli, plan):
     assert {one["refiner"] for one in report["combinations"]} == {"none", "render", "icp"}
 
 
-def test_a_dry_run_lists_and_counts_and_runs_nothing(cli, plan, tmp_path):
+def test_a_dry_run_lists_combinations_without_running_them(cli, plan, tmp_path):
     done = cli("sweep", "sweep.toml", "--dry-run", "--store", "fresh")
     assert done.exit_code == 0, done.stderr
     lines = done.stdout.splitlines()
@@ -114,7 +114,7 @@ def test_a_dry_run_lists_and_counts_and_runs_nothing(cli, plan, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"flat.toml", "sweep.toml"}
 
 
-def test_units_are_of_the_objects_that_are_given(cli, plan, tmp_path):
+def test_units_apply_to_mesh_files(cli, plan, tmp_path):
     write_box(tmp_path / "part.obj")
     done = cli("sweep", "sweep.toml", "--object", "part.obj,pin", "--units", "mm", "--dry-run", "--json")
     assert done.exit_code == 0, done.stderr
@@ -160,7 +160,7 @@ def test_an_error_in_an_option_beside_a_plan_does_not_name_the_file(cli, plan, w
 
 
 def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):
-    plan.write_text(PLAN.replace("8\n", "8\noption.grid.min_contact_percent = [2, 100]\n"))  # nothing touches that much
+    plan.write_text(PLAN.replace("8\n", "8\noption.grid.min_contact_percent = [2, 100]\n"))  # nothing has 100 %
     words = ["sweep", "sweep.toml", "--object", "pin", "--workers", 1]
     done = cli(*words)
     assert done.exit_code == 1
@@ -183,7 +183,7 @@ EIGHT = ["sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12"
 
 
 def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
-    """Start a sweep as in a terminal."""
+    """Start a sweep that reacts to Ctrl-C as in a terminal."""
     line = command(*EIGHT, "--workers", "2")
     return subprocess.Popen(
         line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -193,13 +193,13 @@ def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
 
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
-    """The numbers of a sweep's processes that work; beside them multiprocessing has one that tidies up."""
+    """The process ids of a sweep's workers, without the resource tracker of multiprocessing."""
     children = psutil.Process(process.pid).children()
     return [child.pid for child in children if any("multiprocessing.spawn" in word for word in child.cmdline())]
 
 
 def wait_for(process: subprocess.Popen[str], reached: Callable[[], bool]) -> None:
-    """Wait until something holds while a process runs; the limit is against hangs only."""
+    """Wait until `reached` returns True while a process runs; the time limit only prevents hangs."""
     end_s = time.monotonic() + HANGING_S
     while not reached():
         assert process.poll() is None, process.communicate()
@@ -213,7 +213,7 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     out = tmp_path / "sweep"
     wait_for(process, lambda: len(finished(out)) >= 2)
     workers = workers_of(process)
-    os.killpg(process.pid, signal.SIGINT)  # everybody, as a terminal does
+    os.killpg(process.pid, signal.SIGINT)  # the whole group, as a terminal does
     _, stderr = process.communicate(timeout=HANGING_S)
     assert process.returncode == 130, stderr
     assert re.fullmatch(r"interrupted\b.*\n", stderr)

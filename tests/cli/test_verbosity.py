@@ -1,4 +1,4 @@
-"""-v, -vv and -q, before and after the command, and the messages of unexpected failures."""
+"""The options -v, -vv and -q before and after the command, and the messages of unexpected errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ INFO = re.compile(r"info: \[\d+\.\d s\] \S.*")
 
 @pytest.fixture
 def build(cli, tmp_path):
-    """Build into a store of its own, with words before the command and after it; return the lines on stderr."""
+    """Build into a separate store, with words before and after the command; return the lines on stderr."""
 
     def run(before: list[str], after: list[str], store: str = "new") -> list[str]:
         done = cli(*before, "build", *PIN, "--store", tmp_path / store, *after)
@@ -31,17 +31,17 @@ def build(cli, tmp_path):
 
 
 @pytest.mark.parametrize(("before", "after"), [(["-v"], []), ([], ["-v"]), (["-v", "-q"], ["--verbose"])])
-def test_info_says_what_is_being_done_with_the_time(build, before, after):
+def test_verbose_reports_each_stage_with_its_time(build, before, after):
     lines = build(before, after)
     assert all(map(INFO.fullmatch, lines)), lines
     for stage in ("grid", "shapes", "bank", "temperature"):
         told = [line for line in lines if re.search(rf"\b{stage} [0-9a-f]{{16}}\b", line)]
-        assert len(told) >= 2, "before and after"
+        assert len(told) >= 2, "one line before the stage and one after it"
         assert re.search(r"\d MB\b.*\d s\b", told[-1])
     assert re.fullmatch(r"info: \[.*\] .*\bbuild\b.* \d+\.\d s\b.*", lines[-1])
 
 
-def test_details_are_shown_only_to_those_who_ask_twice(build):
+def test_debug_lines_are_shown_only_with_vv(build):
     assert build([], []) == []
     for before, after in ((["-vv"], []), (["-v"], ["-v"]), ([], ["-vv"])):
         lines = build(before, after)
@@ -52,7 +52,7 @@ def test_details_are_shown_only_to_those_who_ask_twice(build):
 
 @pytest.fixture
 def namesake(tmp_path):
-    """A calibration's folder that is called as a sensor is."""
+    """A calibration folder with the name of a built-in sensor."""
     (tmp_path / "digit").mkdir()
     (tmp_path / "digit" / "calibration.json").write_text("{}")
 
@@ -70,26 +70,26 @@ def test_quiet_hides_warnings_but_not_errors(cli):
 
 
 @pytest.mark.usefixtures("namesake")
-def test_a_folder_called_like_a_sensor_is_reached_by_its_path(cli):
+def test_a_folder_named_like_a_sensor_is_reached_by_its_path(cli):
     done = cli("build", *PIN, "--sensor", "./digit")
     assert done.exit_code == 2
-    assert "digit" in done.stderr  # read as a calibration, which it is not
+    assert "digit" in done.stderr  # the folder is read as a calibration and refused
     assert "CalibrationError" in cli("build", *PIN, "--sensor", "./digit", "--json").stdout
 
 
-def test_a_sensor_without_such_a_folder_is_no_reason_to_warn(cli):
+def test_a_folder_without_a_calibration_gives_no_warning(cli):
     Path("digit").mkdir()
     assert cli("build", *PIN, "--sensor", "digit").stderr == ""
 
 
-def test_a_warning_is_given_once(capsys):
+def test_a_repeated_warning_is_shown_once(capsys):
     with show_log():
         for text in ("a", "b", "a"):
             logging.getLogger("tactile_loc.core").warning(text)
     assert capsys.readouterr().err == "warning: a\nwarning: b\n"
 
 
-def test_the_levels_of_the_loggers_are_put_back(capsys):
+def test_logger_levels_are_restored(capsys):
     logger = logging.getLogger("tactile_loc")
     before = (logger.level, list(logger.handlers))
     with show_log(5):
@@ -100,7 +100,7 @@ def test_the_levels_of_the_loggers_are_put_back(capsys):
     assert (logger.level, logger.handlers) == before
 
 
-def test_quiet_shows_no_bars(monkeypatch):
+def test_quiet_shows_no_progress_bars(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with show_log():
         assert isinstance(make_progress(), Bars)
@@ -122,28 +122,28 @@ def broken(monkeypatch):
     return let
 
 
-def test_the_unexpected_is_one_line_that_names_the_component(cli, broken):
+def test_an_unexpected_error_names_the_component_in_one_line(cli, broken):
     done = cli(*broken(ZeroDivisionError("by\n  nothing")))
     assert done.exit_code == 1
     assert re.fullmatch(r"error: .*\n", done.stderr)
     assert not missing(done.stderr, "ZeroDivisionError", "refiner 'none'", "by nothing", "-vv")
 
 
-def test_all_details_hold_the_traceback_of_errors_expected_or_not(cli, broken):
+def test_vv_shows_the_traceback_of_any_error(cli, broken):
     done = cli("-vv", *broken(KeyError()))
     assert done.exit_code == 1
     assert "Traceback" in done.stderr
     last = done.stderr.splitlines()[-1]
     assert last.startswith("error: ")
     assert not missing(last, "KeyError", "refiner 'none'")
-    assert missing(last, "-vv"), "it was given"
+    assert missing(last, "-vv"), "the message advises -vv although it was given"
     expected = cli("run", "--touch", "none.npz", "-vv")
     assert "Traceback" in expected.stderr
     assert expected.stderr.splitlines()[-1].startswith("error: ")
     assert expected.exit_code == 2
 
 
-def test_outside_of_components_the_command_is_named(cli, monkeypatch):
+def test_an_error_outside_components_names_the_command(cli, monkeypatch):
     def fail(*_):
         raise RuntimeError
 
@@ -154,7 +154,7 @@ def test_outside_of_components_the_command_is_named(cli, monkeypatch):
     assert not missing(done.stderr, "RuntimeError", "build", "-vv")
 
 
-def test_a_full_disk_is_no_surprise(cli, broken):
+def test_a_full_disk_is_an_expected_error(cli, broken):
     done = cli(*broken(OSError(28, "No space left on device", "cache.nbi")))
     assert done.exit_code == 2
     assert "cache.nbi" in done.stderr
