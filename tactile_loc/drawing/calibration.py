@@ -29,7 +29,8 @@ LONGEST = 30  # characters of a name
 def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:
     """Draw a row for each of at most `MOST` presses, given by their `numbers`.
 
-    A row shows the image, the known indentation, the estimated one, and both along x at the deepest estimated point.
+    A row shows the image, the known and the estimated indentation, and the profiles of both along x through the deepest
+    estimated point.
     """
     shown = list(numbers)[:MOST]
     figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True)

@@ -207,7 +207,7 @@ def _make_dense() -> Float32:
 
 
 def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
-    """Raise ContractError unless there are rows with a finite score and truth, and the two agree for these rows."""
+    """Raise ContractError if no entry is finite in both `scores` and `truth`, or if they differ at such an entry."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)
     require_close(scores[both], truth[both], TOLERANCE, sentence)

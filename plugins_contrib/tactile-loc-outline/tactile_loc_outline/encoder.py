@@ -49,9 +49,9 @@ class OutlineEncoder(Encoder):
 
 
 def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
-    """Return a mask (V, U) of the kept frequencies: numbers of half waves down and across the field of view.
+    """Return a mask (V, U) of the spatial frequencies to keep.
 
-    A kept wave vector is shorter than `below` half waves along the longer side. Therefore the resolution is the same in
+    Entry (v, u) stands for v half waves down and u half waves across the field of view. A kept wave vector is shorter than `below` half waves along the longer side. Therefore the resolution is the same in
     all directions, and does not depend on the number of pixels.
     """
     across_scale, down_scale = geometry.scale_at_surface

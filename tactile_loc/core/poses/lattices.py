@@ -74,10 +74,10 @@ def _require_pitch(pitch_m: float) -> None:
 
 
 def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
-    """Return the least and the greatest x, y translation (..., 2), metres, that lets points overlap the rectangle.
+    """Return the smallest and the largest translations along x and y, each (..., 2), metres, that reach a rectangle.
 
-    `points_m` (..., V, 3), metres, are already rotated into the axes of the sensor frame. Between the two translations,
-    the bounding box of the points overlaps the rectangle (x0, x1, y0, y1), metres.
+    Between them, the bounding box of the points overlaps the rectangle (x0, x1, y0, y1), metres. `points_m`
+    (..., V, 3), metres, are already rotated into the axes of the sensor frame.
     """
     points = np.asarray(points_m, float)[..., :2]
     x0, x1, y0, y1 = rectangle_m

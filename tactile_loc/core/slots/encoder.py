@@ -17,7 +17,7 @@ from tactile_loc.core.slots.component import Component, Float32
 
 
 class Checkpoints:
-    """Storage of a training's state, so that the training can resume after an interruption.
+    """Storage for the state of a training run, so that the run can resume after an interruption.
 
     This base class stores nothing.
     """
