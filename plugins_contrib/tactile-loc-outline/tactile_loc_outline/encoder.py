@@ -51,8 +51,9 @@ class OutlineEncoder(Encoder):
 def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
     """Return a mask (V, U) of the spatial frequencies to keep.
 
-    Entry (v, u) stands for v half waves down and u half waves across the field of view. A kept wave vector is shorter than `below` half waves along the longer side. Therefore the resolution is the same in
-    all directions, and does not depend on the number of pixels.
+    Entry (v, u) stands for v half waves down and u half waves across the field of view. A kept wave vector is shorter
+    than `below` half waves along the longer side. Therefore the resolution is the same in all directions, and does not
+    depend on the number of pixels.
     """
     across_scale, down_scale = geometry.scale_at_surface
     sides_m = np.array([geometry.height_px / down_scale, geometry.width_px / across_scale])
