@@ -309,7 +309,7 @@ def test_the_covariance_equals_that_of_the_surface() -> None:
     np.testing.assert_allclose(covariance_m2, np.eye(3) * (1.0 / 3.0 + 2.0 / 9.0), atol=1e-12)
 
 
-def test_facets_widen_the_tolerance_on_curves_and_not_at_sharp_edges() -> None:
+def test_facet_errors_are_estimated_on_curves_and_not_at_sharp_edges() -> None:
     sagitta_m = 0.01 * (1.0 - math.cos(math.pi / 16))
     assert SurfaceProbe(*cylinder(16)).many.open_m.max() == pytest.approx(1.5 * sagitta_m)
     assert SurfaceProbe(*cylinder(16)).many.open_m.min() == 0.0, "on its flat ends"
