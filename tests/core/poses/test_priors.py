@@ -41,7 +41,7 @@ def posterior_of(obj, count: int = 80, seed: int = 0) -> PosePosterior:
 
 
 class TestGaussian:
-    def test_it_is_the_formula(self):
+    def test_the_prior_equals_the_formula_of_a_gaussian(self):
         T, poses = random_poses(1, 0)[0], random_poses(50, 1)
         moved_m = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1)
         angle_rad = rotation_angle(T[:3, :3].T @ poses[:, :3, :3])
@@ -85,7 +85,7 @@ class TestGaussian:
             ({"T": np.zeros((4, 4))}, "(4, 4)"),
         ],
     )
-    def test_nonsense_is_refused(self, change, value):
+    def test_invalid_means_and_deviations_are_refused(self, change, value):
         with pytest.raises(ConfigError, match=naming(value)):
             GaussianPrior(**{"T": np.eye(4), "translation_std_m": 0.01, "rotation_std_rad": 0.1, **change})
 
@@ -105,7 +105,7 @@ class TestRegion:
         prior = RegionPrior([0.001, -np.inf, -0.01], [0.003, np.inf, np.inf], np.zeros(3))
         assert prior(poses).tolist() == [-np.inf, 0, -np.inf, -np.inf]
 
-    def test_nonsense_is_refused(self):
+    def test_an_invalid_region_is_refused(self):
         with pytest.raises(ConfigError, match=naming("[1. 1. 1.]", "[0. 0. 0.]")):
             RegionPrior(np.ones(3), np.zeros(3), np.zeros(3))
         with pytest.raises(ConfigError, match=naming("[0. 0. 0.]")):
@@ -133,7 +133,7 @@ class TestFrames:
 
 class TestPosterior:
     @pytest.mark.parametrize("symmetry", ["none", "z2"])
-    def test_it_is_the_formula(self, make_box, symmetry):
+    def test_the_prior_equals_the_formula_of_kernels(self, make_box, symmetry):
         earlier = posterior_of(make_box(0.03, 0.02, 0.01, symmetry=symmetry))
         motion, poses = random_poses(1, 12)[0], random_poses(30, 13)
         d = _distances(earlier.grid.metric, poses, motion @ earlier.grid.T_sensor_object)
@@ -193,7 +193,7 @@ class TestPosterior:
     @pytest.mark.parametrize(
         "change", [{"std_m": -1.0}, {"std_m": np.inf}, {"floor": 1.0}, {"T_new_old": np.ones((4, 4))}]
     )
-    def test_nonsense_is_refused(self, box, change):
+    def test_invalid_motions_and_floors_are_refused(self, box, change):
         with pytest.raises(ConfigError, match=rf"\b{next(iter(change))}\b"):
             PosteriorPrior(**{"posterior": posterior_of(box), "T_new_old": np.eye(4), **change})
 

@@ -37,8 +37,8 @@ def test_ious_and_depths_contribute_as_defined():
     assert found.evidence == pytest.approx(expected, abs=1e-3)
 
 
-def test_missing_contact_lowers_the_evidence_less_than_extra_contact():
-    """Two poses have the same IoU; the one that explains a larger area has the better evidence."""
+def test_a_larger_explained_area_adds_evidence():
+    """Apart from the IoU term, the pose that explains a larger area has the better evidence."""
     more, less = imprint(slice(4, 24), 0.4e-3), imprint(slice(4, 12), 0.4e-3)
     found = compare_imprints(np.stack([more, less]), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.imprint_ious == pytest.approx([10 / 16, 8 / 10])
