@@ -185,9 +185,9 @@ def test_exactly_the_declared_rotations_map_the_object_onto_itself(name, about):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_half_turn_beyond_the_declared_one_about_any_axis(name):
-    # A rotation onto itself has its axis along a principal axis of inertia through the centroid. Where the principal
-    # moments differ the only candidates are half turns about those three axes; where two agree, as for
-    # the damping pin, the rotations about z are tested elsewhere and any further axis would lie across z.
+    # A symmetry axis is a principal axis of inertia through the centroid. If the principal moments differ, only half
+    # turns about those three axes are possible. If two moments agree, as for the damping pin, any further axis is
+    # perpendicular to z; another test checks the rotations about z.
     mesh = shipped(name)
     moments, axes = np.linalg.eigh(mesh.moment_inertia)
     gaps = np.diff(moments) / moments.max()
