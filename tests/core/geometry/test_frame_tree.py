@@ -20,7 +20,7 @@ def tree() -> FrameTree:
     """base -> arm (fixed) -> tool, which rotates about z at 1 rad/s and moves along x at 1 m/s; base -> camera."""
     tree = FrameTree()
     tree.add("base", "arm", 0, A, fixed=True)
-    for k in (0, 2, 1, 3):  # not in order
+    for k in (0, 2, 1, 3):  # times are not in order
         tree.add("arm", "tool", k * S, make_transform(rotation_about([0, 0, 1], float(k)), [float(k), 0, 0]))
     tree.add("base", "camera", 0, B, fixed=True)
     return tree

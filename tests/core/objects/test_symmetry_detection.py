@@ -106,7 +106,7 @@ def terraced(x_mm: list[float], y_mm: list[float], height_mm: NDArray[np.float64
 
 
 def plate(*pockets_mm: tuple[float, float], width_mm: float = 1.5, depth_mm: float = 0.5, side_mm: float = 40) -> Mesh:
-    """Return a plate, a quarter less deep than wide and 6 mm high, with square pockets at these corners (x, y)."""
+    """Return a plate 6 mm high, its depth 3/4 of its width, with square pockets at these corners (x, y)."""
     half = np.array([0.5, 0.375]) * side_mm
     x_mm, y_mm = (
         sorted({-h, h, *(c for p in pockets_mm for c in (p[k], p[k] + width_mm))}) for k, h in enumerate(half)

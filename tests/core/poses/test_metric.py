@@ -173,7 +173,7 @@ def finely_sampled(metric, T1, T2, step_m=2e-4):
     return metric.distance(metric.equivalents(T1, step_m), T2).min(axis=0)
 
 
-def test_the_distance_of_orbits_is_that_of_their_nearest_poses(cylinder):
+def test_the_distance_of_orbits_equals_that_of_their_nearest_poses(cylinder):
     """The distance is exact for any rotation of a rotationally symmetric part; sampled ones agree within a step."""
     metric, T1, T2 = PoseMetric(cylinder), random_poses(50, 26), random_poses(50, 27)
     gaps = metric.embed_orbits(T1) - metric.embed_orbits(T2)[0]

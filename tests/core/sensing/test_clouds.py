@@ -25,7 +25,7 @@ def camera(request: pytest.FixtureRequest) -> SensorGeometry:
 
 
 def square(geometry: SensorGeometry, low: int, high: int, press_m: float = 0.002) -> ContactShape:
-    """Flat contact at depth 0 on rows and columns low ... high - 1, nothing elsewhere."""
+    """Return flat contact at depth 0 on rows and columns low ... high - 1, and no contact elsewhere."""
     depth = np.full(geometry.shape, press_m, np.float32)
     depth[low:high, low:high] = 0.0
     return ContactShape(depth, press_m)
@@ -45,7 +45,7 @@ def test_the_cloud_of_a_ball_has_points_and_normals_of_the_ball(camera, make_obj
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
     alike = np.einsum("pk,pk->p", normals, radial)
     assert np.median(alike) > 0.9995
-    assert alike.min() > 0.95, "at the rim a difference is one-sided"
+    assert alike.min() > 0.95, "differences at the rim are one-sided"
     assert (normals[:, 2] < 0).all()
 
 
@@ -86,7 +86,7 @@ def test_a_flat_square_has_walls_on_its_outline_with_lateral_normals(camera):
     ]
     for axis, sign, where in sides:
         outward = sign * normals[:, axis] > 0.99
-        assert outward.sum() > 20 * levels, "most of a side; its ends may turn the corner"
+        assert outward.sum() > 20 * levels, "most of a side; normals at its ends may differ"
         np.testing.assert_allclose(walls[outward][:, axis], where, atol=0.05 * pitch)
     z = np.unique(walls[:, 2].round(9)) - camera.standoff_m
     np.testing.assert_allclose(z, pitch * np.arange(1, levels + 1), atol=1e-9)

@@ -188,7 +188,7 @@ def test_contact_does_not_depend_on_the_object_frame(hook, flat_camera):
 
 
 def test_contact_moves_with_the_rectangle():
-    """Shifting the rectangle and the object together changes nothing."""
+    """A shift of the rectangle and the object together does not change the lowest points."""
     cube = surface(trimesh.creation.box([0.01, 0.02, 0.03]))
     T = random_poses(30, 8)
     x0, x1, y0, y1 = RECTANGLE
@@ -201,7 +201,7 @@ def test_contact_moves_with_the_rectangle():
 
 
 def test_lowest_points_are_equal_for_poses_together_and_alone(hook):
-    """Many poses of one rotation are searched in sorted order, a few are not."""
+    """The search sorts many poses of one rotation, but not a few poses."""
     R = draw_rotations(3, np.random.default_rng(9))
     t = np.random.default_rng(10).uniform(-0.03, 0.03, (3, 12, 3))
     T = make_transform(R[:, None], t).reshape(-1, 4, 4)[np.random.default_rng(11).permutation(36)]

@@ -27,7 +27,7 @@ PLACES = [(0.0, 0.0), (3e-3, 5e-3), (-5e-3, 7e-3)]
 
 
 def domed(camera: str) -> SensorGeometry:
-    """A sensor whose gel is a sphere of radius GEL_M, its top at the standoff on the optical axis."""
+    """Return a sensor with a spherical gel of radius GEL_M, its top at the standoff on the optical axis."""
     flat = {
         "orthographic": SensorGeometry("orthographic", 150, 200, 1e4, 1e4, 75.0, 100.0, 0.02, 1e-3),
         "pinhole": SensorGeometry("pinhole", 150, 200, 200.0, 200.0, 75.0, 100.0, 0.02, 1e-3),
@@ -145,7 +145,7 @@ def egg() -> TriangleMesh:
 
 
 @pytest.mark.parametrize(("mesh", "count"), [(splinter(), 24), (egg(), 8)], ids=["splinter", "egg"])
-def test_lowest_points_over_a_tilted_gel_are_those_of_the_sheared_object(mesh, count):
+def test_a_tilted_gel_gives_the_lowest_points_of_the_sheared_object(mesh, count):
     """Heights above a plane equal heights of a sheared surface, whose lowest point over a flat gel is exact."""
     rng = np.random.default_rng(0)
     T = make_transform(draw_rotations(count, rng), rng.uniform(-0.01, 0.01, (count, 3)))
@@ -211,7 +211,7 @@ def test_the_upright_relief_is_found_from_pinhole_rays():
     geometry = domed("pinhole")
     relief_m, (x0, y0, dx, dy) = make_upright_relief(geometry)
     x, y = x0 + dx * np.arange(150), y0 + dy * np.arange(200)
-    inside = np.s_[20:-20, 20:-20]  # rays to the rim see gel that lies farther in
+    inside = np.s_[20:-20, 20:-20]  # rays to the rim meet the gel nearer to the axis
     truth = np.sqrt(GEL_M**2 - x[None] ** 2 - y[:, None] ** 2) - GEL_M
     assert relief_m[inside] == pytest.approx(truth[inside], abs=2e-6)
 

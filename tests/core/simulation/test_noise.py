@@ -26,7 +26,7 @@ PRESS_M = 0.002
 
 
 def sensor(px: int = 80, size_m: float = 0.04, **more) -> SensorGeometry:
-    """An orthographic sensor of a square field."""
+    """Return an orthographic sensor with a square field."""
     k = px / size_m
     return SensorGeometry("orthographic", px, px, k, k, px / 2, px / 2, 0.01, PRESS_M, **more)
 
@@ -49,7 +49,7 @@ def empty(count: int, px: int = 80) -> np.ndarray:
 
 @pytest.fixture
 def shapes(make_scene, pinhole, box) -> np.ndarray:
-    """Clean contact depths at full press of a box, tilted differently."""
+    """Return clean contact depths of a box at full press, at several tilts."""
     R = rotation_about([1, 2, 0], np.linspace(0.02, 0.4, 12))
     T = np.tile(np.eye(4), (12, 1, 1))
     T[:, :3, :3] = R

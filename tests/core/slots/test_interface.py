@@ -96,7 +96,7 @@ def test_an_old_matcher_without_weights_scores_listed_poses(store):
     assert found == pytest.approx(wanted, abs=1e-5)
 
 
-def test_an_old_matcher_without_weights_is_refused_where_they_are_needed(store):
+def test_an_old_matcher_without_weights_is_refused_for_whole_grids(store):
     with pytest.raises(ConfigError) as caught:
         Localizer.create("pin", store=store, matcher="plain", **FEW)
     sentence = str(caught.value)

@@ -111,7 +111,7 @@ def test_a_plugin_component_is_imported_only_when_it_is_loaded(install):
     assert found.distribution == "acme-tools"
     assert "acme_impl" not in sys.modules
     assert registry().create("refiner", "acme").describe()["class"] == "acme_impl:Acme"
-    assert registry().names("refiner")[-1] == "acme", "the built-in ones come first"
+    assert registry().names("refiner")[-1] == "acme", "built-in components come first"
 
 
 def test_equal_names_conflict_only_when_the_name_is_requested(install):

@@ -44,7 +44,7 @@ def test_a_lighter_press_gives_the_same_depths_cut_at_the_press(ball_scene):
     assert 0 < (light < np.float32(0.0005)).sum() < (full < np.float32(0.002)).sum()
 
 
-def test_the_contact_shape_is_that_of_the_pose_brought_to_contact(ball_scene):
+def test_contact_shape_first_brings_the_pose_to_contact(ball_scene):
     near, far = (ball_scene.contact_shape(make_translation([0.001, 0.002, z]), 0.001) for z in (0.0, 5.0))
     assert near.press_depth_m == 0.001
     assert near.contact.any()
