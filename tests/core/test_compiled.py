@@ -1,4 +1,4 @@
-"""Threads share the parts of a range, each once, and an error in one is raised."""
+"""Threads share the parts of a range, compiled code is reused, and errors in threads are raised."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tactile_loc.core.compiled import njit, run_in_threads
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
-def test_every_item_is_done_once(monkeypatch, count, threads):
+def test_every_item_is_processed_once(monkeypatch, count, threads):
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
     done = np.zeros(count, int)
 
@@ -27,7 +27,7 @@ def test_every_item_is_done_once(monkeypatch, count, threads):
     assert (done == 3).all()
 
 
-def test_threads_work_at_the_same_time(monkeypatch):
+def test_threads_run_at_the_same_time(monkeypatch):
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 3)
     together = threading.Barrier(3, timeout=60)
     met = set()
@@ -57,7 +57,7 @@ def test_an_error_in_another_thread_is_raised(monkeypatch):
         run_in_threads(kernel, 4)
 
 
-def test_it_may_be_called_from_within(monkeypatch):
+def test_threaded_calls_may_be_nested(monkeypatch):
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 2)
     done = np.zeros((4, 4), int)
 
@@ -113,7 +113,7 @@ print(value, hits)
 
 
 def start(folder, environment=None, **values):
-    """Run a kernel of one file that calls one of another, which uses a third file's constant, on a fourth's pair."""
+    """Start a kernel that calls a function of another file; its constant and argument type are in two more files."""
     for name, text in FILES.items():
         path = folder / f"{name}.py"
         text = text.format(**{"pair": "Pair", "factor": 2, "offset": 0, **values})
@@ -127,7 +127,7 @@ def start(folder, environment=None, **values):
 
 
 def finish(process):
-    """Return the kernel's result, and how often it was found on disk."""
+    """Return the kernel's result and its number of cache hits."""
     out, err = process.communicate()
     assert process.returncode == 0, err
     return out.split()
@@ -138,26 +138,26 @@ def run(folder, environment=None, **values):
 
 
 def folders(root):
-    """The folders of compiled code of calling.py."""
+    """Return the folders of compiled code of calling.py."""
     return [path for path in root.rglob("calling.*") if path.is_dir()]
 
 
-def test_compiled_code_is_kept_until_any_source_of_it_changes(tmp_path):
+def test_compiled_code_is_reused_until_a_source_changes(tmp_path):
     assert run(tmp_path) == ["7.0", "0"]
     assert run(tmp_path) == ["7.0", "1"]
-    assert run(tmp_path, factor=4) == ["13.0", "0"]  # a function in another file, called by one it calls
-    assert run(tmp_path, factor=4, offset=1) == ["14.0", "0"]  # a constant that it uses, of a third
-    assert len(folders(tmp_path)) == 2  # of three states
-    assert run(tmp_path, factor=4) == ["13.0", "1"]  # as it was before
+    assert run(tmp_path, factor=4) == ["13.0", "0"]  # an indirectly called function in another file changed
+    assert run(tmp_path, factor=4, offset=1) == ["14.0", "0"]  # a constant in a third file changed
+    assert len(folders(tmp_path)) == 2  # only two of the three versions are kept
+    assert run(tmp_path, factor=4) == ["13.0", "1"]  # the previous version again
 
 
-def test_an_index_that_names_a_class_which_is_gone_is_not_read(tmp_path):
+def test_an_index_with_a_removed_class_is_ignored(tmp_path):
     assert run(tmp_path, pair="Pair") == ["7.0", "0"]
     assert run(tmp_path, pair="Two") == ["7.0", "0"]
     assert run(tmp_path, pair="Two") == ["7.0", "1"]
 
 
-def test_a_class_whose_fields_changed_places_is_another(tmp_path):
+def test_reordered_class_fields_require_compilation(tmp_path):
     assert run(tmp_path) == ["7.0", "0"]
     swapped = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: float\n    a: float\n"
     (tmp_path / "pairs.py").write_text(swapped)
@@ -165,7 +165,7 @@ def test_a_class_whose_fields_changed_places_is_another(tmp_path):
     assert done.stdout.split() == ["5.0", "0"]
 
 
-def test_compiled_code_that_was_cut_off_is_compiled_again(tmp_path):
+def test_truncated_compiled_code_is_compiled_again(tmp_path):
     assert run(tmp_path) == ["7.0", "0"]
     for suffix, left in (("nbi", -5), ("nbi", 0), ("nbc", -5)):
         for path in tmp_path.rglob(f"*.{suffix}"):
@@ -174,12 +174,12 @@ def test_compiled_code_that_was_cut_off_is_compiled_again(tmp_path):
     assert run(tmp_path) == ["7.0", "1"]
 
 
-def test_several_processes_may_compile_at_once(tmp_path):
+def test_several_processes_can_compile_at_the_same_time(tmp_path):
     assert [finish(one)[0] for one in [start(tmp_path) for _ in range(3)]] == ["7.0"] * 3
     assert run(tmp_path) == ["7.0", "1"]
 
 
-def test_code_is_kept_in_the_cache_of_the_user_where_the_source_cannot_be_written_to(tmp_path):
+def test_the_user_cache_is_used_beside_read_only_sources(tmp_path):
     (source := tmp_path / "source").mkdir()
     (source / "__pycache__").touch()  # no folder can be made there, not even by root
     environment = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
@@ -188,11 +188,11 @@ def test_code_is_kept_in_the_cache_of_the_user_where_the_source_cannot_be_writte
     assert len(folders(tmp_path / "cache")) == 1
     (tmp_path / "file").touch()
     process = start(source, {"XDG_CACHE_HOME": str(tmp_path / "file")})
-    assert process.communicate()[1].count("set NUMBA_CACHE_DIR to a folder") == 2, "one warning a file"
+    assert process.communicate()[1].count("set NUMBA_CACHE_DIR to a folder") == 2, "one warning per file"
     assert process.returncode == 0
 
 
-def test_the_settings_of_numba_are_obeyed(tmp_path):
+def test_numba_settings_are_respected(tmp_path):
     (source := tmp_path / "source").mkdir()
     assert run(source, {"NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path / "chosen")}) == ["7.0", "None"]
     assert not (tmp_path / "chosen").exists()
@@ -202,7 +202,7 @@ def test_the_settings_of_numba_are_obeyed(tmp_path):
     assert not folders(source)
 
 
-def test_the_folder_of_other_compiled_functions_is_left_alone():
+def test_the_cache_folder_of_other_functions_is_unchanged():
     before = config.CACHE_DIR
     njit(lambda x: x + 1)
     assert before == config.CACHE_DIR

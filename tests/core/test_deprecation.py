@@ -1,4 +1,4 @@
-"""Old names work for one release, and warn with the new ones."""
+"""Old names work for one release and warn with the new names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OLD = [(module, old, new) for module, names in RENAMED.items() for old, new in n
 
 
 @pytest.mark.parametrize(("module", "old", "new"), OLD, ids=[f"{module}.{old}" for module, old, _ in OLD])
-def test_every_old_name_of_a_module_is_what_the_new_one_is_and_warns(module, old, new):
+def test_an_old_module_name_gives_the_new_object_and_a_warning(module, old, new):
     there = importlib.import_module(module)
     with pytest.warns(DeprecationWarning, match=rf"{old} is now {module}\.{new}; .*{REMOVAL}"):
         found = getattr(there, old)
@@ -24,7 +24,7 @@ def test_every_old_name_of_a_module_is_what_the_new_one_is_and_warns(module, old
 
 
 @pytest.mark.parametrize("module", RENAMED)
-def test_new_names_are_offered_and_old_ones_are_not_listed(module):
+def test_modules_list_new_names_and_no_old_ones(module):
     there = importlib.import_module(module)
     assert set(RENAMED[module].values()) <= set(dir(there))
     assert not set(RENAMED[module]) & set(getattr(there, "__all__", ()))
@@ -32,7 +32,7 @@ def test_new_names_are_offered_and_old_ones_are_not_listed(module):
         _ = there.nonsense
 
 
-def test_a_warning_names_the_line_that_imports():
+def test_a_warning_names_the_importing_file():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         from tactile_loc.plugin import translation
@@ -55,7 +55,7 @@ class More(Things):
 
 
 @pytest.mark.parametrize(("things", "expected"), [(Things(), 5), (More(), 15)])
-def test_old_members_do_what_the_new_ones_do_also_in_subclasses(things, expected):
+def test_old_members_call_the_new_ones_also_in_subclasses(things, expected):
     with pytest.warns(DeprecationWarning, match="Things.counted is now Things.count") as caught:
         assert things.counted(more=2) == expected
     assert caught[0].filename == __file__
@@ -63,7 +63,7 @@ def test_old_members_do_what_the_new_ones_do_also_in_subclasses(things, expected
         assert things.amount == 3
 
 
-def test_a_scene_and_its_geometry_know_their_old_methods():
+def test_scene_and_geometry_keep_their_old_methods():
     scene, problem = make_block_scene(), press_block()
     with pytest.warns(DeprecationWarning, match="is now"):
         old = scene.pressed(1e-3).in_contact(problem.truth[None])[0]
@@ -72,7 +72,7 @@ def test_a_scene_and_its_geometry_know_their_old_methods():
         assert scene.geometry.resized(20, 10).shape == (10, 20)
 
 
-def test_a_misfit_is_read_by_its_old_name_too():
+def test_a_misfit_is_also_read_by_its_old_name():
     given = {"name": "pin", "probability": 1.0, "alike": 0.5, "rough_iou": 0.5, "poses": []}
     old = KnownObjectRecord.model_validate({**given, "shortfall_nats": 2.5})
     assert old == KnownObjectRecord.model_validate({**given, "misfit_nats": 2.5})

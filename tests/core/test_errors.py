@@ -1,4 +1,4 @@
-"""An error is one sentence, whatever it quotes."""
+"""An error is one printable line of limited length."""
 
 import pytest
 
@@ -10,24 +10,24 @@ from tactile_loc.core.errors import ConfigError, TactileLocError, fold_line, nam
     [("two\nlines", "two lines"), ("\x1b[31mred", "\\x1b[31mred"), ("a\x00b", "a\\x00b"), ("\ud800", "\\ud800"),
      ("é \u202e", "é \\u202e")],
 )  # fmt: skip
-def test_what_cannot_be_printed_is_escaped(text, shown):
+def test_unprintable_characters_are_escaped(text, shown):
     assert str(TactileLocError(text)) == fold_line(text) == shown
 
 
-def test_of_what_is_very_long_the_beginning_and_the_end_are_kept():
+def test_a_very_long_message_keeps_its_beginning_and_end():
     said = str(ConfigError(f"key = {'x' * 10**6} is wrong; give a number"))
     assert len(said) < 1600
     assert said.startswith("key = xxx")
     assert said.endswith("xxx is wrong; give a number")
 
 
-def test_long_values_are_abridged():
+def test_long_values_are_shortened():
     assert quote([1.5, "a"]) == "[1.5, 'a']"
     assert len(quote(list(range(10**5)))) < 100
     assert len(quote("x" * 10**5)) < 300
 
 
-def test_errors_are_said_of_what_they_are_about():
+def test_errors_name_their_source_once():
     with pytest.raises(ConfigError, match=r"^plan\.toml: wrong$"), name_source("plan.toml"):
         raise ConfigError("wrong")
     with pytest.raises(ConfigError, match=r"^wrong in plan\.toml$"), name_source("plan.toml"):

@@ -7,7 +7,7 @@ import pytest
 from tactile_loc.core.formatting import format_bytes, format_duration, format_millimetres, format_mm, format_percent
 
 
-def test_lengths_for_people():
+def test_lengths_have_three_digits():
     assert [format_mm(v) for v in (2.1e-5, 1.94e-3, 4.82e-2)] == ["0.021", "1.94", "48.2"]
 
 
@@ -23,20 +23,20 @@ def test_lengths_for_people():
         (0.0, "< 0.1 %"),
     ],
 )
-def test_percent(share, text):
+def test_shares_are_written_as_percentages(share, text):
     assert format_percent(share) == text
 
 
 @pytest.mark.parametrize(("length", "text"), [(1.9e-5, "0.02 mm"), (0.00187, "1.9 mm"), (0.0478, "48 mm")])
-def test_millimetres(length, text):
+def test_lengths_are_written_in_millimetres(length, text):
     assert format_millimetres(length) == text
 
 
-def test_sizes_in_bytes():
+def test_sizes_are_written_in_bytes():
     assert [format_bytes(n) for n in (0, 999, 1000, 12_345_678, 4_560_000_000)] == [
         "0 B", "999 B", "1 kB", "12.3 MB", "4.56 GB",
     ]  # fmt: skip
 
 
-def test_durations():
+def test_durations_are_written_with_a_unit():
     assert [format_duration(s) for s in (0.0123, 0.9999, 4.54)] == ["12.3 ms", "999.9 ms", "4.5 s"]

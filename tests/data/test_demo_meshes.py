@@ -49,7 +49,7 @@ def test_the_table_lists_six_objects_with_their_symmetries():
     assert all(entry.name == name and entry.description for name, entry in DEMO_OBJECTS.items())
 
 
-def test_the_table_imports_nothing_heavy():
+def test_the_table_imports_no_heavy_library():
     code = "import sys, tactile_loc.data; print({'numpy', 'trimesh', 'manifold3d', 'scipy'} & set(sys.modules))"
     root = str(Path(__file__).parents[2])
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
@@ -57,7 +57,7 @@ def test_the_table_imports_nothing_heavy():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_shipped_mesh_is_one_sound_solid(name):
+def test_a_shipped_mesh_is_one_valid_solid(name):
     mesh = shipped(name)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -92,7 +92,7 @@ def test_normals_point_outwards(name):
         ("hook", (38.6, 16, 77)),
     ],
 )
-def test_extents(name, extents_mm):
+def test_shipped_meshes_have_their_extents(name, extents_mm):
     np.testing.assert_allclose(shipped(name).extents * 1e3, extents_mm, atol=0.1)
 
 
@@ -116,7 +116,7 @@ def head_volume() -> tuple[float, float]:
 
 
 def elbow_volume() -> tuple[float, float]:
-    length = 20 * np.pi / 2 + 2 * 14  # Pappus: a bend is as large as a straight tube
+    length = 20 * np.pi / 2 + 2 * 14  # Pappus: a bend has the volume of a straight tube
     tube = rod(10, length) - rod(7.8, length)
     rims = 2 * (rod(14.5, 3.5) - rod(10, 3.5))
     beads = 2 * np.pi * 1.4**2 * np.pi * (10 + 1.4)
@@ -147,7 +147,7 @@ def hook_volume() -> tuple[float, float]:
         ("hook", hook_volume()),
     ],
 )
-def test_volume_lies_between_analytic_bounds(name, bounds):
+def test_volumes_lie_between_analytic_bounds(name, bounds):
     low, high = bounds
     assert low < shipped(name).volume * 1e9 < high, "mm³"
 
@@ -166,7 +166,7 @@ def test_curved_surfaces_keep_their_radius():
 
 
 def rotations_of(symmetry: str) -> set[tuple[str, int]]:
-    """The orders from 2 to 6 that a single-term symmetry implies for rotations about its axis."""
+    """Return the orders from 2 to 6 that a single-term symmetry implies about its axis."""
     if symmetry == "none":
         return set()
     axis, order = symmetry[0], symmetry[1:]
@@ -175,7 +175,7 @@ def rotations_of(symmetry: str) -> set[tuple[str, int]]:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("about", ["origin", "centroid"])
-def test_exactly_the_declared_rotations_map_the_object_onto_itself(name, about):
+def test_only_the_declared_rotations_map_the_object_onto_itself(name, about):
     mesh = shipped(name)
     center = np.zeros(3) if about == "origin" else mesh.center_mass
     turns = [(letter, axis, n) for letter, axis in zip("xyz", np.eye(3), strict=True) for n in range(2, 7)]
@@ -184,10 +184,10 @@ def test_exactly_the_declared_rotations_map_the_object_onto_itself(name, about):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_no_half_turn_beyond_the_declared_one_about_any_axis(name):
-    # A rotation onto itself has its axis along a principal axis of inertia through the centroid. Where the principal
-    # moments differ the only candidates are half turns about those three axes; where two agree, as for
-    # the damping pin, the rotations about z are tested elsewhere and any further axis would lie across z.
+def test_only_the_declared_half_turn_maps_the_object_onto_itself(name):
+    # A symmetry axis is a principal axis of inertia through the centroid. If the principal moments differ, only half
+    # turns about those three axes are possible. If two moments agree, as for the damping pin, any further axis is
+    # perpendicular to z; another test checks the rotations about z.
     mesh = shipped(name)
     moments, axes = np.linalg.eigh(mesh.moment_inertia)
     gaps = np.diff(moments) / moments.max()
@@ -196,7 +196,7 @@ def test_no_half_turn_beyond_the_declared_one_about_any_axis(name):
     assert np.count_nonzero(gaps < 1e-4) == (1 if name == "damping_pin" else 0)
 
 
-def test_the_damping_pin_turns_by_any_angle_onto_itself():
+def test_any_rotation_about_z_maps_the_damping_pin_onto_itself():
     mesh = shipped("damping_pin")
     angles = np.random.default_rng(0).uniform(0, 2 * np.pi, 8)
     assert all(maps_onto_itself(mesh, angle, np.array([0, 0, 1]), np.zeros(3)) for angle in angles)
@@ -210,8 +210,8 @@ def written(tmp_path_factory, demo_meshes) -> Path:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_regenerated_mesh_equals_the_shipped_one(name, written):
-    # Triangulations may differ between versions of manifold3d; the surface may not.
+def test_a_regenerated_mesh_equals_the_shipped_mesh(name, written):
+    # Triangulations may differ between versions of manifold3d; the surface must not.
     new, old = trimesh.load_mesh(written / f"{name}.ply"), shipped(name)
     assert largest_distance_m(new.vertices, old) < FLOAT32_M
     assert largest_distance_m(old.vertices, new) < FLOAT32_M
@@ -219,13 +219,13 @@ def test_regenerated_mesh_equals_the_shipped_one(name, written):
     assert new.area == pytest.approx(old.area, rel=1e-6)
 
 
-def test_writing_twice_gives_the_same_bytes(tmp_path, demo_meshes, written):
+def test_writing_meshes_twice_gives_the_same_bytes(tmp_path, demo_meshes, written):
     again = demo_meshes.write_all(tmp_path)
     assert [path.name for path in again] == [f"{name}.ply" for name in DEMO_OBJECTS]
     assert all(path.read_bytes() == (written / path.name).read_bytes() for path in again)
 
 
-def test_dimensions_shape_the_object(demo_meshes):
+def test_dimensions_change_the_object(demo_meshes):
     even = demo_meshes.mesh_of(demo_meshes.cotter(long_leg=30, short_leg=30))
     assert even.bounds[0, 2] == pytest.approx(-0.030)
     assert maps_onto_itself(even, np.pi, np.array([0, 0, 1]), np.zeros(3))

@@ -20,13 +20,13 @@ def tree() -> FrameTree:
     """base -> arm (fixed) -> tool, which rotates about z at 1 rad/s and moves along x at 1 m/s; base -> camera."""
     tree = FrameTree()
     tree.add("base", "arm", 0, A, fixed=True)
-    for k in (0, 2, 1, 3):  # not in order
+    for k in (0, 2, 1, 3):  # times are not in order
         tree.add("arm", "tool", k * S, make_transform(rotation_about([0, 0, 1], float(k)), [float(k), 0, 0]))
     tree.add("base", "camera", 0, B, fixed=True)
     return tree
 
 
-def test_a_chain_is_multiplied_and_interpolated(tree):
+def test_chained_transforms_are_multiplied_and_interpolated(tree):
     at = make_transform(rotation_about([0, 0, 1], 1.25), [1.25, 0, 0])
     np.testing.assert_allclose(tree.look_up("base", "tool", 1_250_000_000), A @ at, atol=1e-12)
     np.testing.assert_allclose(tree.look_up("camera", "tool", 1_250_000_000), invert(B) @ A @ at, atol=1e-12)
@@ -36,7 +36,7 @@ def test_a_chain_is_multiplied_and_interpolated(tree):
     np.testing.assert_allclose(tree.look_up("tool", "tool", 99 * S), np.eye(4))
 
 
-def test_between_is_a_screw_of_constant_rate():
+def test_interpolation_follows_a_screw_of_constant_rate():
     rng = np.random.default_rng(0)
     first, second = (make_transform(R, rng.normal(size=3)) for R in draw_rotations(2, rng))
     np.testing.assert_allclose(interpolate(first, second, 0.0), first, atol=1e-12)
@@ -46,12 +46,14 @@ def test_between_is_a_screw_of_constant_rate():
     np.testing.assert_allclose(half[:3, 3], (first[:3, 3] + second[:3, 3]) / 2)
 
 
-def test_only_the_frames_between_have_to_be_known(tree):
+def test_only_frames_on_the_path_must_be_known(tree):
     tree.add("arm", "finger", 0, A)
-    np.testing.assert_allclose(tree.look_up("arm", "tool", 2 * S)[:3, 3], [2, 0, 0])  # the finger lacks then
+    np.testing.assert_allclose(
+        tree.look_up("arm", "tool", 2 * S)[:3, 3], [2, 0, 0]
+    )  # the finger has no transform at that time
 
 
-def test_what_lacks_is_named(tree):
+def test_a_missing_transform_is_named(tree):
     for lookup, mentioned in (
         (("base", "tol", S), ("'tol'", "arm", "base", "camera", "'tool'")),
         (("base", "tool", 4 * S), ("tool", "arm", "0.000 s", "3.000 s", "4.000 s")),
@@ -66,7 +68,7 @@ def test_what_lacks_is_named(tree):
         tree.add("camera", "tool", 0, A)
 
 
-def test_frames_in_a_circle_and_clocks_that_are_set_back_are_refused(tree):
+def test_circular_frames_and_decreasing_times_are_refused(tree):
     tree.add("tool", "base", 0, A)
     tree.add("moon", "rover", 0, A)
     with pytest.raises(FrameError, match=naming("base", "tool", "arm")):

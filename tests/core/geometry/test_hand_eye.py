@@ -1,4 +1,4 @@
-"""F_i X S_i = Y: exact without errors; with errors, its covariance fits the residuals; rotations of flanges."""
+"""F_i X S_i = Y: the solution is exact without errors; with errors, its covariance fits the residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def fitted(problem, noise, **more):
     return fit_hand_eye(F, move(S, noise), covariances, X @ make_translation([1e-3, 0, 0]), Y, **more)
 
 
-def test_errors_are_what_moves_a_pose(rng):
+def test_pose_errors_invert_a_move(rng):
     T, e = poses(4, 0.1, rng), 0.1 * rng.normal(size=(4, 6))
     np.testing.assert_allclose(compute_pose_errors(move(T, e), T), e, atol=1e-12)
 
@@ -66,7 +66,7 @@ def test_the_closed_form_is_exact(problem, count):
     np.testing.assert_allclose(predict(F, X, Y), S, atol=1e-12)
 
 
-def test_many_are_solved_at_once_also_where_flanges_turn_by_half_a_turn(problem):
+def test_several_problems_are_solved_together_also_with_half_turns(problem):
     X, Y, F, _ = problem
     axes = ([1, 0, 0], [1, 1, 0], [1, 2, 3])
     half = make_transform(np.stack([np.eye(3), *(rotation_about(a, np.pi) for a in axes)]), np.zeros(3))
@@ -75,14 +75,14 @@ def test_many_are_solved_at_once_also_where_flanges_turn_by_half_a_turn(problem)
     np.testing.assert_allclose(solve_closed_form(flanges, seen)[0], [X, X], atol=1e-7)
 
 
-def test_the_fit_ends_at_the_truth(problem):
+def test_the_fit_converges_to_the_truth(problem):
     found = fitted(problem, np.zeros((10, 6)))
     np.testing.assert_allclose(found.T_flange_sensor, problem[0], atol=1e-9)
     np.testing.assert_allclose(found.T_base_object, problem[1], atol=1e-9)
     assert found.freedom == 10 * 6 - 12
 
 
-def test_errors_are_as_large_as_the_covariance_says_whatever_was_told(problem, rng):
+def test_the_covariance_matches_the_errors_for_a_wrong_noise_level(problem, rng):
     nees, variances = [], []
     for _ in range(60):
         found = fitted(problem, 2 * STD * rng.normal(size=(10, 6)))
@@ -93,7 +93,7 @@ def test_errors_are_as_large_as_the_covariance_says_whatever_was_told(problem, r
     assert np.mean(variances) == pytest.approx(4.0, rel=0.1)
 
 
-def test_a_wrong_touch_has_no_weight_in_a_robust_fit(problem, rng):
+def test_a_robust_fit_ignores_a_wrong_touch(problem, rng):
     noise = STD * rng.normal(size=(10, 6))
     noise[4] = [5e-3, 0, 0, 0.1, 0, 0]
     plain, robust = (fitted(problem, noise, robust=r) for r in (False, True))
@@ -102,14 +102,14 @@ def test_a_wrong_touch_has_no_weight_in_a_robust_fit(problem, rng):
     assert robust.chi2.argmax() == 4
 
 
-def test_touches_that_agree_have_their_full_weight_in_a_robust_fit(problem):
+def test_a_robust_fit_gives_full_weight_to_consistent_touches(problem):
     plain, robust = (fitted(problem, np.zeros((10, 6)), robust=r) for r in (False, True))
     np.testing.assert_allclose(robust.information, plain.information, rtol=1e-6, atol=1e-3)
 
 
-def test_what_touches_say_nothing_of_leaves_the_rest_as_it_is(problem):
+def test_a_direction_without_information_does_not_affect_the_rest(problem):
     X, Y, F, S = problem
-    loose = np.repeat(np.diag([9e-4, *STD[1:] ** 2])[None], 10, axis=0)  # along x a touch knows nothing
+    loose = np.repeat(np.diag([9e-4, *STD[1:] ** 2])[None], 10, axis=0)  # a touch has no information along x
     found = fit_hand_eye(F, S, loose, X @ make_translation([1e-3, 0, 0]), Y)
     np.testing.assert_allclose(found.T_flange_sensor, X, atol=1e-6)
     assert found.freedom == 10 * 5 - 12
@@ -122,7 +122,7 @@ def test_a_covariance_is_moved_to_another_point(rng):
     np.testing.assert_allclose(move_covariance(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
 
 
-def test_what_is_typical_is_told_by_the_chi_squared_distribution():
+def test_the_typical_variance_follows_the_chi_squared_distribution():
     assert chi2(6).median() == pytest.approx(MEDIAN_6, rel=1e-4)
     assert chi2(6).ppf(0.999) == pytest.approx(TRUSTED, rel=2e-3)
     drawn = chi2(6).ppf((np.arange(999) + 0.5) / 999)
@@ -130,7 +130,7 @@ def test_what_is_typical_is_told_by_the_chi_squared_distribution():
     assert estimate_typical_variance(0.1 * drawn) == 1.0
 
 
-def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem):
+def test_rotations_about_one_axis_leave_the_shift_along_it_unknown(problem):
     """X and Y may be shifted along the axis together: eleven numbers are found instead of twelve."""
     X, Y, F, _ = problem
     axis = np.array([2.0, -3.0, 6.0]) / 7
@@ -138,13 +138,13 @@ def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem
     found = fit_hand_eye(F, predict(F, X, Y), np.repeat(COVARIANCE[None], 10, axis=0), X, Y)
     assert found.freedom == 10 * 6 - 11
     std_m = np.sqrt(np.linalg.eigvalsh(found.information)[0]) ** -1
-    assert std_m > 1.0, "as good as nothing"
+    assert std_m > 1.0, "the shift is practically unknown"
     values, vectors = np.linalg.eigh(found.information[:3, :3])
     assert abs(vectors[:, 0] @ X[:3, :3].T @ axis) == pytest.approx(1.0, abs=1e-6)
     assert values[0] < 1e-6 * values[1]
 
 
-def test_turns_of_flanges_about_one_axis_show():
+def test_rotations_about_one_axis_are_detected():
     axis = np.array([1.0, 2.0, 2.0]) / 3
     F = make_transform(rotation_about(axis, np.array([0.0, 0.4, 1.1, 2.0])), [0.1, 0, 0])
     (most, second, _), axes = measure_turns(F)
@@ -154,7 +154,7 @@ def test_turns_of_flanges_about_one_axis_show():
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
 
 
-def test_one_screw_is_that_of_the_flange_and_of_what_the_sensor_sees(problem, rng):
+def test_flange_and_sensed_motion_have_the_same_screw(problem, rng):
     _, _, F, S = problem
     agree = screws_agree(F[:1], F[1:], S[:1], S[1:], 1e-6, 1e-6)
     other = screws_agree(F[:1], F[1:], S[:1], poses(9, 0.03, rng), 1e-2, 1e-3)
@@ -168,7 +168,7 @@ def screw(axis: list[float], angle_rad: float, slide_m: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
-def test_screws_of_other_angles_or_slides_do_not_agree(shape):
+def test_screws_of_different_angles_or_shifts_do_not_agree(shape):
     still, one = np.eye(4), screw([1.0, 2, 3], np.pi / 2, 0.010)
     for angle_rad, slide_m, expected in (
         (np.pi / 2, 0.010, True),

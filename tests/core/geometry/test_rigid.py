@@ -34,25 +34,25 @@ def transforms() -> np.ndarray:
     return make_transform(draw_rotations(6, rng).reshape(2, 3, 3, 3), rng.normal(size=(2, 3, 3)))
 
 
-def test_transform_is_rotation_then_translation():
+def test_a_transform_rotates_and_then_translates():
     R, t = rotation_about([0, 0, 1], np.pi / 2), [1.0, 2.0, 3.0]
     np.testing.assert_allclose(make_transform(R, t) @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-15)
     np.testing.assert_allclose(make_translation(t) @ [1, 0, 0, 1], [2, 2, 3, 1])
 
 
-def test_make_transform_broadcasts_either_part():
+def test_make_transform_broadcasts_rotations_and_translations():
     assert make_transform(np.eye(3), np.zeros((4, 5, 3))).shape == (4, 5, 4, 4)
     assert make_transform(np.zeros((4, 1, 3, 3)), np.zeros((5, 3))).shape == (4, 5, 4, 4)
 
 
-def test_invert_undoes(transforms):
+def test_invert_gives_the_matrix_inverse(transforms):
     np.testing.assert_allclose(invert(transforms) @ transforms, np.broadcast_to(np.eye(4), (2, 3, 4, 4)), atol=1e-12)
     np.testing.assert_allclose(invert(transforms), np.linalg.inv(transforms), atol=1e-12)
     np.testing.assert_allclose(invert(transforms[0]), np.linalg.inv(transforms[0]), atol=1e-12)
     np.testing.assert_allclose(invert(transforms[0, 0]), np.linalg.inv(transforms[0, 0]), atol=1e-12)
 
 
-def test_transform_points_is_the_homogeneous_product(transforms):
+def test_transform_points_equals_the_homogeneous_product(transforms):
     points = np.random.default_rng(1).normal(size=(7, 3))
     homogeneous = np.column_stack([points, np.ones(7)])
     expected = np.einsum("abij,pj->abpi", transforms, homogeneous)[..., :3]
@@ -68,16 +68,16 @@ def test_rotation_about_agrees_with_scipy_for_any_length_of_axis():
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-7, np.pi])
-def test_rotation_angle_is_accurate_at_both_ends(angle_rad):
+def test_rotation_angle_is_accurate_near_zero_and_pi(angle_rad):
     assert rotation_angle(rotation_about([1.0, 2.0, -1.0], angle_rad)) == pytest.approx(angle_rad, rel=1e-6, abs=1e-15)
 
 
-def test_rotation_angle_does_not_know_a_sign():
+def test_rotation_angle_has_no_sign():
     angles = np.array([-1.0, 2.0, 4.0])
     np.testing.assert_allclose(rotation_angle(rotation_about([0, 1, 0], angles)), [1.0, 2.0, 2 * np.pi - 4.0])
 
 
-def test_the_axis_is_as_long_as_the_sine():
+def test_the_axis_has_the_length_of_the_sine():
     axis = np.array([2.0, -3.0, 6.0]) / 7
     angles = np.array([[-1.0, 0.0, 0.3], [2.0, 0.5, np.pi]])
     np.testing.assert_allclose(
@@ -97,7 +97,7 @@ def one_error(shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return error[..., :, None] * error[..., None, :]
 
 
-def test_a_covariance_at_another_point_is_that_of_how_the_point_moves():
+def test_a_moved_covariance_describes_the_error_at_the_new_point():
     shift, turn, lever = np.random.default_rng(8).normal(size=(3, 2, 4, 3))
     there = one_error(shift + np.cross(turn, lever), turn)
     np.testing.assert_allclose(move_covariance(one_error(shift, turn), lever), there, atol=1e-14)
@@ -106,14 +106,14 @@ def test_a_covariance_at_another_point_is_that_of_how_the_point_moves():
     )
 
 
-def test_a_covariance_along_other_axes_is_that_of_the_turned_error():
+def test_a_rotated_covariance_describes_the_rotated_error():
     shift, turn = np.random.default_rng(9).normal(size=(2, 3))
     R = rotation_about([1, -2, 0.5], 0.8)
     np.testing.assert_allclose(rotate_covariance(one_error(shift, turn), R), one_error(R @ shift, R @ turn), atol=1e-14)
 
 
 @pytest.mark.parametrize("direction", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [1e-9, 0, -1], [-0.3, 0.8, -0.1]])
-def test_align_to_z_turns_onto_z_by_the_smallest_angle(direction):
+def test_align_to_z_rotates_by_the_smallest_angle(direction):
     d = np.array(direction) / np.linalg.norm(direction)
     R = align_to_z(direction)
     assert is_rigid(make_transform(R, np.zeros(3)))
@@ -121,7 +121,7 @@ def test_align_to_z_turns_onto_z_by_the_smallest_angle(direction):
     assert rotation_angle(R) == pytest.approx(np.arccos(d[2]), abs=1e-7)
 
 
-def test_quaternions_agree_with_scipy_and_come_back():
+def test_quaternions_are_unit_and_give_back_the_rotation():
     R = draw_rotations(50, np.random.default_rng(2)).reshape(5, 10, 3, 3)
     q = rotation_to_quaternion(R)
     assert q.shape == (5, 10, 4)
@@ -136,14 +136,14 @@ def test_quaternions_agree_with_scipy_and_come_back():
 def test_random_rotations_are_uniform():
     R = draw_rotations(20_000, np.random.default_rng(3))
     assert is_rigid(make_transform(R, np.zeros(3)))
-    np.testing.assert_allclose(R.mean(axis=0), 0, atol=0.02)  # every axis goes everywhere
+    np.testing.assert_allclose(R.mean(axis=0), 0, atol=0.02)  # each axis takes every direction
     angle = rotation_angle(R)
     # Haar measure: the angle's distribution function is (theta - sin theta) / pi.
     for theta in (0.5, 1.5, 2.5):
         assert (angle < theta).mean() == pytest.approx((theta - np.sin(theta)) / np.pi, abs=0.01)
 
 
-def test_random_rotations_follow_their_generator():
+def test_equal_generators_give_equal_rotations():
     same = [draw_rotations(3, np.random.default_rng(4)) for _ in range(2)]
     assert np.array_equal(*same)
     assert not np.allclose(same[0], draw_rotations(3, np.random.default_rng(5)))
@@ -155,7 +155,7 @@ def spoilt(T: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
     return T
 
 
-def test_is_rigid_refuses_what_is_not():
+def test_is_rigid_rejects_other_matrices():
     T = make_transform(draw_rotations(3, np.random.default_rng(6)), np.zeros(3))
     assert is_rigid(T)
     assert is_rigid(T[0])
@@ -168,14 +168,14 @@ def test_is_rigid_refuses_what_is_not():
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, np.pi])
-def test_axis_and_angle_make_the_rotation(turn):
+def test_axis_and_angle_match_a_rotation_about_z(turn):
     c, s = np.cos(turn), np.sin(turn)
     angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
     assert angle_deg == pytest.approx(np.degrees(turn))
     assert np.abs(axis) == pytest.approx([0, 0, 1])
 
 
-def test_axis_and_angle_of_any_turn_and_of_none():
+def test_axis_and_angle_match_any_rotation_and_the_identity():
     axis = np.array([2.0, -3.0, 6.0]) / 7
     for turn in (1e-6, 0.5, 3.0):
         angle_deg, found = axis_angle(rotation_about(axis, turn))
@@ -197,14 +197,14 @@ def test_axis_and_angle_of_any_turn_and_of_none():
         None,
     ],
 )
-def test_what_is_no_rigid_transform_is_refused(T):
+def test_a_matrix_that_is_not_rigid_is_refused(T):
     with pytest.raises(ConfigError, match=naming("the pose", "(4, 4)")):
         require_rigid(T, "the pose")
     with pytest.raises(TouchError, match=naming("the pose", "(4, 4)")):
         require_rigid(T, "the pose", TouchError)
 
 
-def test_a_rigid_transform_may_be_a_list_of_whole_numbers():
+def test_a_rigid_transform_may_be_a_list_of_integers():
     found = require_rigid(np.eye(4, dtype=int).tolist(), "the pose")
     assert found.dtype == np.float64
     np.testing.assert_array_equal(found, np.eye(4))
@@ -215,12 +215,12 @@ LOPSIDED = np.eye(6) + np.eye(6, k=1)
 
 
 @pytest.mark.parametrize("values", [np.eye(3), np.ones(6), 1.0, NEGATIVE, LOPSIDED, np.full((6, 6), np.nan), "wide"])
-def test_what_is_no_covariance_is_refused(values):
+def test_an_invalid_covariance_is_refused(values):
     with pytest.raises(ConfigError, match=naming("the pose", "(6, 6)")):
         require_covariance(values, "the pose's")
 
 
-def test_a_covariance_may_be_of_hundredths_of_a_micrometre_or_nothing():
+def test_a_covariance_may_be_tiny_or_zero():
     rng = np.random.default_rng(3)
     A = rng.normal(size=(6, 6)) * 1e-8
     np.testing.assert_array_equal(require_covariance(A @ A.T, "it"), A @ A.T)
@@ -228,4 +228,4 @@ def test_a_covariance_may_be_of_hundredths_of_a_micrometre_or_nothing():
     assert require_covariance(np.diag([1, 1, 1, 0, 0, 0]), "it").dtype == np.float64
     half = (A @ A.T).astype(np.float32)
     half[0, 1] *= np.float32(1) + np.finfo(np.float32).eps
-    assert require_covariance(half, "it")[0, 1] == half[0, 1], "what single precision rounds is symmetric enough"
+    assert require_covariance(half, "it")[0, 1] == half[0, 1], "rounding to single precision keeps enough symmetry"

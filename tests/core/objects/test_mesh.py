@@ -23,11 +23,11 @@ def box_mesh() -> TriangleMesh:
 
 
 def box_variance(a: float, b: float, c: float) -> float:
-    """Variance along a of a box's surface: two faces b c at +-a/2, and four of area a c or a b that fill it evenly."""
+    """Return the variance along `a` of a box's surface: two faces at +-a/2, four faces spread evenly along `a`."""
     return (2 * b * c * a**2 / 4 + 2 * a * (b + c) * a**2 / 12) / (2 * (a * b + b * c + c * a))
 
 
-def test_box_surface_moments_are_the_analytic_ones(box_mesh):
+def test_box_surface_moments_equal_the_analytic_values(box_mesh):
     a, b, c = SIDES
     np.testing.assert_allclose(box_mesh.face_areas.sum(), 2 * (a * b + b * c + c * a))
     np.testing.assert_allclose(box_mesh.centroid_m, SHIFT, atol=1e-15)
@@ -36,7 +36,7 @@ def test_box_surface_moments_are_the_analytic_ones(box_mesh):
     np.testing.assert_allclose(box_mesh.covariance_m2, expected, atol=1e-15)
 
 
-def test_sphere_surface_moments_are_the_analytic_ones():
+def test_sphere_surface_moments_equal_the_analytic_values():
     radius = 0.01
     ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
     mesh = TriangleMesh(np.array(ball.vertices) - SHIFT, np.array(ball.faces))
@@ -44,7 +44,7 @@ def test_sphere_surface_moments_are_the_analytic_ones():
     np.testing.assert_allclose(mesh.covariance_m2, np.eye(3) * radius**2 / 3, rtol=2e-3, atol=1e-10)
 
 
-def test_moments_turn_with_the_surface(box_mesh):
+def test_moments_rotate_with_the_surface(box_mesh):
     R, t = rotation_about([1, 2, 3], 0.7), np.array([0.0, 0.3, 0.0])
     turned = TriangleMesh(transform_points(make_transform(R, t), box_mesh.vertices_m), box_mesh.faces)
     np.testing.assert_allclose(turned.centroid_m, R @ box_mesh.centroid_m + t, atol=1e-14)
@@ -59,7 +59,7 @@ def test_moments_do_not_depend_on_the_tessellation(box_mesh):
     np.testing.assert_allclose(mesh.covariance_m2, box_mesh.covariance_m2, atol=1e-12)
 
 
-def test_samples_lie_on_the_surface_and_agree_with_its_moments(box_mesh):
+def test_samples_lie_on_the_surface_and_have_its_moments(box_mesh):
     points = box_mesh.sample(200_000, np.random.default_rng(0))
     outside = np.abs(points - SHIFT) / (SIDES / 2)
     np.testing.assert_allclose(outside.max(axis=1), 1.0, atol=1e-9)
@@ -75,18 +75,18 @@ def test_samples_fill_a_triangle_evenly():
     np.testing.assert_allclose(quarters, 0.25, atol=0.01)
 
 
-def test_samples_follow_their_generator(box_mesh):
+def test_equal_generators_give_equal_samples(box_mesh):
     assert np.array_equal(*(box_mesh.sample(9, np.random.default_rng(2)) for _ in range(2)))
 
 
-def test_digest_changes_with_the_surface_and_nothing_else(box_mesh):
+def test_the_digest_changes_only_with_the_surface(box_mesh):
     same = TriangleMesh(np.asfortranarray(box_mesh.vertices_m), box_mesh.faces.astype(np.int32))
     assert same.digest == box_mesh.digest
     assert TriangleMesh(box_mesh.vertices_m + 1e-9, box_mesh.faces).digest != box_mesh.digest
     assert TriangleMesh(box_mesh.vertices_m, box_mesh.faces[:, ::-1]).digest != box_mesh.digest
 
 
-def test_description_tells_objects_apart_by_symmetry_but_not_by_name(box_mesh):
+def test_the_description_depends_on_symmetry_and_not_on_the_name(box_mesh):
     def describe(name: str, symmetry: str) -> dict[str, object]:
         return ObjectModel(name, box_mesh, SymmetryGroup.parse(symmetry, SHIFT)).describe()
 
@@ -114,7 +114,7 @@ def poison(vertices: np.ndarray) -> np.ndarray:
         (lambda v: v * 0.01, ("0.3 mm", "--units")),
     ],
 )
-def test_impossible_surfaces_are_refused_in_a_sentence(box_mesh, change, values):
+def test_impossible_surfaces_are_refused(box_mesh, change, values):
     with pytest.raises(ObjectError, match=naming("part", *values)):
         check_surface(with_vertices(box_mesh, change), "part")
 
@@ -128,11 +128,11 @@ def test_empty_surfaces_are_refused(box_mesh):
             check_surface(empty, "part")
 
 
-def test_model_checks_its_surface(box_mesh):
+def test_the_object_model_checks_its_surface(box_mesh):
     with pytest.raises(ObjectError, match=naming("dwarf", "0.3 mm")):
         ObjectModel("dwarf", with_vertices(box_mesh, lambda v: v * 0.01), SymmetryGroup.parse("none", SHIFT))
 
 
 @pytest.mark.parametrize("size_m", [0.001, 1.0])
-def test_sizes_at_the_limits_are_possible(box_mesh, size_m):
+def test_sizes_at_the_limits_are_accepted(box_mesh, size_m):
     check_surface(with_vertices(box_mesh, lambda v: (v - SHIFT) * (size_m / 0.030)), "part")

@@ -1,4 +1,4 @@
-"""The nearest surface, against trimesh's own search."""
+"""The nearest surface point, compared with the search of trimesh."""
 
 from __future__ import annotations
 
@@ -17,24 +17,26 @@ SOLIDS = {
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_the_nearest_point_is_the_nearest_there_is(name):
+def test_the_nearest_point_agrees_with_trimesh(name):
     solid = SOLIDS[name]
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
     rng = np.random.default_rng(0)
     points = mesh.sample(2000, rng) + rng.normal(0, 1e-4, (2000, 3))
     found, which = SurfaceField.of(mesh).find_closest(points)
-    in_mm = trimesh.Trimesh(1e3 * mesh.vertices_m, mesh.faces, process=False)  # its tolerances are no metres
+    in_mm = trimesh.Trimesh(
+        1e3 * mesh.vertices_m, mesh.faces, process=False
+    )  # trimesh has absolute tolerances too large for metres
     distance_m = 1e-3 * trimesh.proximity.closest_point(in_mm, 1e3 * points)[1]
     assert (which >= 0).all()
     off_m = np.linalg.norm(found - points, axis=1) - distance_m
     assert off_m.min() > -1e-9
-    # beside an edge another triangle may be as near to the cell's centre, and is taken
+    # near an edge, another triangle that is as near to the cell's centre may be chosen
     assert np.median(off_m) < 1e-9
     assert np.quantile(off_m, 0.95) < 2e-4
     assert off_m.max() < 5e-4
 
 
-def test_beyond_reach_there_is_nothing():
+def test_no_point_is_found_beyond_the_reach():
     solid = SOLIDS["ball"]
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
     found, which = SurfaceField.of(mesh, reach_m=2e-3).find_closest(np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.009]]))
@@ -43,21 +45,21 @@ def test_beyond_reach_there_is_nothing():
     np.testing.assert_allclose(found[1], [0, 0, 0.008], atol=1e-4)
 
 
-def test_the_mean_gap_of_a_ball():
+def test_the_mean_gap_of_a_ball_equals_its_formula():
     solid = SOLIDS["ball"]
     field = SurfaceField.of(TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)))
     points = np.array([[0.008, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.1]])
     turn = np.eye(4)
     turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     outwards = np.eye(4)
-    outwards[0, 3] = 1e-3  # the first point then is 1 mm off, the second hypot(1, 10) - 8
+    outwards[0, 3] = 1e-3  # the first point then has a gap of 1 mm, the second of hypot(1, 10) - 8 mm
     expected = [2e-3 + 3e-3, 2e-3 + 3e-3, 1e-3 + np.hypot(1e-3, 1e-2) - 8e-3 + 3e-3]
     gaps = field.measure_gaps(points, np.stack([np.eye(4), turn, outwards]), 3e-3)
     np.testing.assert_allclose(gaps, np.array(expected) / 3, atol=3e-5)
     assert field.measure_gaps(np.zeros((0, 3)), np.eye(4)[None], 3e-3).tolist() == [0.0]
 
 
-def test_every_region_of_a_triangle():
+def test_the_closest_point_is_right_in_every_region_of_a_triangle():
     corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     cases = {
         (0.5, 0.5, 3.0): (0.5, 0.5, 0.0), (-1.0, -1.0, 1.0): (0.0, 0.0, 0.0), (5.0, -1.0, 0.0): (2.0, 0.0, 0.0),

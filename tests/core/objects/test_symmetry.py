@@ -32,7 +32,7 @@ def random_rotations(count: int, seed: int = 1) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(("text", "order"), ORDERS.items())
-def test_closure_has_the_order_of_the_group(text: str, order: int) -> None:
+def test_the_closure_has_the_order_of_the_group(text: str, order: int) -> None:
     group = SymmetryGroup.parse(text, CENTRE_M)
     assert group.order == order
     assert group.is_trivial == (text == "none")
@@ -41,43 +41,43 @@ def test_closure_has_the_order_of_the_group(text: str, order: int) -> None:
 
 
 @pytest.mark.parametrize("text", [*list(ORDERS)[:-1], "zinf", "zinf*x2", "axis(1,1,0)inf*z2"])
-def test_elements_are_closed_under_product_and_inverse(text: str) -> None:
+def test_the_elements_are_closed_under_product_and_inverse(text: str) -> None:
     T = SymmetryGroup.parse(text, CENTRE_M).list_elements(math.radians(36.0))
     products = (T[:, None] @ T[None]).reshape(-1, 16)
     candidates = np.concatenate([products, np.linalg.inv(T).reshape(-1, 16)])
     difference = np.abs(candidates[:, None] - T.reshape(-1, 16)[None]).max(axis=2)
     assert difference.min(axis=1).max() < 1e-6
-    assert np.sum(difference[: len(T) ** 2] < 1e-6) == len(T) ** 2, "every product is one element, not several"
+    assert np.sum(difference[: len(T) ** 2] < 1e-6) == len(T) ** 2, "every product is exactly one element"
 
 
 @pytest.mark.parametrize("text", ["none", "z6*x2", "zinf*x2", "x2*y2", "axis(0.58,0.58,0.58)3", "axis(1,-1,0.25)inf"])
-def test_text_round_trips(text: str) -> None:
+def test_parsing_and_writing_keep_the_text(text: str) -> None:
     assert str(SymmetryGroup.parse(text, CENTRE_M)) == text
 
 
-def test_text_is_read_leniently() -> None:
+def test_parsing_ignores_case_and_spaces() -> None:
     assert str(SymmetryGroup.parse(" Z6 * axis( 1, 1.0 ,0 )2 ", CENTRE_M)) == "z6*axis(1,1,0)2"
 
 
-def test_three_decimals_of_an_axis_are_enough_to_close() -> None:
+def test_an_axis_with_three_decimals_gives_a_closed_group() -> None:
     assert SymmetryGroup.parse("axis(0.577,0.577,0.578)3*z2", CENTRE_M).order == 12
 
 
-def test_elements_fix_the_centre_and_the_identity_leads() -> None:
+def test_elements_keep_the_centre_and_start_with_the_identity() -> None:
     T = SymmetryGroup.parse("z6*x2", CENTRE_M).list_elements()
     np.testing.assert_allclose(T[:, :3, :3] @ CENTRE_M + T[:, :3, 3], np.tile(CENTRE_M, (12, 1)), atol=1e-15)
     np.testing.assert_allclose(T[0], np.eye(4), atol=1e-15)
 
 
 @pytest.mark.parametrize(("step_deg", "count"), [(10.0, 36), (7.0, 52), (100.0, 4), (360.0, 2)])
-def test_a_continuous_axis_is_sampled_evenly_and_finely_enough(step_deg: float, count: int) -> None:
+def test_a_continuous_axis_is_sampled_evenly_within_the_step(step_deg: float, count: int) -> None:
     T = SymmetryGroup.parse("zinf", CENTRE_M).list_elements(math.radians(step_deg))
     angle_rad = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
     np.testing.assert_allclose(angle_rad, np.arange(count) * 2.0 * math.pi / count, atol=1e-12)
     assert SymmetryGroup.parse("zinf", CENTRE_M).order == math.inf
 
 
-def test_terms_along_a_continuous_axis_fold_into_it() -> None:
+def test_terms_along_a_continuous_axis_are_merged() -> None:
     assert len(SymmetryGroup.parse("zinf*z6", CENTRE_M).list_elements(math.pi)) == 2
     assert len(SymmetryGroup.parse("x2*zinf*y2", CENTRE_M).list_elements(math.pi)) == 4
 
@@ -103,13 +103,13 @@ def test_terms_along_a_continuous_axis_fold_into_it() -> None:
         ("zinf*axis(1,0,1)2", "sphere"),
     ],
 )
-def test_what_is_no_group_is_refused_by_name(text: str, value: object) -> None:
+def test_an_invalid_group_is_refused_by_name(text: str, value: object) -> None:
     with pytest.raises(SymmetryError, match=naming(f"'{text}'", value)):
         SymmetryGroup.parse(text, CENTRE_M)
 
 
 @pytest.mark.parametrize("centre_m", [(0.0, 0.0), (0.0, 0.0, math.nan)])
-def test_a_centre_is_three_finite_numbers(centre_m: tuple[float, ...]) -> None:
+def test_a_centre_requires_three_finite_numbers(centre_m: tuple[float, ...]) -> None:
     with pytest.raises(SymmetryError, match="centre"):
         SymmetryGroup.parse("z2", centre_m)
 
@@ -123,7 +123,7 @@ def test_sampling_steps_must_be_positive() -> None:
 
 
 @pytest.mark.parametrize(("text", "order"), ORDERS.items())
-def test_representatives_are_one_in_order_of_random_rotations(text: str, order: int) -> None:
+def test_representatives_are_the_expected_share_of_random_rotations(text: str, order: int) -> None:
     kept = SymmetryGroup.parse(text, CENTRE_M).is_representative(random_rotations(2000)).sum()
     expected = 2000 / order
     assert abs(kept - expected) <= 3.0 * math.sqrt(expected * (1.0 - 1.0 / order))
@@ -139,7 +139,7 @@ def test_every_rotation_has_exactly_one_representative(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["zinf", "zinf*x2", "axis(1,2,3)inf"])
 @pytest.mark.parametrize("count", [2, 36, 50])
-def test_an_evenly_sampled_continuous_orbit_keeps_one(text: str, count: int) -> None:
+def test_an_evenly_sampled_continuous_orbit_has_one_representative(text: str, count: int) -> None:
     group, step_rad = SymmetryGroup.parse(text, CENTRE_M), 2.0 * math.pi / count
     orbits = random_rotations(200)[:, None] @ group.list_elements(step_rad)[None, :, :3, :3]
     kept = group.is_representative(orbits.reshape(-1, 3, 3), step_rad).reshape(200, -1)
@@ -154,7 +154,7 @@ def test_a_continuous_axis_keeps_its_share_of_random_rotations(text: str, flips:
 
 
 @pytest.mark.parametrize("text", ["none", "z6*x2", "x4*y4", "zinf", "axis(1,2,3)inf*axis(-2,1,0)2"])
-def test_equivalent_rotations_have_one_canonical_form_which_is_equivalent(text: str) -> None:
+def test_equivalent_rotations_have_the_same_canonical_form(text: str) -> None:
     group = SymmetryGroup.parse(text, CENTRE_M)
     R = random_rotations(100)
     canonical = group.find_canonical(R)
@@ -165,14 +165,14 @@ def test_equivalent_rotations_have_one_canonical_form_which_is_equivalent(text: 
     assert np.all(nearest > 1.0 + 2.0 * math.cos(math.radians(0.3)))
 
 
-def test_canonical_tells_different_orbits_apart() -> None:
+def test_different_orbits_have_different_canonical_forms() -> None:
     group, R = SymmetryGroup.parse("z6", CENTRE_M), random_rotations(50)
     turned = group.find_canonical(R @ rotation_about((0, 0, 1), math.radians(30.0)))
     assert np.all(np.abs(turned - group.find_canonical(R)).max(axis=(1, 2)) > 0.05)
 
 
 @pytest.mark.parametrize("text", ["none", "z6", "x2*y2", "zinf", "axis(1,1,0)inf*z2"])
-def test_the_least_angle_is_that_to_the_nearest_equivalent(text):
+def test_the_least_angle_is_measured_to_the_nearest_equivalent(text):
     group = SymmetryGroup.parse(text, [0.01, 0, 0])
     R = random_rotations(30)
     same = R[:, None] @ group.list_elements(0.002)[:, :3, :3]

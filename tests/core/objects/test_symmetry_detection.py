@@ -27,7 +27,7 @@ BOLT = Path(__file__).parents[4] / "shared/data/meshes/factory/factory_bolt_m16_
 
 
 def measure_deviation(group: SymmetryGroup, mesh: Mesh, tolerance_m: float = RESOLUTION_M) -> float:
-    """Return how far, in metres, the surface lies from itself under the worst of the group's elements."""
+    """Return the largest gap (metres) between the surface and its image under any element of the group."""
     return _find_worst(SurfaceProbe(*mesh), group, tolerance_m)[0]
 
 
@@ -106,7 +106,7 @@ def terraced(x_mm: list[float], y_mm: list[float], height_mm: NDArray[np.float64
 
 
 def plate(*pockets_mm: tuple[float, float], width_mm: float = 1.5, depth_mm: float = 0.5, side_mm: float = 40) -> Mesh:
-    """Return a plate, a quarter less deep than wide and 6 mm high, with square pockets at these corners (x, y)."""
+    """Return a plate 6 mm high, its depth 3/4 of its width, with square pockets at these corners (x, y)."""
     half = np.array([0.5, 0.375]) * side_mm
     x_mm, y_mm = (
         sorted({-h, h, *(c for p in pockets_mm for c in (p[k], p[k] + width_mm))}) for k, h in enumerate(half)
@@ -149,7 +149,7 @@ def found(name: str) -> SymmetryGroup:
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_finds_the_symmetry_of_a_body_and_vouches_for_it(name: str) -> None:
+def test_the_symmetry_of_a_body_is_detected_and_verified(name: str) -> None:
     mesh, text, order = BODIES[name]
     group = found(name)
     assert str(group) == text
@@ -157,7 +157,7 @@ def test_finds_the_symmetry_of_a_body_and_vouches_for_it(name: str) -> None:
     require_symmetry(SymmetryGroup.parse(text, group.centre_m), *mesh)
 
 
-def test_a_notch_breaks_all_but_the_flip_through_it() -> None:
+def test_a_notch_leaves_only_the_flip_through_it() -> None:
     outline = circle(96)
     outline[[95, 0, 1]] *= 0.93
     assert str(detect_symmetry(*prism(outline, 30))) == "x2"
@@ -179,30 +179,30 @@ def test_a_small_pocket_bump_or_hole_breaks_the_symmetry_of_a_plate(
             require_symmetry(symmetry, *mesh)
 
 
-def test_a_pair_of_pockets_keeps_the_turn_that_swaps_them() -> None:
+def test_a_pair_of_pockets_keeps_the_rotation_that_swaps_them() -> None:
     assert str(detect_symmetry(*plate((5.0, 3.0), (-6.5, -4.5)))) == "z2"
 
 
-def test_what_no_sensor_sees_breaks_nothing() -> None:
+def test_a_pocket_below_sensor_resolution_is_ignored() -> None:
     assert RESOLUTION_M == 5e-5
     assert str(detect_symmetry(*plate((5.0, 3.0), depth_mm=0.04))) == "x2*y2"
 
 
-def test_a_pocket_on_a_finely_tessellated_part_breaks_it_too() -> None:
-    """Among some 8000 facets of a cylinder of 64 sides, 1.5 mm wide and 0.3 mm deep: 0.1 % of its surface."""
+def test_a_small_pocket_breaks_the_symmetry_of_a_finely_tessellated_part() -> None:
+    """A pocket 1.5 mm wide and 0.3 mm deep is 0.1 % of the surface of a cylinder of about 8000 facets."""
     radius_mm = np.full((66, 64), 10.0)
     radius_mm[20:24, 5:7] -= 0.3
     assert detect_symmetry(*stack(np.stack([circle(64, r) for r in radius_mm]), np.linspace(0, 30, 66))).is_trivial
 
 
 @pytest.mark.parametrize("count", [24, 32, 100])
-def test_rings_of_facets_turned_against_each_other_are_round(count: int) -> None:
+def test_rings_of_facets_rotated_against_each_other_are_round(count: int) -> None:
     rings = [circle(count, 10.0, 0.37 * k * 2.0 * math.pi / count) for k in range(8)]
     assert str(detect_symmetry(*stack(np.stack(rings), np.linspace(0.0, 30.0, 8)))) == "zinf*x2"
 
 
-def test_a_rough_scan_has_the_symmetry_that_is_declared() -> None:
-    """A box scanned with 0.03 mm of noise: a sensor would see it, but a declared symmetry is accepted."""
+def test_a_declared_symmetry_is_accepted_for_a_rough_scan() -> None:
+    """A sensor would see 0.03 mm of noise on a scanned box, but a declared symmetry is accepted."""
     vertices_m, faces = subdivided(BODIES["box"][0], 4)
     merged_m, index = np.unique(np.round(vertices_m, 9), axis=0, return_inverse=True)
     scan = merged_m + np.random.default_rng(0).normal(0.0, 3e-5, merged_m.shape), index.reshape(-1)[faces]
@@ -241,7 +241,7 @@ def test_detection_does_not_depend_on_the_tessellation(name: str) -> None:
     assert str(detect_symmetry(vertices_m, faces)) == text
 
 
-def test_half_fine_half_coarse_tessellation_keeps_the_centre() -> None:
+def test_an_uneven_tessellation_keeps_the_centre() -> None:
     vertices, faces = BODIES["box"][0]
     fine_vertices, fine_faces = subdivided((vertices, faces[:5]), 4)
     joint = np.concatenate([vertices, fine_vertices]), np.concatenate([faces[5:], fine_faces + len(vertices)])
@@ -257,12 +257,12 @@ def test_a_few_stray_triangles_do_not_hide_a_symmetry() -> None:
     assert str(detect_symmetry(*joint)) == "zinf*x2"
 
 
-def test_a_wide_tolerance_sees_less() -> None:
+def test_a_wider_tolerance_ignores_larger_features() -> None:
     assert str(detect_symmetry(*BODIES["notched cylinder"][0], tolerance_m=2e-3)) == "zinf*x2"
-    assert str(detect_symmetry(*cylinder(16), tolerance_m=2e-5)) == "zinf*x2", "facets are no features"
+    assert str(detect_symmetry(*cylinder(16), tolerance_m=2e-5)) == "zinf*x2", "facets are not features"
 
 
-def test_a_sphere_is_treated_as_a_cylinder_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_sphere_is_treated_as_a_cylinder_and_logs_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     polar_rad = np.linspace(0.001, math.pi - 0.001, 40)
     ball = stack(np.stack([circle(64, 10.0 * s) for s in np.sin(polar_rad)]), -10.0 * np.cos(polar_rad))
     with caplog.at_level(logging.WARNING):
@@ -278,7 +278,7 @@ def test_verification_measures_the_gap() -> None:
     assert measure_deviation(SymmetryGroup.parse("none", (0, 0, 0)), mesh) == 0.0
 
 
-def test_refusal_names_the_turn_the_gap_and_the_place() -> None:
+def test_the_error_names_the_rotation_the_gap_and_the_place() -> None:
     with pytest.raises(SymmetryError) as caught:
         require_symmetry(SymmetryGroup.parse("z6", (0, 0, 0.02)), *BODIES["square prism"][0])
     message = str(caught.value)
@@ -290,7 +290,7 @@ def test_refusal_names_the_turn_the_gap_and_the_place() -> None:
 
 
 @pytest.mark.parametrize(("text", "name"), [("zinf", "notched cylinder"), ("zinf*x2", "frustum"), ("z3", "cube")])
-def test_what_the_surface_contradicts_is_refused(text: str, name: str) -> None:
+def test_a_symmetry_that_the_surface_contradicts_is_refused(text: str, name: str) -> None:
     mesh = BODIES[name][0]
     with pytest.raises(SymmetryError, match=f"'{re.escape(text)}'"):
         require_symmetry(SymmetryGroup.parse(text, SurfaceProbe(*mesh).centre_m), *mesh)
@@ -304,12 +304,12 @@ def test_distances_to_a_box_are_exact() -> None:
     np.testing.assert_allclose(probe.centre_m, (0, 0, 0.01), atol=1e-12)
 
 
-def test_covariance_is_that_of_the_surface() -> None:
+def test_the_covariance_equals_that_of_the_surface() -> None:
     covariance_m2 = SurfaceProbe(*subdivided(prism(rectangle(2e3, 2e3), 2e3), 1)).covariance_m2()
     np.testing.assert_allclose(covariance_m2, np.eye(3) * (1.0 / 3.0 + 2.0 / 9.0), atol=1e-12)
 
 
-def test_facets_leave_a_curve_open_but_no_sharp_edge() -> None:
+def test_facet_errors_are_estimated_on_curves_and_not_at_sharp_edges() -> None:
     sagitta_m = 0.01 * (1.0 - math.cos(math.pi / 16))
     assert SurfaceProbe(*cylinder(16)).many.open_m.max() == pytest.approx(1.5 * sagitta_m)
     assert SurfaceProbe(*cylinder(16)).many.open_m.min() == 0.0, "on its flat ends"
@@ -331,7 +331,7 @@ def test_a_mesh_without_a_surface_is_refused(vertices: NDArray[np.float64], face
         detect_symmetry(vertices, faces)
 
 
-@pytest.mark.skipif(not BOLT.exists(), reason="the M16 bolt's mesh is not here")
+@pytest.mark.skipif(not BOLT.exists(), reason="the mesh of the M16 bolt is missing")
 def test_the_thread_of_a_bolt_breaks_the_symmetry_of_its_head() -> None:
     trimesh = pytest.importorskip("trimesh")
     bolt = trimesh.load(BOLT, force="mesh")

@@ -14,7 +14,7 @@ from tactile_loc.core.poses.lattices import (
 LOW, HIGH = np.array([-0.010, 0.004]), np.array([0.013, 0.009])
 
 
-def test_lattice_is_square_of_the_pitch_and_centred():
+def test_a_lattice_has_square_cells_and_is_centred():
     points = make_plane_lattice(LOW, HIGH, 0.002)
     assert len(points) == 12 * 3
     for axis, n in ((0, 12), (1, 3)):
@@ -25,7 +25,7 @@ def test_lattice_is_square_of_the_pitch_and_centred():
 
 
 @pytest.mark.parametrize("pitch_m", [0.0007, 0.001, 0.0023, 0.0049])
-def test_every_place_is_within_half_a_pitch_and_points_lie_inside(pitch_m):
+def test_every_place_has_a_lattice_point_within_half_a_pitch(pitch_m):
     points = make_plane_lattice(LOW, HIGH, pitch_m)
     places = np.random.default_rng(0).uniform(LOW, HIGH, (2000, 2))
     off = np.abs(places[:, None] - points[None]).max(axis=-1).min(axis=1)
@@ -35,7 +35,7 @@ def test_every_place_is_within_half_a_pitch_and_points_lie_inside(pitch_m):
     assert len(points) == compute_lattice_shape(LOW, HIGH, pitch_m).prod()
 
 
-def test_shifted_lattices_are_square_of_the_pitch_and_inside():
+def test_shifted_lattices_have_square_cells_and_lie_inside():
     for number in range(8):
         points = make_shifted_lattice(LOW, HIGH, 0.002, number)
         for axis in range(2):
@@ -43,10 +43,10 @@ def test_shifted_lattices_are_square_of_the_pitch_and_inside():
         assert (points >= LOW - 1e-12).all()
         assert (points <= HIGH + 1e-12).all()
         reached = np.abs(np.stack([points.min(axis=0) - LOW, HIGH - points.max(axis=0)]))
-        assert reached.max() < 0.002, "as many points as there is room for"
+        assert reached.max() < 0.002, "the lattice has as many points as fit"
 
 
-def test_successive_shifts_fill_one_another_s_gaps():
+def test_successive_shifts_fill_each_others_gaps():
     middle = (LOW + HIGH) / 2
     offs = np.stack([(make_shifted_lattice(LOW, HIGH, 0.002, number)[0] - middle) % 0.002 for number in range(16)])
     places = np.random.default_rng(0).uniform(0, 0.002, (500, 2))
@@ -56,11 +56,11 @@ def test_successive_shifts_fill_one_another_s_gaps():
     assert np.allclose(offs[0] % 0.002, 0.0, atol=1e-12) or np.allclose(offs[0], 0.002)
 
 
-def test_whole_number_of_pitches_gets_no_extra_point_from_rounding():
+def test_rounding_adds_no_point_to_a_whole_number_of_pitches():
     assert compute_lattice_shape(np.zeros(2), np.array([0.3, 0.1 * 3]), 0.1).tolist() == [3, 3]
 
 
-def test_short_or_empty_range_gets_its_middle():
+def test_a_short_or_empty_range_gives_its_middle():
     np.testing.assert_allclose(make_plane_lattice(np.zeros(2), np.array([0.001, -0.001]), 0.01), [[0.0005, -0.0005]])
     np.testing.assert_allclose(
         make_shifted_lattice(np.zeros(2), np.array([0.001, -0.001]), 0.01, 3), [[0.0005, -0.0005]]
@@ -68,14 +68,14 @@ def test_short_or_empty_range_gets_its_middle():
 
 
 @pytest.mark.parametrize("pitch_m", [0.0, -0.001, np.nan, np.inf])
-def test_impossible_pitch_is_refused(pitch_m):
+def test_an_impossible_pitch_is_refused(pitch_m):
     with pytest.raises(GridError, match=f"{1e3 * pitch_m:g} mm"):
         make_plane_lattice(LOW, HIGH, pitch_m)
     with pytest.raises(GridError, match=f"{1e3 * pitch_m:g} mm"):
         make_shifted_lattice(LOW, HIGH, pitch_m, 1)
 
 
-def test_boxes_overlap_exactly_between_low_and_high():
+def test_boxes_overlap_only_between_low_and_high():
     points = np.random.default_rng(1).normal(size=(40, 3)) * 0.01
     x0, x1, y0, y1 = rectangle = (-0.004, 0.006, -0.02, -0.01)
     low, high = find_reachable_translations(points, rectangle)
@@ -85,7 +85,7 @@ def test_boxes_overlap_exactly_between_low_and_high():
         assert overlaps == ((t >= low).all() and (t <= high).all())
 
 
-def test_batches_of_turned_points_are_taken_one_by_one():
+def test_batches_of_points_are_computed_separately():
     points = np.random.default_rng(3).normal(size=(5, 8, 3))
     low, high = find_reachable_translations(points, (-1.0, 1.0, -2.0, 2.0))
     one_low, one_high = find_reachable_translations(points[3], (-1.0, 1.0, -2.0, 2.0))

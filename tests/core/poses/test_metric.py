@@ -25,7 +25,7 @@ def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
 
 
 def quadrature(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights that integrate any quadratic over the surface exactly: the middles of every face's edges."""
+    """Return points and weights that integrate quadratics over the surface exactly: the middles of all face edges."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     points = np.concatenate([a + b, b + c, c + a]) / 2
     weights = np.tile(mesh.face_areas, 3)
@@ -37,7 +37,7 @@ def pin() -> ObjectModel:
     return load_object("pin", symmetry="none")
 
 
-def test_embedding_is_the_rms_point_distance_exactly(pin):
+def test_embedding_distance_equals_the_rms_point_distance(pin):
     points, weights = quadrature(pin.mesh)
     T1, T2 = random_poses(20, 0), random_poses(20, 1)
     squared = ((transform_points(T1, points) - transform_points(T2, points)) ** 2).sum(axis=-1) @ weights
@@ -46,14 +46,14 @@ def test_embedding_is_the_rms_point_distance_exactly(pin):
     np.testing.assert_allclose(metric.distance(T1, T2), np.sqrt(squared), rtol=1e-9)
 
 
-def test_embedding_agrees_with_dense_samples_of_the_surface(pin):
+def test_embedding_distance_agrees_with_dense_surface_samples(pin):
     points = pin.mesh.sample(100_000, np.random.default_rng(2))
     T1, T2 = random_poses(3, 3), random_poses(3, 4)
     mean_square = ((transform_points(T1, points) - transform_points(T2, points)) ** 2).sum(axis=-1).mean(axis=-1)
     np.testing.assert_allclose(PoseMetric(pin).distance(T1, T2) ** 2, mean_square, rtol=0.02)
 
 
-def test_a_translation_counts_in_full_and_a_turn_by_its_lever(box):
+def test_the_distance_of_a_rotation_depends_on_its_lever(box):
     metric, T = PoseMetric(box), random_poses(1, 5)
     assert metric.distance(T, make_translation([0.003, 0, 0.004]) @ T) == pytest.approx(0.005)
     turn = make_transform(rotation_about([0, 0, 1], 0.1), np.zeros(3))
@@ -61,10 +61,10 @@ def test_a_translation_counts_in_full_and_a_turn_by_its_lever(box):
     assert metric.distance(T, T @ turn) == pytest.approx(2 * np.sin(0.05) * lever_m)
 
 
-def test_a_flat_surface_has_a_metric_too_however_it_lies():
+def test_a_flat_surface_has_a_metric_in_any_orientation():
     corners = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]])
     T1, T2 = random_poses(4, 6), random_poses(4, 36)
-    for R in draw_rotations(20, np.random.default_rng(37)):  # rounding makes some of the least moments negative
+    for R in draw_rotations(20, np.random.default_rng(37)):  # rounding makes some of the smallest moments negative
         mesh = TriangleMesh(corners @ R.T, np.array([[0, 1, 2]]))
         metric = PoseMetric(ObjectModel("sheet", mesh, SymmetryGroup.parse("none", np.zeros(3))))
         points, weights = quadrature(mesh)
@@ -72,7 +72,7 @@ def test_a_flat_surface_has_a_metric_too_however_it_lies():
         np.testing.assert_allclose(metric.distance(T1, T2), np.sqrt(squared))
 
 
-def test_metric_scales_with_the_unit(pin):
+def test_the_metric_scales_with_the_unit(pin):
     scaled = TriangleMesh(pin.mesh.vertices_m * 10, pin.mesh.faces)
     larger = PoseMetric(ObjectModel("larger", scaled, SymmetryGroup.parse("none", np.zeros(3))))
     T1, T2 = random_poses(5, 7), random_poses(5, 8)
@@ -81,8 +81,8 @@ def test_metric_scales_with_the_unit(pin):
     np.testing.assert_allclose(larger.distance(T1 * scale, T2 * scale), 10 * PoseMetric(pin).distance(T1, T2))
 
 
-def test_metric_does_not_depend_on_the_objects_frame_nor_the_sensors(pin):
-    """Moving the object's frame or the sensor's changes no distance between the same two poses."""
+def test_the_metric_does_not_depend_on_frames(pin):
+    """A move of the object frame or the sensor frame does not change the distance between two poses."""
     X = random_poses(1, 9)[0]
     moved = TriangleMesh(transform_points(X, pin.mesh.vertices_m), pin.mesh.faces)
     other = PoseMetric(ObjectModel("moved", moved, SymmetryGroup.parse("none", np.zeros(3))))
@@ -92,19 +92,19 @@ def test_metric_does_not_depend_on_the_objects_frame_nor_the_sensors(pin):
     np.testing.assert_allclose(PoseMetric(pin).distance(X @ T1, X @ T2), expected)
 
 
-def test_equivalents_look_the_same(make_box, cylinder):
+def test_equivalents_have_the_same_surface(make_box, cylinder):
     for obj, count in ((make_box(0.03, 0.02, 0.01, symmetry="x2*y2"), 4), (cylinder, None)):
         same = PoseMetric(obj).equivalents(random_poses(2, 12), step_m=0.002)
         assert same.shape[1:] == (2, 4, 4)
         assert count in (None, len(same))
         mesh = trimesh.Trimesh(obj.mesh.vertices_m, obj.mesh.faces, process=False)
-        back = np.linalg.inv(same[0, 0]) @ same[:, 0]  # what each does to the object itself
+        back = np.linalg.inv(same[0, 0]) @ same[:, 0]  # the motion of the object
         for S in back:
             gap = np.abs(trimesh.proximity.signed_distance(mesh, transform_points(S, obj.mesh.vertices_m)))
-            assert gap.max() < 4e-5, "the sagitta of the cylinder's 64 sides, or nothing"
+            assert gap.max() < 4e-5, "the gap is at most the sagitta of the cylinder's 64 sides"
 
 
-def test_equivalents_of_a_turned_part_are_at_most_a_step_apart(cylinder):
+def test_equivalents_of_a_rotationally_symmetric_part_are_at_most_a_step_apart(cylinder):
     metric = PoseMetric(cylinder)
     for step_m in (0.003, 0.0005):
         same = metric.equivalents(random_poses(1, 13), step_m)[:, 0]
@@ -113,17 +113,19 @@ def test_equivalents_of_a_turned_part_are_at_most_a_step_apart(cylinder):
         assert 0.3 * step_m < gaps.max() <= step_m
 
 
-def test_symmetric_distance_is_nil_between_equivalents(make_box, cylinder):
+def test_the_symmetric_distance_between_equivalents_is_zero(make_box, cylinder):
     brick = make_box(0.03, 0.02, 0.01, symmetry="x2*y2")
     for obj in (brick, cylinder):
         metric = PoseMetric(obj)
         T = random_poses(3, 14)
         for S in obj.symmetry.list_elements(0.7):
             assert metric.symmetric_distance(T, T @ S).max() <= 1e-12
-    assert PoseMetric(brick).distance(T, T @ brick.symmetry.list_elements()[1]).min() > 0.01, "unlike the plain one"
+    assert PoseMetric(brick).distance(T, T @ brick.symmetry.list_elements()[1]).min() > 0.01, (
+        "the plain distance is not zero"
+    )
 
 
-def test_symmetric_distance_is_symmetric_and_no_more_than_the_plain_one(make_box):
+def test_the_symmetric_distance_is_at_most_the_plain_distance(make_box):
     metric = PoseMetric(make_box(0.03, 0.02, 0.01, symmetry="x2*y2"))
     T1, T2 = random_poses(30, 15), random_poses(30, 16)
     near = metric.symmetric_distance(T1, T2)
@@ -133,7 +135,7 @@ def test_symmetric_distance_is_symmetric_and_no_more_than_the_plain_one(make_box
 
 
 @pytest.mark.parametrize("symmetry", ["none", "x2*y2"])
-def test_nearest_agrees_with_brute_force(make_box, symmetry):
+def test_the_nearest_pose_agrees_with_brute_force(make_box, symmetry):
     obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
     grid = PoseGrid(random_poses(300, 17), PoseMetric(obj))
     queries = random_poses(40, 18)
@@ -146,7 +148,7 @@ def test_nearest_agrees_with_brute_force(make_box, symmetry):
     np.testing.assert_allclose(distance, rms.min(axis=1))
 
 
-def test_nearest_of_a_grid_pose_and_its_equivalents_is_itself(cylinder):
+def test_the_nearest_pose_of_a_grid_pose_is_itself(cylinder):
     grid = PoseGrid(random_poses(50, 19), PoseMetric(cylinder))
     turned = grid.T_sensor_object @ cylinder.symmetry.list_elements(0.5)[7]
     distance, index = grid.nearest(turned)
@@ -155,7 +157,7 @@ def test_nearest_of_a_grid_pose_and_its_equivalents_is_itself(cylinder):
 
 
 @pytest.mark.parametrize("symmetry", ["none", "x2*y2", "zinf*x2"])
-def test_nearest_within_a_bound_is_nearest_or_nothing(make_box, cylinder, symmetry):
+def test_the_nearest_pose_within_a_bound_is_the_nearest_or_none(make_box, cylinder, symmetry):
     obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.01, symmetry=symmetry)
     grid, queries = PoseGrid(random_poses(300, 24), PoseMetric(obj)), random_poses(60, 25)
     distance, index = grid.nearest(queries)
@@ -167,12 +169,12 @@ def test_nearest_within_a_bound_is_nearest_or_nothing(make_box, cylinder, symmet
 
 
 def finely_sampled(metric, T1, T2, step_m=2e-4):
-    """The least distance over a sampled symmetry."""
+    """Return the smallest distance over a sampled symmetry."""
     return metric.distance(metric.equivalents(T1, step_m), T2).min(axis=0)
 
 
-def test_orbits_are_as_far_apart_as_their_nearest_poses(cylinder):
-    """Exact for any rotation of a rotationally symmetric part: sampled rotations agree to within their step."""
+def test_the_distance_of_orbits_equals_that_of_their_nearest_poses(cylinder):
+    """The distance is exact for any rotation of a rotationally symmetric part; sampled ones agree within a step."""
     metric, T1, T2 = PoseMetric(cylinder), random_poses(50, 26), random_poses(50, 27)
     gaps = metric.embed_orbits(T1) - metric.embed_orbits(T2)[0]
     exact = np.linalg.norm(gaps, axis=-1).min(axis=0)
@@ -184,7 +186,7 @@ def test_orbits_are_as_far_apart_as_their_nearest_poses(cylinder):
     np.testing.assert_allclose(metric.embed_orbits(turned)[0], metric.embed_orbits(T1)[0], atol=1e-12)
 
 
-def test_orbits_hold_where_the_centroid_is_not_the_centre_of_symmetry():
+def test_orbit_distances_hold_for_a_centre_of_symmetry_off_the_centroid():
     """A cone whose declared centre is its tip."""
     cone = trimesh.creation.cone(0.01, 0.03, sections=48)
     mesh = TriangleMesh(np.array(cone.vertices), np.array(cone.faces, np.int64))
@@ -194,7 +196,7 @@ def test_orbits_hold_where_the_centroid_is_not_the_centre_of_symmetry():
     np.testing.assert_allclose(exact, finely_sampled(metric, T1, T2, 1e-4), rtol=1e-3)
 
 
-def test_the_mean_spacing_is_that_of_a_lattice(box, cylinder):
+def test_the_mean_spacing_of_a_lattice_is_its_pitch(box, cylinder):
     x = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), -1).reshape(-1, 3) * 0.003
     assert PoseGrid(make_translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.003)
     assert PoseGrid(make_translation(x) @ cylinder.symmetry.list_elements(0.5)[3], PoseMetric(cylinder)).spacing_m == (
@@ -203,7 +205,7 @@ def test_the_mean_spacing_is_that_of_a_lattice(box, cylinder):
     assert PoseGrid(make_translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
 
 
-def test_the_mean_spacing_of_a_large_grid_regards_all_of_it(box):
+def test_the_mean_spacing_of_a_large_grid_includes_all_parts(box):
     steps_m = np.repeat([0.001, 0.003, 0.002], SPACING_SAMPLE)
     x = np.column_stack([np.cumsum(steps_m), 0 * steps_m, 0 * steps_m])
     assert PoseGrid(make_translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.002, rel=0.01)
@@ -212,7 +214,7 @@ def test_the_mean_spacing_of_a_large_grid_regards_all_of_it(box):
     assert two.neighbour_spacing() == pytest.approx([0.004, 0.004])
 
 
-def test_neighbour_spacing_is_that_of_a_lattice(box):
+def test_the_neighbour_spacing_of_a_lattice_is_its_pitch(box):
     x = np.stack(np.meshgrid(np.arange(5), np.arange(4), [0]), -1).reshape(-1, 3) * 0.003
     grid = PoseGrid(make_translation(x), PoseMetric(box))
     np.testing.assert_allclose(grid.neighbour_spacing(), 0.003)
@@ -220,7 +222,7 @@ def test_neighbour_spacing_is_that_of_a_lattice(box):
     assert PoseGrid(make_translation(x[:1]), PoseMetric(box)).neighbour_spacing().tolist() == [np.inf]
 
 
-def test_within_is_a_ball_with_symmetry_regarded(make_box):
+def test_find_within_includes_symmetric_poses(make_box):
     obj = make_box(0.03, 0.02, 0.01, symmetry="z2")
     T = random_poses(1, 20)[0]
     half_turn = obj.symmetry.list_elements()[1]
@@ -229,17 +231,17 @@ def test_within_is_a_ball_with_symmetry_regarded(make_box):
     assert grid.find_within(0.0015, 0).tolist() == [0, 1, 5, 6]
 
 
-def test_removal_leaves_one_of_each_equivalent(make_box):
+def test_removal_keeps_one_pose_per_orbit(make_box):
     obj = make_box(0.03, 0.02, 0.01, symmetry="x2*y2")
     T = random_poses(30, 21)
     all_four = (T[:, None] @ obj.symmetry.list_elements()).reshape(-1, 4, 4)
     keep = remove_equivalent(all_four, PoseMetric(obj), 1e-6)
     assert keep.sum() == 30
     assert keep.reshape(30, 4).sum(axis=1).tolist() == [1] * 30
-    assert keep.reshape(30, 4)[:, 0].all(), "the first is kept"
+    assert keep.reshape(30, 4)[:, 0].all(), "the first pose is kept"
 
 
-def test_removal_leaves_no_two_within_the_radius_up_to_symmetry(cylinder):
+def test_removal_keeps_no_two_poses_within_the_radius(cylinder):
     T = random_poses(150, 22, spread_m=0.002)
     metric, radius_m = PoseMetric(cylinder), 0.004
     keep = remove_equivalent(T, metric, radius_m)
@@ -248,16 +250,16 @@ def test_removal_leaves_no_two_within_the_radius_up_to_symmetry(cylinder):
     same = metric.embed(metric.equivalents(T, step_m=radius_m / 10))
     gaps = np.stack([cdist(equivalents, metric.embed(kept)) for equivalents in same]).min(axis=0)
     assert np.sort(gaps[keep], axis=1)[:, 1].min() >= 0.98 * radius_m
-    assert gaps.min(axis=1).max() <= 1.01 * radius_m, "and nothing is removed without a twin"
+    assert gaps.min(axis=1).max() <= 1.01 * radius_m, "every removed pose is near a kept one"
 
 
-def test_removal_leaves_an_asymmetric_object_alone(box):
+def test_removal_keeps_all_poses_of_an_asymmetric_object(box):
     T = np.repeat(random_poses(2, 23), 2, axis=0)
     assert remove_equivalent(T, PoseMetric(box), 0.001).all()
     assert remove_equivalent(T[:0], PoseMetric(box), 0.001).shape == (0,)
 
 
-def test_nothing_is_removed_of_nothing(cylinder):
+def test_removal_accepts_no_poses(cylinder):
     assert remove_equivalent(np.zeros((0, 4, 4)), PoseMetric(cylinder), 0.001).shape == (0,)
 
 
@@ -267,7 +269,7 @@ def grid(request, make_box, cylinder) -> PoseGrid:
     return PoseGrid(random_poses(60, 30), PoseMetric(obj))
 
 
-def test_the_nearest_equivalent_looks_the_same_and_is_as_near_as_any(grid):
+def test_the_nearest_equivalent_is_equivalent_and_nearest(grid):
     metric, T, T_near = grid.metric, random_poses(7, 31), random_poses(7, 32)
     found = metric.nearest_equivalents(T, T_near)
     assert metric.symmetric_distance(found, T).max() < 1e-12
@@ -275,7 +277,7 @@ def test_the_nearest_equivalent_looks_the_same_and_is_as_near_as_any(grid):
     np.testing.assert_allclose(metric.distance(found, T_near) ** 2, least**2, atol=1e-8)
 
 
-def test_all_distances_from_a_pose_are_those_of_the_metric(grid):
+def test_grid_distances_equal_the_metric(grid):
     T = random_poses(1, 33)[0]
     one_by_one = grid.metric.symmetric_distance(np.broadcast_to(T, (len(grid), 4, 4)), grid.T_sensor_object)
     np.testing.assert_allclose(grid.distances(T), one_by_one, atol=1e-9)
@@ -284,11 +286,13 @@ def test_all_distances_from_a_pose_are_those_of_the_metric(grid):
 def test_distances_between_points_are_euclidean():
     a, b = np.random.default_rng(34).normal(size=(2, 9, 5))
     np.testing.assert_allclose(measure_distances(a, b[:4]), cdist(a, b[:4]), rtol=1e-7)
-    assert measure_distances(1e3 * a, 1e3 * a).diagonal() == pytest.approx(0, abs=1e-3), "no root of less than nothing"
+    assert measure_distances(1e3 * a, 1e3 * a).diagonal() == pytest.approx(0, abs=1e-3), (
+        "no square root of a negative number"
+    )
 
 
 @pytest.mark.parametrize("steps_m", [[0.02], [-0.02], [0.03, -0.01]])
-def test_a_raised_grid_is_that_of_the_raised_poses(grid, steps_m):
+def test_a_raised_grid_equals_a_grid_of_raised_poses(grid, steps_m):
     raised = grid
     for step_m in steps_m:
         raised = raised.raise_level(step_m)
@@ -305,7 +309,7 @@ def test_a_raised_grid_is_that_of_the_raised_poses(grid, steps_m):
     assert raised.find_within(0.02, 5).tolist() == anew.find_within(0.02, 5).tolist()
 
 
-def test_raising_shares_what_looks_poses_up_and_leaves_the_grid_alone(grid):
+def test_a_raised_grid_shares_the_search_tree(grid):
     before = grid.T_sensor_object.copy()
     assert grid.raise_level(0.0) is grid
     assert grid.raise_level(0.01).raise_level(0.01)._orbit_tree is grid._orbit_tree

@@ -12,7 +12,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 
 
 def line(obj: ObjectModel, x_m: np.ndarray) -> PoseGrid:
-    """Poses along x, metres: their distances are those of the numbers."""
+    """Return a grid of poses along x at `x_m` (metres)."""
     return PoseGrid(make_translation(np.column_stack([x_m, 0 * x_m, 0 * x_m])), PoseMetric(obj))
 
 
@@ -21,7 +21,7 @@ def grid(box) -> PoseGrid:
     return line(box, 0.002 * np.arange(6.0))
 
 
-def test_normalised_whatever_the_scale(grid):
+def test_probabilities_are_normalised_at_any_scale(grid):
     weights = np.array([1.0, 2, 3, 4, 0, 6])
     with np.errstate(divide="ignore"):
         log_weights = np.log(weights)
@@ -36,12 +36,12 @@ def test_normalised_whatever_the_scale(grid):
     np.full(6, -np.inf), np.array([0, 0, np.nan, 0, 0, 0.0]), np.array([0, 0, np.inf, 0, 0, 0.0]), np.zeros(5),
     np.zeros((6, 1)),
 ])  # fmt: skip
-def test_what_is_no_distribution_is_refused(grid, log_p):
+def test_an_invalid_distribution_is_refused(grid, log_p):
     with pytest.raises(GridError):
         PosePosterior(grid, log_p)
 
 
-def test_top_is_in_order_and_ties_go_to_the_first(grid):
+def test_top_poses_are_ordered_with_ties_by_index(grid):
     posterior = PosePosterior(grid, np.array([-2.0, -1, -3, -1, -np.inf, 0]))
     assert posterior.top(6).tolist() == [5, 1, 3, 0, 2, 4]
     assert posterior.top(2).tolist() == [5, 1]
@@ -50,7 +50,7 @@ def test_top_is_in_order_and_ties_go_to_the_first(grid):
     assert posterior.top(1).tolist() == [5]
 
 
-def test_entropy(grid):
+def test_entropy_has_known_values(grid):
     assert PosePosterior(grid, np.full(6, 3.0)).entropy == pytest.approx(np.log(6))
     certain = np.full(6, -np.inf)
     certain[2] = 0
@@ -60,7 +60,7 @@ def test_entropy(grid):
     assert PosePosterior(grid, halves).entropy == pytest.approx(np.log(2))
 
 
-def test_samples_come_as_often_as_they_are_probable(grid):
+def test_sample_frequencies_equal_the_probabilities(grid):
     with np.errstate(divide="ignore"):
         posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
     drawn = posterior.sample(20_000, np.random.default_rng(0))
@@ -73,16 +73,16 @@ def test_samples_come_as_often_as_they_are_probable(grid):
     assert not np.array_equal(other, drawn)
 
 
-def test_a_credible_set_is_the_fewest_poses_that_hold_so_much(grid):
+def test_a_credible_set_has_the_fewest_poses_of_its_mass(grid):
     with np.errstate(divide="ignore"):
         posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
     assert posterior.credible_set(0.0).tolist() == [0]
     assert posterior.credible_set(0.49).tolist() == [0]
-    assert sorted(posterior.credible_set(0.6)) == [0, 1, 3], "of two as probable, both"
-    assert sorted(posterior.credible_set(1.0)) == [0, 1, 3, 4], "but none without any probability"
+    assert sorted(posterior.credible_set(0.6)) == [0, 1, 3], "both of two equally probable poses are included"
+    assert sorted(posterior.credible_set(1.0)) == [0, 1, 3, 4], "poses of zero probability are excluded"
 
 
-def test_a_pose_is_in_the_credible_sets_from_its_level_on(grid):
+def test_a_pose_is_in_all_credible_sets_from_its_level(grid):
     posterior = PosePosterior(grid, np.random.default_rng(3).normal(size=6))
     for index in range(6):
         level = posterior.credible_level(index)
@@ -91,7 +91,7 @@ def test_a_pose_is_in_the_credible_sets_from_its_level_on(grid):
         assert posterior.credible_level(index, 0.5) == pytest.approx(level + 0.5 * posterior.probabilities[index])
 
 
-def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
+def test_a_tempered_posterior_has_powers_of_the_probabilities(grid):
     with np.errstate(divide="ignore"):
         posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
     found = posterior.temper(0.5)
@@ -103,19 +103,19 @@ def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
     assert found.entropy > posterior.entropy
 
 
-def test_what_a_tempered_posterior_was_learned_from_is_tempered_too(grid):
+def test_tempering_includes_the_training_distribution(grid):
     log_train = np.log([1.0, 2, 3, 4, 5, 6])
     posterior = PosePosterior(grid, np.zeros(6), log_train)
     np.testing.assert_allclose(posterior.temper(0.3).log_train, 0.3 * log_train)
     assert posterior.temper(1.0) is posterior
 
 
-def test_modes_can_be_those_of_given_poses(box):
+def test_modes_can_be_restricted_to_given_poses(box):
     posterior = PosePosterior(line(box, np.arange(4) * 0.1), np.log([0.4, 0.3, 0.2, 0.1]))
     assert [m.index for m in posterior.modes(1e-3, None, core=np.array([1, 3]))] == [1, 3]
 
 
-def test_modes_are_the_clusters(box):
+def test_modes_are_clusters_of_poses(box):
     x_m = np.array([0.0, 1, 2, 50, 51, 90]) * 1e-3
     weights = np.array([0.1, 0.3, 0.1, 0.15, 0.25, 0.1])
     modes = PosePosterior(line(box, x_m), np.log(weights)).modes(radius_m=1.5e-3, mass=1.0)
@@ -125,19 +125,19 @@ def test_modes_are_the_clusters(box):
     np.testing.assert_allclose(modes[1].T_sensor_object, make_translation([0.051, 0, 0]))
 
 
-def test_modes_are_ordered_by_their_mass_not_their_peak(box):
+def test_modes_are_ordered_by_their_mass(box):
     x_m = np.array([0.0, 50, 51, 52]) * 1e-3
     modes = PosePosterior(line(box, x_m), np.log([0.34, 0.22, 0.22, 0.22])).modes(radius_m=1.5e-3, mass=1.0)
     assert [m.index for m in modes] == [1, 0]
 
 
-def test_the_radius_decides_what_hangs_together(box):
+def test_the_radius_decides_which_poses_form_a_mode(box):
     posterior = PosePosterior(line(box, np.arange(8) * 1e-3), np.zeros(8))
     assert len(posterior.modes(radius_m=1.1e-3, mass=1.0)) == 1
     assert len(posterior.modes(radius_m=0.9e-3, mass=1.0)) == 8
 
 
-def test_masses_add_up_and_count_limits_the_modes(box):
+def test_mode_masses_sum_to_one_and_count_limits_the_modes(box):
     rng = np.random.default_rng(1)
     posterior = PosePosterior(line(box, rng.uniform(0, 0.5, 200)), rng.normal(size=200))
     modes = posterior.modes(radius_m=1e-3, count=1000, mass=1.0)
@@ -152,21 +152,21 @@ def test_masses_add_up_and_count_limits_the_modes(box):
         assert mode.probability == pytest.approx(posterior.probabilities[mode.members].sum())
 
 
-def test_mass_leaves_the_tail_out(box):
+def test_the_mass_limit_excludes_the_tail(box):
     weights = np.array([0.9, 0.08, 0.02])
     posterior = PosePosterior(line(box, np.array([0.0, 0.1, 0.2])), np.log(weights))
     assert [m.index for m in posterior.modes(1e-3, mass=0.95)] == [0, 1]
     assert [m.index for m in posterior.modes(1e-3, mass=0.5)] == [0]
 
 
-def test_excluded_poses_make_no_mode(box):
+def test_excluded_poses_form_no_mode(box):
     log_p = np.array([0.0, -np.inf, 0.0])
     modes = PosePosterior(line(box, np.array([0.0, 0.1, 0.2])), log_p).modes(1e-3)
     assert sorted(m.index for m in modes) == [0, 2]
 
 
 @pytest.mark.parametrize(("symmetry", "count"), [("none", 4), ("z2", 2), ("x2*y2", 1)])
-def test_poses_that_look_the_same_are_one_mode(make_box, symmetry, count):
+def test_equivalent_poses_form_one_mode(make_box, symmetry, count):
     turns = make_box(0.03, 0.02, 0.01, symmetry="x2*y2").symmetry.list_elements()
     obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
     rng = np.random.default_rng(2)
@@ -177,7 +177,7 @@ def test_poses_that_look_the_same_are_one_mode(make_box, symmetry, count):
     assert sum(m.probability for m in modes) == pytest.approx(1.0)
 
 
-def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
+def test_poses_about_a_continuous_axis_form_one_mode(cylinder):
     T = make_translation([0.01, 0, 0]) @ cylinder.symmetry.list_elements(0.3)[[0, 4, 9, 13, 25]]
     posterior = PosePosterior(PoseGrid(T, PoseMetric(cylinder)), np.zeros(5))
     (mode,) = posterior.modes(radius_m=1e-3)
@@ -187,14 +187,14 @@ def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
 @pytest.mark.parametrize(
     "log_train", [np.zeros(2), np.zeros(4), np.array([0.0, -np.inf, 0.0]), np.array([0.0, np.nan, 0.0])]
 )
-def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
+def test_a_training_distribution_requires_one_finite_value_per_pose(box, log_train):
     grid = PoseGrid(make_translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
     assert PosePosterior(grid, np.zeros(3)).log_train is None
     with pytest.raises(GridError, match=naming(np.shape(log_train), 3)):
         PosePosterior(grid, np.zeros(3), log_train)
 
 
-def test_probabilities_and_what_is_elsewhere_sum_to_one(box):
+def test_probabilities_and_the_share_elsewhere_sum_to_one(box):
     posterior = PosePosterior(line(box, np.arange(4) * 0.01), np.log([0.1, 0.2, 0.3, 0.4]), elsewhere=0.5)
     assert posterior.probabilities == pytest.approx([0.05, 0.1, 0.15, 0.2])
     all_five = np.array([0.05, 0.1, 0.15, 0.2, 0.5])

@@ -1,4 +1,4 @@
-"""Priors equal their formulas, in every frame and up to symmetry."""
+"""Priors equal their formulas in every frame, symmetry included."""
 
 from __future__ import annotations
 
@@ -41,33 +41,33 @@ def posterior_of(obj, count: int = 80, seed: int = 0) -> PosePosterior:
 
 
 class TestGaussian:
-    def test_it_is_the_formula(self):
+    def test_the_prior_equals_the_formula_of_a_gaussian(self):
         T, poses = random_poses(1, 0)[0], random_poses(50, 1)
         moved_m = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1)
         angle_rad = rotation_angle(T[:3, :3].T @ poses[:, :3, :3])
         expected = -(moved_m**2) / (2 * 0.004**2) - angle_rad**2 / (2 * 0.2**2)
         np.testing.assert_allclose(GaussianPrior(T, 0.004, 0.2)(poses), expected, rtol=1e-9)
 
-    def test_one_deviation_away_is_e_to_the_minus_a_half(self):
+    def test_one_standard_deviation_gives_a_log_weight_of_minus_half(self):
         T = random_poses(1, 2)[0]
         turned = T @ make_transform(rotation_about([1, 2, 3], 0.2), np.zeros(3))
         poses = np.stack([T, make_translation([0, 0.004, 0]) @ T, turned])
         np.testing.assert_allclose(GaussianPrior(T, 0.004, 0.2)(poses), [0, -0.5, -0.5], atol=1e-9)
 
-    def test_what_is_unknown_does_not_count(self):
+    def test_an_unknown_rotation_is_ignored(self):
         T = random_poses(1, 3)[0]
         turned = T @ make_transform(draw_rotations(9, np.random.default_rng(0)), np.zeros(3))
         np.testing.assert_allclose(GaussianPrior(T, 0.004, np.inf)(turned), 0, atol=1e-12)
 
     @pytest.mark.parametrize("symmetry", ["none", "z2", "x2*y2"])
-    def test_it_takes_the_nearest_of_equivalent_poses(self, make_box, symmetry):
+    def test_the_prior_uses_the_nearest_equivalent_pose(self, make_box, symmetry):
         obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
         T, poses = random_poses(1, 4)[0], random_poses(40, 5)
         same = poses[None] @ obj.symmetry.list_elements()[:, None]
         expected = np.max([GaussianPrior(T, 0.01, 0.5)(p) for p in same], axis=0)
         np.testing.assert_allclose(GaussianPrior(T, 0.01, 0.5, obj.symmetry)(poses), expected, atol=1e-9)
 
-    def test_a_turn_about_a_continuous_axis_costs_nothing(self, cylinder):
+    def test_a_rotation_about_a_continuous_axis_does_not_change_the_prior(self, cylinder):
         T, poses = random_poses(1, 6)[0], random_poses(40, 7)
         prior = GaussianPrior(T, 0.01, 0.5, cylinder.symmetry)
         for S in cylinder.symmetry.list_elements(0.7):
@@ -85,13 +85,13 @@ class TestGaussian:
             ({"T": np.zeros((4, 4))}, "(4, 4)"),
         ],
     )
-    def test_nonsense_is_refused(self, change, value):
+    def test_invalid_means_and_deviations_are_refused(self, change, value):
         with pytest.raises(ConfigError, match=naming(value)):
             GaussianPrior(**{"T": np.eye(4), "translation_std_m": 0.01, "rotation_std_rad": 0.1, **change})
 
 
 class TestRegion:
-    def test_a_half_space_is_the_sign_of_the_distance(self):
+    def test_a_half_space_follows_the_sign_of_the_distance(self):
         poses, normal, border = random_poses(60, 8), np.array([1.0, -2.0, 0.5]), np.array([0.001, 0.002, -0.003])
         point = np.array([0.004, 0.0, 0.001])
         where = poses[:, :3, :3] @ point + poses[:, :3, 3]
@@ -105,7 +105,7 @@ class TestRegion:
         prior = RegionPrior([0.001, -np.inf, -0.01], [0.003, np.inf, np.inf], np.zeros(3))
         assert prior(poses).tolist() == [-np.inf, 0, -np.inf, -np.inf]
 
-    def test_nonsense_is_refused(self):
+    def test_an_invalid_region_is_refused(self):
         with pytest.raises(ConfigError, match=naming("[1. 1. 1.]", "[0. 0. 0.]")):
             RegionPrior(np.ones(3), np.zeros(3), np.zeros(3))
         with pytest.raises(ConfigError, match=naming("[0. 0. 0.]")):
@@ -124,7 +124,7 @@ class TestFrames:
         with pytest.raises(ConfigError, match="T_base_sensor"):
             SeenFrom(prior, 2 * np.eye(4))
 
-    def test_a_product_is_the_sum_of_logarithms(self):
+    def test_a_product_adds_the_logarithms(self):
         one, poses = GaussianPrior(np.eye(4), 0.01, 0.5), random_poses(20, 11)
         other = RegionPrior.half_space([0, 0, 1], np.zeros(3), np.zeros(3))
         np.testing.assert_array_equal((one * other)(poses), one(poses) + other(poses))
@@ -133,7 +133,7 @@ class TestFrames:
 
 class TestPosterior:
     @pytest.mark.parametrize("symmetry", ["none", "z2"])
-    def test_it_is_the_formula(self, make_box, symmetry):
+    def test_the_prior_equals_the_formula_of_kernels(self, make_box, symmetry):
         earlier = posterior_of(make_box(0.03, 0.02, 0.01, symmetry=symmetry))
         motion, poses = random_poses(1, 12)[0], random_poses(30, 13)
         d = _distances(earlier.grid.metric, poses, motion @ earlier.grid.T_sensor_object)
@@ -141,7 +141,7 @@ class TestPosterior:
         kernels = earlier.probabilities * np.exp(-(d**2) / (2 * std_m**2))
         expected = np.log(0.9 * kernels.sum(axis=1) + 0.1 / len(earlier.grid))
         found = PosteriorPrior(earlier, motion, std_m, floor=0.1)(poses)
-        np.testing.assert_allclose(found, expected, atol=1e-4)  # but for the forgotten millionth
+        np.testing.assert_allclose(found, expected, atol=1e-4)  # a millionth of the mass is dropped
 
     def test_a_known_motion_finds_the_moved_pose(self, box):
         earlier = posterior_of(box)
@@ -151,24 +151,24 @@ class TestPosterior:
         unmoved = PosteriorPrior(earlier, np.eye(4))(here)
         assert unmoved[best] < PosteriorPrior(earlier, motion)(here)[best] - 3
 
-    def test_turned_parts_are_found_however_they_are_turned(self, cylinder):
+    def test_a_rotation_about_a_continuous_axis_does_not_change_the_posterior_prior(self, cylinder):
         earlier = posterior_of(cylinder)
         prior, T = PosteriorPrior(earlier, np.eye(4), 0.004), earlier.grid.T_sensor_object
         np.testing.assert_allclose(prior(T @ cylinder.symmetry.list_elements(0.3)[5]), prior(T), atol=1e-6)
 
-    def test_far_away_there_is_the_floor_or_nothing(self, box):
+    def test_the_prior_far_away_equals_the_floor(self, box):
         earlier = posterior_of(box)
         far = make_translation([1.0, 0, 0])[None]
         assert PosteriorPrior(earlier, np.eye(4), 0.001, floor=0.1)(far) == pytest.approx(np.log(0.1 / 80))
         assert PosteriorPrior(earlier, np.eye(4), 0.001, floor=0.0)(far)[0] == -np.inf
 
-    def test_more_uncertainty_is_flatter(self, box):
+    def test_more_uncertainty_flattens_the_prior(self, box):
         earlier = posterior_of(box)
         T = earlier.grid.T_sensor_object
         sharp, flat = (np.ptp(PosteriorPrior(earlier, np.eye(4), std_m, 0.0)(T)) for std_m in (0.005, 0.05))
         assert flat < 0.2 * sharp
 
-    def test_beside_touches_only_what_touches_told_is_tempered(self, box):
+    def test_tempering_affects_only_priors_from_touches(self, box):
         earlier = dataclasses.replace(posterior_of(box), touches=3)
         prior, vision = PosteriorPrior(earlier, np.eye(4)), GaussianPrior(np.eye(4), 0.01, 0.5)
         both = (prior * vision).view_from(random_poses(1, 15)[0])
@@ -181,8 +181,8 @@ class TestPosterior:
         assert temper(len, lambda _: 0.25) is len
         assert count_touches(len) == count_touches(None) == count_touches(vision) == 0
 
-    def test_two_grids_do_not_miss_one_another(self, box):
-        """A motion without uncertainty, and a grid half a spacing off."""
+    def test_grids_with_an_offset_still_overlap(self, box):
+        """The motion has no uncertainty and the grid is shifted by half a spacing."""
         x = np.stack(np.meshgrid(np.arange(5), np.arange(5), [0]), -1).reshape(-1, 3) * 0.004
         metric = PoseMetric(box)
         earlier = PosePosterior(PoseGrid(make_translation(x), metric), np.where(np.arange(25) == 12, 0.0, -40.0))
@@ -193,17 +193,17 @@ class TestPosterior:
     @pytest.mark.parametrize(
         "change", [{"std_m": -1.0}, {"std_m": np.inf}, {"floor": 1.0}, {"T_new_old": np.ones((4, 4))}]
     )
-    def test_nonsense_is_refused(self, box, change):
+    def test_invalid_motions_and_floors_are_refused(self, box, change):
         with pytest.raises(ConfigError, match=rf"\b{next(iter(change))}\b"):
             PosteriorPrior(**{"posterior": posterior_of(box), "T_new_old": np.eye(4), **change})
 
 
 def _distances(metric: PoseMetric, T1: np.ndarray, T2: np.ndarray) -> np.ndarray:
-    """Distances (M, N) up to symmetry, one pair after another."""
+    """Return the distances (M, N) up to symmetry, computed pair by pair."""
     return np.array([[metric.symmetric_distance(a[None], b[None])[0] for b in T2] for a in T1])
 
 
-def test_what_an_earlier_posterior_left_elsewhere_is_anywhere(box):
+def test_the_share_elsewhere_of_an_earlier_posterior_is_spread_evenly(box):
     grid = PoseGrid(np.stack([make_translation([x, 0, 0]) for x in (0.0, 0.01)]), PoseMetric(box))
     far = make_translation([0.1, 0, 0])[None]
     sure, doubtful = (PosteriorPrior(PosePosterior(grid, np.zeros(2), elsewhere=e), np.eye(4)) for e in (0.0, 0.4))
@@ -212,7 +212,7 @@ def test_what_an_earlier_posterior_left_elsewhere_is_anywhere(box):
 
 
 @pytest.mark.parametrize("std_m", [1e-300, 1e300])
-def test_a_gaussian_of_any_width_has_weights(std_m):
+def test_a_gaussian_of_extreme_width_has_valid_weights(std_m):
     prior = GaussianPrior(np.eye(4), std_m, 1.0)
     away = make_transform(np.eye(3), [0.1, 0, 0])
     weights = prior(np.stack([np.eye(4), away]))

@@ -1,4 +1,4 @@
-"""Poses that may be rotated by any yaw: the closed form agrees with trying all yaws."""
+"""Poses with a free yaw: the closed form agrees with a search over all yaws."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def turned(T: np.ndarray) -> np.ndarray:
     return make_transform(rotation_about([0, 0, 1], YAWS_RAD), np.zeros(3)) @ T
 
 
-def test_the_nearest_is_that_of_all_yaws_tried(metric):
+def test_the_nearest_pose_agrees_with_a_search_over_yaws(metric):
     places, truths = poses(7, 1), poses(5, 2)
     off_m, index, yaw_rad = RotatedPoses(places, metric).nearest(truths)
     for k, truth in enumerate(truths):
@@ -45,7 +45,7 @@ def test_the_nearest_is_that_of_all_yaws_tried(metric):
         assert metric.symmetric_distance(truth[None], at_yaw[None])[0] == pytest.approx(off_m[k], abs=1e-9)
 
 
-def test_distances_at_given_yaws_are_those_of_the_metric(metric):
+def test_distances_at_given_yaws_equal_the_metric(metric):
     places, truths, numbers = poses(6, 3), poses(4, 4), np.array([5, 0, 2, 2])
     off_m = RotatedPoses(places, metric).distances(truths, numbers, np.tile(YAWS_RAD[::40], (4, 1)))
     for k, truth in enumerate(truths):
@@ -54,7 +54,7 @@ def test_distances_at_given_yaws_are_those_of_the_metric(metric):
         np.testing.assert_allclose(off_m[k], expected, atol=1e-9)
 
 
-def test_many_are_looked_up_in_parts(metric, monkeypatch):
+def test_a_large_search_in_parts_gives_the_same_result(metric, monkeypatch):
     places, truths = poses(6, 5), poses(9, 6)
     whole = RotatedPoses(places, metric).nearest(truths)
     monkeypatch.setattr("tactile_loc.core.poses.rotated.AT_ONCE", 12)

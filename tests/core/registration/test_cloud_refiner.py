@@ -1,4 +1,4 @@
-"""The base of refiners by registration, tested with a given registration."""
+"""The base class of refiners that register clouds, tested with given registrations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_loc.testing.problems import OFFSETS, press_block, replace_depth
 
 
 class Given(CloudRefiner):
-    """Returns a given registration, and remembers the clouds."""
+    """Return a given registration and store the clouds."""
 
     answer = Registration()
 
@@ -30,7 +30,7 @@ def answering(T_mm, converged=True) -> Given:
     return refiner
 
 
-def test_the_transform_moves_the_candidate_in_the_sensors_frame():
+def test_the_transform_moves_the_candidate_in_the_sensor_frame():
     problem = press_block()
     candidate = problem.make_candidate((0.0008, 0.0, 0.3))
     result = answering(make_translation([-0.8, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
@@ -39,7 +39,7 @@ def test_the_transform_moves_the_candidate_in_the_sensors_frame():
     assert (result.converged, result.iterations) == (True, 3)
 
 
-def test_a_registration_that_explains_less_is_not_returned():
+def test_a_registration_that_lowers_the_iou_is_rejected():
     problem = press_block()
     candidate = problem.make_candidate(OFFSETS[0])
     result = answering(make_translation([5.0, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
@@ -47,7 +47,7 @@ def test_a_registration_that_explains_less_is_not_returned():
     assert (result.converged, result.iterations) == (False, 3)
 
 
-def test_without_a_registration_the_candidate_stays():
+def test_a_candidate_without_a_registration_is_unchanged():
     problem = press_block()
     candidate = problem.make_candidate(OFFSETS[0])
     result = answering(None, converged=False).refine(problem.touch, candidate, problem.scene)
@@ -55,24 +55,24 @@ def test_without_a_registration_the_candidate_stays():
     assert not result.converged
 
 
-def test_what_does_not_overlap_has_not_converged():
+def test_a_pose_without_overlap_has_not_converged():
     problem = press_block()
     away = dataclasses.replace(problem.make_candidate(), T_sensor_object=make_translation([0.2, 0, 0]) @ problem.truth)
     result = answering(np.eye(4)).refine(problem.touch, away, problem.scene)
     assert (result.contact_iou, result.converged) == (0.0, False)
 
 
-def test_clouds_are_in_mm_and_know_their_spacing():
+def test_clouds_are_in_mm_and_have_their_spacing():
     problem = press_block()
     refiner = answering(np.eye(4))
     refiner.refine(problem.touch, problem.make_candidate(), problem.scene)
     standoff_mm = 1e3 * problem.touch.geometry.standoff_m
     assert refiner.target.points_mm[:, 2].min() == pytest.approx(standoff_mm, abs=0.01)
-    assert refiner.target.spacing_mm == pytest.approx(0.4)  # pixels of 0.4 mm, none left out
+    assert refiner.target.spacing_mm == pytest.approx(0.4)  # pixels of 0.4 mm, all of them used
     np.testing.assert_allclose(np.linalg.norm(refiner.source.normals, axis=1), 1.0)
 
 
-def test_clouds_are_thinned_to_about_what_is_asked():
+def test_clouds_are_reduced_to_about_the_requested_size():
     problem = press_block()
     refiner = Given(Given.Options(moving_points=100, fixed_points=200))
     refiner.refine(problem.touch, problem.make_candidate(), problem.scene)
@@ -82,7 +82,7 @@ def test_clouds_are_thinned_to_about_what_is_asked():
 
 
 @pytest.mark.parametrize("pixels", [1, 2])
-def test_a_touch_of_hardly_a_point_is_not_registered(pixels):
+def test_a_touch_of_very_few_points_is_not_registered(pixels):
     problem = press_block()
     depth = np.full(problem.touch.geometry.shape, problem.touch.press_depth_m, np.float32)
     depth[30, 30 : 30 + pixels] = 0.0
@@ -108,7 +108,7 @@ def test_each_candidate_gets_its_own_registration():
     np.testing.assert_allclose(many[2].T_sensor_object, make_translation([1e-5, 0, 0]) @ problem.truth, atol=1e-9)
 
 
-def test_orthonormal_clears_rounding():
+def test_make_orthonormal_removes_rounding_errors():
     T = np.round(press_block().truth, 3)
     cleared = make_orthonormal(T)
     np.testing.assert_allclose(cleared[:3, :3] @ cleared[:3, :3].T, np.eye(3), atol=1e-14)

@@ -1,4 +1,4 @@
-"""Twists and motions undo each other, whatever the centre."""
+"""Twists and motions are converted into each other about any centre."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactile_loc.core.geometry.rigid import (
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
 
 
-def test_motions_and_their_logarithms_undo_each_other():
+def test_exponential_and_logarithm_are_inverse():
     rng = np.random.default_rng(1)
     x = np.concatenate([0.2 * rng.normal(size=(10, 6)), 1e-9 * rng.normal(size=(10, 6)), np.zeros((1, 6))])
     centre = rng.normal(size=(len(x), 3))
@@ -24,7 +24,7 @@ def test_motions_and_their_logarithms_undo_each_other():
     np.testing.assert_allclose(transform_points(motion, centre[:, None])[:, 0], centre + x[:, 3:], atol=1e-12)
 
 
-def test_a_twist_about_another_centre_in_another_frame_is_the_same_motion():
+def test_the_adjoint_gives_the_same_motion_in_another_frame():
     rng = np.random.default_rng(2)
     T = make_transform(draw_rotations(1, rng)[0], rng.normal(size=3))
     here, there, x = rng.normal(size=3), rng.normal(size=3), 1e-6 * rng.normal(size=6)

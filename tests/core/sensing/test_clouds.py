@@ -25,13 +25,13 @@ def camera(request: pytest.FixtureRequest) -> SensorGeometry:
 
 
 def square(geometry: SensorGeometry, low: int, high: int, press_m: float = 0.002) -> ContactShape:
-    """Flat contact at depth 0 on rows and columns low ... high - 1, nothing elsewhere."""
+    """Return flat contact at depth 0 on rows and columns low ... high - 1, and no contact elsewhere."""
     depth = np.full(geometry.shape, press_m, np.float32)
     depth[low:high, low:high] = 0.0
     return ContactShape(depth, press_m)
 
 
-def test_a_balls_cloud_lies_on_the_ball_and_its_normals_point_out_of_it(camera, make_object):
+def test_the_cloud_of_a_ball_has_points_and_normals_of_the_ball(camera, make_object):
     ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
     centre = np.array([0.001, -0.002, camera.standoff_m + RADIUS_M])
     depth = compute_contact_depth(
@@ -45,11 +45,11 @@ def test_a_balls_cloud_lies_on_the_ball_and_its_normals_point_out_of_it(camera, 
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
     alike = np.einsum("pk,pk->p", normals, radial)
     assert np.median(alike) > 0.9995
-    assert alike.min() > 0.95, "at the rim a difference is one-sided"
+    assert alike.min() > 0.95, "differences at the rim are one-sided"
     assert (normals[:, 2] < 0).all()
 
 
-def test_a_balls_gentle_rim_has_no_walls(camera, make_object):
+def test_the_shallow_rim_of_a_ball_has_no_walls(camera, make_object):
     ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
     T = make_translation([0, 0, camera.standoff_m + RADIUS_M])[None]
     shape = ContactShape(compute_contact_depth(RaycastRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
@@ -57,7 +57,7 @@ def test_a_balls_gentle_rim_has_no_walls(camera, make_object):
 
 
 def walls_of(shape: ContactShape, camera: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
-    """The points (P, 3) and normals (P, 3) that walls add to the surface's."""
+    """Return the points (P, 3) and normals (P, 3) that walls add to those of the surface."""
     flat, _ = make_contact_cloud(shape, camera, walls=False)
     points, normals = make_contact_cloud(shape, camera)
     np.testing.assert_array_equal(points[: len(flat)], flat)
@@ -86,14 +86,14 @@ def test_a_flat_square_has_walls_on_its_outline_with_lateral_normals(camera):
     ]
     for axis, sign, where in sides:
         outward = sign * normals[:, axis] > 0.99
-        assert outward.sum() > 20 * levels, "most of a side; its ends may turn the corner"
+        assert outward.sum() > 20 * levels, "most of a side; normals at its ends may differ"
         np.testing.assert_allclose(walls[outward][:, axis], where, atol=0.05 * pitch)
     z = np.unique(walls[:, 2].round(9)) - camera.standoff_m
     np.testing.assert_allclose(z, pitch * np.arange(1, levels + 1), atol=1e-9)
 
 
-def test_walls_face_away_from_what_they_bound(camera):
-    """A step along the normal leaves contact, a step against it stays in."""
+def test_walls_face_out_of_the_contact(camera):
+    """A step along the normal leaves the contact, a step against it stays inside."""
     x, y = np.meshgrid(np.arange(90) - 45.0, np.arange(70) - 35.0)
     for inside in (np.hypot(x, y) < 22, np.hypot(x, y) > 22, np.abs(x * np.cos(0.4) + y * np.sin(0.4)) < 8):
         shape = ContactShape(np.where(inside, 0.0, 0.002).astype(np.float32), 0.002)
@@ -106,14 +106,16 @@ def test_walls_face_away_from_what_they_bound(camera):
 
 
 @pytest.mark.parametrize("degrees", [0, 20, 45, 70])
-def test_walls_of_an_oblique_edge_have_its_direction(degrees):
+def test_walls_of_an_oblique_edge_are_perpendicular_to_it(degrees):
     camera = SensorGeometry("orthographic", 90, 70, 4000.0, 4000.0, 41.0, 36.5, 0.021, 0.002)
     direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
     x, y = np.meshgrid(np.arange(90) - 44.8, np.arange(70) - 34.6)
     shape = ContactShape(np.where(x * direction[0] + y * direction[1] < 0, 0.0, 0.002).astype(np.float32), 0.002)
     points, normals = walls_of(shape, camera)
     middle = (np.abs(points[:, 0]) < 0.008) & (np.abs(points[:, 1]) < 0.006)
-    assert np.degrees(np.arccos(normals[middle, :2] @ direction)).mean() < 10.0, "pixels' own sides are 20 and more off"
+    assert np.degrees(np.arccos(normals[middle, :2] @ direction)).mean() < 10.0, (
+        "the sides of pixels are wrong by at least 20 degrees"
+    )
 
 
 def test_a_line_one_pixel_wide_has_walls_on_both_sides(camera):
@@ -124,7 +126,7 @@ def test_a_line_one_pixel_wide_has_walls_on_both_sides(camera):
     assert (normals[:, 0] > 0.9).sum() == (normals[:, 0] < -0.9).sum() > 100
 
 
-def test_a_square_in_the_corner_has_no_walls_at_the_sensors_border(camera):
+def test_a_square_in_the_corner_has_no_walls_at_the_sensor_border(camera):
     points, normals = walls_of(square(camera, 0, 30), camera)
     assert len(points) > 0
     assert (normals[:, :2] > -0.2).all(), "only the sides towards the middle end in a wall"
@@ -133,7 +135,7 @@ def test_a_square_in_the_corner_has_no_walls_at_the_sensors_border(camera):
     np.testing.assert_allclose(at.max(axis=1), 30.0, atol=0.1)
 
 
-def test_masked_pixels_have_no_points_and_their_border_no_walls(camera):
+def test_masked_pixels_have_no_points_and_no_walls(camera):
     observed = np.ones(camera.shape, bool)
     observed[:, 35:] = False
     masked = dataclasses.replace(camera, observed=observed)
@@ -144,20 +146,20 @@ def test_masked_pixels_have_no_points_and_their_border_no_walls(camera):
     assert normals[:, 0].max() < 0.3
 
 
-def test_a_deeper_step_is_not_a_wall_unless_contact_ends_there(camera):
+def test_a_step_within_the_contact_is_no_wall(camera):
     shape = square(camera, 20, 50)
     shape.depth_m[30:40, 30:40] = 0.001
     points, _ = make_contact_cloud(shape, camera)
     assert len(points) == len(make_contact_cloud(square(camera, 20, 50), camera)[0])
 
 
-def test_no_contact_is_an_empty_cloud(camera):
+def test_no_contact_gives_an_empty_cloud(camera):
     for walls in (False, True):
         points, normals = make_contact_cloud(square(camera, 0, 0), camera, walls)
         assert points.shape == normals.shape == (0, 3)
 
 
-def test_a_lone_pixel_faces_the_sensor(camera):
+def test_a_single_pixel_faces_the_sensor(camera):
     points, normals = make_contact_cloud(square(camera, 30, 31), camera, walls=False)
     sx, sy = camera.scale_at_surface
     np.testing.assert_allclose(
@@ -166,8 +168,8 @@ def test_a_lone_pixel_faces_the_sensor(camera):
     np.testing.assert_allclose(normals, [[0, 0, -1]])
 
 
-def test_metres_and_millimetres_agree():
-    """Points and walls scale with the unit: nothing in the cloud knows how long a metre is."""
+def test_the_cloud_scales_with_the_unit():
+    """The same scene in metres and in millimetres gives the same points and walls."""
     metres = CAMERAS["orthographic"]
     milli = dataclasses.replace(metres, fx=metres.fx / 1e3, fy=metres.fy / 1e3, standoff_m=21.0, max_depth_m=2.0)
     small, large = square(metres, 20, 50, 0.002), square(milli, 20, 50, 2.0)

@@ -39,7 +39,7 @@ def random_poses(count: int, seed: int, spread_m: float = 0.02) -> np.ndarray:
 
 
 def clip(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
-    """Sutherland and Hodgman: the part of a polygon where sign * coordinate <= sign * limit."""
+    """Return the part of a polygon where sign * coordinate <= sign * limit (Sutherland and Hodgman)."""
     kept = []
     for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True):
         da, db = sign * (a[axis] - limit), sign * (b[axis] - limit)
@@ -61,7 +61,7 @@ def lowest_by_clipping(triangles: np.ndarray, rectangle: tuple[float, float, flo
     return lowest
 
 
-def test_agrees_with_clipping_every_triangle(hook):
+def test_lowest_points_agree_with_clipping_every_triangle(hook):
     T = random_poses(6, 0)
     expected = [
         lowest_by_clipping(transform_points(t, hook.triangles_m.reshape(-1, 3)).reshape(-1, 3, 3), RECTANGLE) for t in T
@@ -70,7 +70,7 @@ def test_agrees_with_clipping_every_triangle(hook):
     np.testing.assert_allclose(find_lowest_points(hook, T, RECTANGLE), expected, atol=1e-12)
 
 
-def test_agrees_with_dense_samples_of_the_surface(hook):
+def test_lowest_points_agree_with_dense_surface_samples(hook):
     points = hook.sample(300_000, np.random.default_rng(1))
     T = random_poses(20, 2)
     lowest = find_lowest_points(hook, T, RECTANGLE)
@@ -85,10 +85,10 @@ def test_agrees_with_dense_samples_of_the_surface(hook):
             assert len(over) == 0
 
 
-def test_sphere_over_and_beside_the_rectangle():
+def test_the_lowest_point_of_a_sphere_depends_on_the_rectangle():
     radius = 0.008
     ball = surface(trimesh.creation.icosphere(5, radius))
-    # Beyond the side x = 10 mm by 3 mm, the lowest point over it is on the sphere there, no longer the pole.
+    # The second sphere's pole lies 3 mm beyond the side x = 10 mm: its lowest point is above that side.
     T = make_translation([[0.001, 0.002, 0.03], [0.013, 0.0, 0.03], [-0.006 - 0.0081, 0.0, 0.03]])
     lowest = find_lowest_points(ball, T, RECTANGLE)
     assert lowest[0] == pytest.approx(0.03 - radius, abs=1e-6)
@@ -96,7 +96,7 @@ def test_sphere_over_and_beside_the_rectangle():
     assert lowest[2] == np.inf
 
 
-def test_a_corner_an_edge_and_a_face_of_a_box():
+def test_the_lowest_point_may_be_on_a_corner_an_edge_or_a_face():
     cube = surface(trimesh.creation.box([0.006, 0.006, 0.006]))
     half, over = 0.003, np.array([0.002, 0.001, 0.0])
     on_edge = rotation_about([1, 0, 0], np.pi / 4)
@@ -107,7 +107,7 @@ def test_a_corner_an_edge_and_a_face_of_a_box():
     )
 
 
-def test_a_face_that_covers_the_rectangle_has_no_vertex_nor_edge_over_it():
+def test_a_face_that_covers_the_rectangle_is_found():
     plate = surface(trimesh.creation.box([0.2, 0.2, 0.01]))
     slope = make_transform(rotation_about([0, 1, 0], -0.1), [0.0, 0.0, 0.05])
     # The underside rises with x: it is lowest over the side x = x0.
@@ -115,8 +115,8 @@ def test_a_face_that_covers_the_rectangle_has_no_vertex_nor_edge_over_it():
     assert find_lowest_points(plate, slope[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_an_edge_that_only_crosses_a_side():
-    """A roof's ridge, lowest where it leaves the rectangle; both ends lie beyond."""
+def test_an_edge_that_only_crosses_the_rectangle_is_found():
+    """The ridge of a roof is lowest where it leaves the rectangle; both ends lie outside."""
     roof = TriangleMesh(
         np.array([[-0.05, 0.0, 0.01], [0.05, 0.0, 0.002], [0.05, 0.05, 0.03], [-0.05, 0.05, 0.03]]),
         np.array([[0, 1, 2], [0, 2, 3]]),
@@ -125,7 +125,7 @@ def test_an_edge_that_only_crosses_a_side():
     assert find_lowest_points(roof, np.eye(4)[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_what_is_beside_the_rectangle_does_not_count():
+def test_parts_beside_the_rectangle_are_ignored():
     low_post = trimesh.creation.box([0.004, 0.004, 0.02]).apply_translation([0.03, 0.0, 0.0])
     high_plate = trimesh.creation.box([0.03, 0.03, 0.002]).apply_translation([0.0, 0.0, 0.005])
     both = surface(trimesh.util.concatenate([low_post, high_plate]))
@@ -133,8 +133,8 @@ def test_what_is_beside_the_rectangle_does_not_count():
     np.testing.assert_allclose(find_lowest_points(both, T, RECTANGLE), [0.004, -0.01], atol=1e-12)
 
 
-def test_sides_of_the_rectangle_are_where_they_are_said_to_be():
-    """A needle's tip in each of the four directions, just within and just beyond."""
+def test_the_sides_of_the_rectangle_are_at_their_coordinates():
+    """The tip of a needle is just inside and just outside each of the four sides."""
     needle = TriangleMesh(np.array([[0, 0, 0], [1e-5, 0, 0.01], [0, 1e-5, 0.01]]), np.array([[0, 1, 2]]))
     x0, x1, y0, y1 = RECTANGLE
     inside = np.array([[x0 + 1e-4, 0], [x1 - 1e-4, 0], [0, y0 + 1e-4], [0, y1 - 1e-4]])
@@ -147,7 +147,7 @@ def test_sides_of_the_rectangle_are_where_they_are_said_to_be():
     ).all()
 
 
-def test_contact_touches_the_surface_and_moves_along_z_alone(hook, flat_camera, pinhole):
+def test_bringing_to_contact_moves_poses_only_along_z(hook, flat_camera, pinhole):
     for geometry in (flat_camera, pinhole):
         T = random_poses(50, 3, spread_m=0.05)
         moved, touching = bring_to_contact(hook, T, geometry)
@@ -161,7 +161,7 @@ def test_contact_touches_the_surface_and_moves_along_z_alone(hook, flat_camera, 
         assert np.isinf(find_lowest_points(hook, T[~touching], geometry.rectangle)).all()
 
 
-def test_contact_leaves_its_input_alone_and_takes_no_pose_at_all(hook, flat_camera):
+def test_bringing_to_contact_keeps_its_input_and_accepts_no_poses(hook, flat_camera):
     T = random_poses(3, 4)
     before = T.copy()
     bring_to_contact(hook, T, flat_camera)
@@ -170,7 +170,7 @@ def test_contact_leaves_its_input_alone_and_takes_no_pose_at_all(hook, flat_came
     assert (moved.shape, touching.shape) == ((0, 4, 4), (0,))
 
 
-def test_contact_does_not_depend_on_the_height_it_starts_from(hook, flat_camera):
+def test_contact_does_not_depend_on_the_initial_height(hook, flat_camera):
     T = random_poses(20, 5)
     moved, touching = bring_to_contact(hook, T, flat_camera)
     lifted, again = bring_to_contact(hook, make_translation([0, 0, 0.123]) @ T, flat_camera)
@@ -178,7 +178,7 @@ def test_contact_does_not_depend_on_the_height_it_starts_from(hook, flat_camera)
     np.testing.assert_allclose(lifted[touching], moved[touching], atol=1e-12)
 
 
-def test_contact_does_not_depend_on_the_objects_frame(hook, flat_camera):
+def test_contact_does_not_depend_on_the_object_frame(hook, flat_camera):
     X, T = random_poses(1, 6)[0], random_poses(20, 7)
     drawn_elsewhere = TriangleMesh(transform_points(X, hook.vertices_m), hook.faces)
     moved, touching = bring_to_contact(hook, T, flat_camera)
@@ -188,7 +188,7 @@ def test_contact_does_not_depend_on_the_objects_frame(hook, flat_camera):
 
 
 def test_contact_moves_with_the_rectangle():
-    """Shifting the rectangle and the object together changes nothing."""
+    """A shift of the rectangle and the object together does not change the lowest points."""
     cube = surface(trimesh.creation.box([0.01, 0.02, 0.03]))
     T = random_poses(30, 8)
     x0, x1, y0, y1 = RECTANGLE
@@ -200,8 +200,8 @@ def test_contact_moves_with_the_rectangle():
     )
 
 
-def test_poses_together_and_alone_are_the_same(hook):
-    """Many poses of one rotation are searched in sorted order, a few are not."""
+def test_lowest_points_are_equal_for_poses_together_and_alone(hook):
+    """The search sorts many poses of one rotation, but not a few poses."""
     R = draw_rotations(3, np.random.default_rng(9))
     t = np.random.default_rng(10).uniform(-0.03, 0.03, (3, 12, 3))
     T = make_transform(R[:, None], t).reshape(-1, 4, 4)[np.random.default_rng(11).permutation(36)]
@@ -225,7 +225,7 @@ def test_rotations_are_grouped_by_equality():
     assert len(group_rotations(np.stack([np.eye(3), negative_zero]))[0]) == 1
 
 
-def test_the_sensors_own_rectangle_bounds_contact():
+def test_the_rectangle_of_the_sensor_limits_contact():
     gel = SensorGeometry(
         "orthographic", 100, 100, 5000, 5000, 50, 50, 0.01, 0.002, rectangle_m=(-0.01, 0.0, -0.01, 0.01)
     )
@@ -234,8 +234,8 @@ def test_the_sensors_own_rectangle_bounds_contact():
     assert touching.tolist() == [True, False]
 
 
-def test_nothing_is_said_on_the_first_use():
-    """numba, for instance, may warn about threading libraries that the user has not chosen."""
+def test_the_first_use_prints_no_warning():
+    """For example, numba may warn about threading libraries that the user has not chosen."""
     script = """
 import numpy as np
 from tactile_loc.core.sensing.contact import find_lowest_points

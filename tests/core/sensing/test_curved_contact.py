@@ -1,4 +1,4 @@
-"""Contact with a gel that is a cap of a sphere, against the formula of two spheres that touch."""
+"""Contact with a spherical gel, compared with the formula of two spheres that touch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLACES = [(0.0, 0.0), (3e-3, 5e-3), (-5e-3, 7e-3)]
 
 
 def domed(camera: str) -> SensorGeometry:
-    """A sensor whose gel is a sphere of radius GEL_M, its top at the standoff on the optical axis."""
+    """Return a sensor with a spherical gel of radius GEL_M, its top at the standoff on the optical axis."""
     flat = {
         "orthographic": SensorGeometry("orthographic", 150, 200, 1e4, 1e4, 75.0, 100.0, 0.02, 1e-3),
         "pinhole": SensorGeometry("pinhole", 150, 200, 200.0, 200.0, 75.0, 100.0, 0.02, 1e-3),
@@ -54,13 +54,13 @@ def block() -> TriangleMesh:
 
 
 def touching_m(geometry: SensorGeometry, x: float, y: float) -> float:
-    """Where the ball's centre is when the two spheres touch."""
+    """Return the z of the ball's centre (metres) when the two spheres touch."""
     return geometry.surface_m - GEL_M + float(np.sqrt((GEL_M + BALL_M) ** 2 - x**2 - y**2))
 
 
 @pytest.mark.parametrize("camera", ["orthographic", "pinhole"])
 @pytest.mark.parametrize("place", PLACES)
-def test_two_spheres_touch_where_they_should(ball, camera, place):
+def test_two_spheres_touch_at_the_calculated_height(ball, camera, place):
     geometry = domed(camera)
     (T,), (touching,) = bring_to_contact(ball, make_translation([[*place, 0.3]]), geometry)
     assert touching
@@ -70,7 +70,7 @@ def test_two_spheres_touch_where_they_should(ball, camera, place):
 
 @pytest.mark.parametrize("camera", ["orthographic", "pinhole"])
 @pytest.mark.parametrize("renderer", ["heightmap", "zbuffer", "raycast"])
-def test_a_balls_imprint_has_its_formula(ball, camera, renderer):
+def test_the_imprint_of_a_ball_follows_its_formula(ball, camera, renderer):
     geometry = domed(camera).press(PRESS_M)
     x, y = PLACES[1]
     T = make_translation([[x, y, touching_m(geometry, x, y) - PRESS_M]])
@@ -88,7 +88,7 @@ def test_a_balls_imprint_has_its_formula(ball, camera, renderer):
     assert depth_m == pytest.approx(truth, abs=4 * FACET_M)
 
 
-def test_a_flat_face_touches_the_top_of_the_gel_alone(block):
+def test_a_flat_face_touches_only_the_top_of_the_gel(block):
     geometry = domed("orthographic")
     (T,), _ = bring_to_contact(block, make_translation([[0.002, -0.003, 0.1]]), geometry)
     assert T[2, 3] == pytest.approx(geometry.standoff_m + 0.005, abs=1e-7)
@@ -116,7 +116,7 @@ def test_an_edge_across_the_gel_touches_between_its_ends(block):
     assert T[2, 3] + edge[2] == pytest.approx(geometry.standoff_m + relief_m, abs=1e-6)
 
 
-def test_a_flat_relief_is_a_flat_gel(ball):
+def test_a_flat_relief_equals_a_flat_gel(ball):
     flat = dataclasses.replace(domed("pinhole"), relief_m=None)
     level = dataclasses.replace(flat, relief_m=np.zeros(flat.shape, np.float32))
     poses = make_translation([[*place, 0.1] for place in PLACES])
@@ -127,7 +127,7 @@ def test_a_flat_relief_is_a_flat_gel(ball):
 
 
 def tilted(slope_x: float, slope_y: float, **more) -> SensorGeometry:
-    """A sensor whose gel is a plane through the middle of its surface, as steep as said."""
+    """Return a sensor whose gel is a plane of the given slopes through the middle of its surface."""
     flat = SensorGeometry("orthographic", 40, 30, 2500.0, 2000.0, 18.0, 16.0, 0.02, 1e-3)
     x, y = np.meshgrid(*flat.pixel_slopes)
     return dataclasses.replace(flat, relief_m=slope_x * x + slope_y * y, **more)
@@ -139,14 +139,14 @@ def splinter() -> TriangleMesh:
 
 
 def egg() -> TriangleMesh:
-    """Of several blocks of triangles."""
+    """Return an egg with several blocks of triangles."""
     solid = trimesh.creation.icosphere(1, radius=0.004)
     return TriangleMesh(np.array(solid.vertices) * [0.7, 2.5, 0.5], np.array(solid.faces))
 
 
 @pytest.mark.parametrize(("mesh", "count"), [(splinter(), 24), (egg(), 8)], ids=["splinter", "egg"])
-def test_over_a_tilted_gel_the_sheared_object_is_lowest(mesh, count):
-    """Heights above a plane are heights of a sheared surface, whose lowest point over a flat gel is exact."""
+def test_a_tilted_gel_gives_the_lowest_points_of_the_sheared_object(mesh, count):
+    """Heights above a plane equal heights of a sheared surface, whose lowest point over a flat gel is exact."""
     rng = np.random.default_rng(0)
     T = make_transform(draw_rotations(count, rng), rng.uniform(-0.01, 0.01, (count, 3)))
     geometry = tilted(0.3, -0.2, rectangle_m=(-0.004, 0.005, -0.005, 0.003))
@@ -160,8 +160,8 @@ def test_over_a_tilted_gel_the_sheared_object_is_lowest(mesh, count):
 
 @pytest.mark.parametrize("turns", range(3))
 @pytest.mark.parametrize("sensor", [tilted(0.0, 0.0), dataclasses.replace(tilted(0.0, 0.0), relief_m=None)])
-def test_it_does_not_matter_which_corner_of_a_triangle_is_lowest_or_reaches_in(sensor, turns):
-    """A ceiling above all of the gel, and a splinter that enters over each of its sides, with one lower corner."""
+def test_the_order_of_triangle_corners_does_not_affect_contact(sensor, turns):
+    """A ceiling covers the gel, and a splinter with one lower corner enters over each side."""
     x0, x1, y0, y1 = sensor.rectangle
     x, y, far = (x0 + x1) / 2, (y0 + y1) / 2, 0.02
     ceiling = [[x - far, y - far, 0.0], [x + far, y - far, 0], [x, y + 3 * far, 0]]
@@ -174,8 +174,8 @@ def test_it_does_not_matter_which_corner_of_a_triangle_is_lowest_or_reaches_in(s
 
 
 @pytest.mark.parametrize("top", [(3e-3, 2e-3), (-3e-3, 2e-3), (3e-3, -2e-3), (-3e-3, -2e-3)])
-def test_inside_a_face_the_top_of_the_gel_is_found(top):
-    """A level triangle a few millimetres wide, over the top of a bump that is somewhere on the gel."""
+def test_a_face_over_the_top_of_the_gel_is_found(top):
+    """A level triangle a few millimetres wide is above a bump on the gel."""
     flat = SensorGeometry("orthographic", 40, 30, 2500.0, 2000.0, 18.0, 16.0, 0.02, 1e-3)
     x, y = np.meshgrid(flat.pixel_slopes[0] - top[0], flat.pixel_slopes[1] - top[1])
     bump = dataclasses.replace(flat, relief_m=-(x**2 + y**2) / (2 * GEL_M))
@@ -183,7 +183,7 @@ def test_inside_a_face_the_top_of_the_gel_is_found(top):
     assert find_lowest_over_relief(face, make_translation([[*top, 0.01]]), bump)[0] == pytest.approx(0.01, abs=3e-6)
 
 
-def test_beyond_its_pixels_the_relief_goes_on_as_at_the_last():
+def test_the_relief_is_constant_beyond_the_last_pixels():
     geometry = tilted(0.3, -0.2)
     x, y = geometry.pixel_slopes
     x0, x1, y0, y1 = geometry.rectangle
@@ -194,7 +194,7 @@ def test_beyond_its_pixels_the_relief_goes_on_as_at_the_last():
     np.testing.assert_allclose(found, -(last @ [0.3, -0.2]), atol=1e-9)
 
 
-def test_between_pixels_the_relief_is_linear_along_rows_and_columns():
+def test_the_relief_is_bilinear_between_pixels():
     relief_m = 1e-3 * np.random.default_rng(1).normal(size=(3, 4))
     geometry = SensorGeometry("orthographic", 4, 3, 500.0, 400.0, 2.0, 1.5, 0.02, 1e-3, relief_m=relief_m)
     x, y = geometry.pixel_slopes
@@ -207,16 +207,16 @@ def test_between_pixels_the_relief_is_linear_along_rows_and_columns():
     )
 
 
-def test_the_relief_seen_along_rays_is_found_upright():
+def test_the_upright_relief_is_found_from_pinhole_rays():
     geometry = domed("pinhole")
     relief_m, (x0, y0, dx, dy) = make_upright_relief(geometry)
     x, y = x0 + dx * np.arange(150), y0 + dy * np.arange(200)
-    inside = np.s_[20:-20, 20:-20]  # rays to the rim see gel that lies farther in
+    inside = np.s_[20:-20, 20:-20]  # rays to the rim meet the gel nearer to the axis
     truth = np.sqrt(GEL_M**2 - x[None] ** 2 - y[:, None] ** 2) - GEL_M
     assert relief_m[inside] == pytest.approx(truth[inside], abs=2e-6)
 
 
-def test_the_cloud_of_a_touch_lies_on_the_object(ball):
+def test_the_contact_cloud_lies_on_the_object(ball):
     geometry = domed("orthographic").press(PRESS_M)
     x, y = PLACES[2]
     T = make_translation([[x, y, touching_m(geometry, x, y) - PRESS_M]])
@@ -229,7 +229,7 @@ def test_the_cloud_of_a_touch_lies_on_the_object(ball):
     assert (normals * off / BALL_M).sum(axis=1).min() > 0.98
 
 
-def test_sizes_change_and_the_gel_stays():
+def test_image_size_does_not_change_the_gel():
     geometry = domed("orthographic")
     for other in (geometry.resize(75, 100), geometry.subsample(2), geometry.press(PRESS_M)):
         x, y = np.meshgrid(*other.pixel_slopes)

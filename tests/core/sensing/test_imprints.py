@@ -1,4 +1,4 @@
-"""How well poses explain a touch, for contacts of known size and depth."""
+"""Scores of poses for contacts of known size and depth."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def imprint(columns: slice, indentation_m: float) -> np.ndarray:
 SEEN = imprint(slice(4, 14), 0.4e-3)
 
 
-def test_the_same_contact_explains_all():
+def test_the_same_contact_has_an_iou_of_one():
     found = compare_imprints(SEEN[None], SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.contact_ious == found.imprint_ious == 1.0
     assert found.evidence[0] == pytest.approx(IOU_NATS + AREA_NATS * np.log1p(25.0))  # 100 pixels of 0.25 mm^2
 
 
-def test_shares_and_depths_count_as_they_are_said_to():
+def test_ious_and_depths_contribute_as_defined():
     half, shallow = imprint(slice(9, 19), 0.4e-3), imprint(slice(4, 14), 0.3e-3)
     found = compare_imprints(np.stack([half, shallow]), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.contact_ious == pytest.approx([1 / 3, 1.0])
@@ -37,8 +37,8 @@ def test_shares_and_depths_count_as_they_are_said_to():
     assert found.evidence == pytest.approx(expected, abs=1e-3)
 
 
-def test_what_noise_hides_speaks_less_against_a_pose_than_what_it_cannot_make():
-    """Two poses have the same IoU; the one that explains a larger area has the better evidence."""
+def test_a_larger_explained_area_adds_evidence():
+    """Apart from the IoU term, the pose that explains a larger area has the better evidence."""
     more, less = imprint(slice(4, 24), 0.4e-3), imprint(slice(4, 12), 0.4e-3)
     found = compare_imprints(np.stack([more, less]), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.imprint_ious == pytest.approx([10 / 16, 8 / 10])
@@ -46,7 +46,7 @@ def test_what_noise_hides_speaks_less_against_a_pose_than_what_it_cannot_make():
     assert alike[0] > alike[1]
 
 
-def test_what_is_not_observed_does_not_count_and_nothing_explains_nothing():
+def test_unobserved_pixels_are_ignored_and_no_contact_scores_zero():
     observed = OBSERVED.copy()
     observed[:, 14:] = False
     more = imprint(slice(4, 20), 0.4e-3)

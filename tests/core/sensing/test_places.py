@@ -24,7 +24,7 @@ def places() -> Places:
     return WholeGrid(WholeGrid.Options(directions=300)).places(make_block(), Progress())
 
 
-def test_heights_survive_to_half_a_step_and_nothing_is_far():
+def test_patches_keep_heights_to_half_a_step_and_mark_far_pixels():
     rise_m = np.array([0.0, 3.3e-4, -1e-4, HIGHEST_M - STEP_M, 1.0, np.inf, np.nan])
     patches = make_patches(rise_m)
     assert patches.tolist()[-3:] == [FAR] * 3
@@ -42,7 +42,7 @@ def test_depths_are_cut_at_the_press(places, press_m):
 
 
 @pytest.mark.parametrize("camera", list(CAMERAS))
-def test_the_patch_of_a_touch_turned_back_is_that_of_its_place(places, camera):
+def test_the_unrotated_patch_of_a_touch_equals_that_of_its_place(places, camera):
     geometry = CAMERAS[camera].press(PRESS_M)
     numbers = np.linspace(0, len(places) - 1, 8).astype(int)
     yaw_rad = np.linspace(-3, 3, 8)
@@ -58,7 +58,7 @@ def test_the_patch_of_a_touch_turned_back_is_that_of_its_place(places, camera):
         assert alike.mean() > 0.93, k
 
 
-def test_what_the_sensor_does_not_see_is_not_seen(places):
+def test_unobserved_pixels_are_not_seen_in_rotated_patches(places):
     observed = np.ones((160, 200), bool)
     observed[:, :100] = False
     geometry = SensorGeometry("orthographic", 200, 160, 1e4, 1e4, 100, 80, 0.02, 2e-3, observed=observed)
@@ -69,11 +69,11 @@ def test_what_the_sensor_does_not_see_is_not_seen(places):
     middle = PATCH_PX // 2
     assert not seen[0, :, :middle].any()
     assert seen[0, middle, middle + 1 : middle + 15].all()
-    assert not seen[1, middle + 1 :, middle].any()  # turned back by a quarter, what is to the left is below
+    assert not seen[1, middle + 1 :, middle].any()  # a rotation back by 90 degrees moves the left side below
     assert (depths[~seen] == np.float32(PRESS_M)).all()
 
 
-def test_a_pose_puts_its_place_where_it_is_said_to_be(places):
+def test_a_pose_puts_its_place_at_the_given_point(places):
     at_m = np.array([[1e-3, -2e-3, 0.0195]])
     (T,) = make_translation(at_m) @ places.poses(np.array([5]), np.array([0.7]))
     place = np.linalg.inv(places.T_place_object[5]) @ [0, 0, 0, 1]
@@ -81,6 +81,6 @@ def test_a_pose_puts_its_place_where_it_is_said_to_be(places):
     assert T[2, :3] == pytest.approx(places.T_place_object[5][2, :3])
 
 
-def test_a_patch_is_seen_as_deep_as_it_is_kept():
+def test_the_patch_camera_has_the_depth_and_size_of_a_patch():
     assert CAMERA.max_depth_m == HIGHEST_M
     assert CAMERA.shape == (PATCH_PX, PATCH_PX)

@@ -61,7 +61,7 @@ def test_resizing_back_restores_the_sensor(geometry: SensorGeometry) -> None:
 
 @BOTH
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
-def test_every_nth_pixel_sees_what_it_saw_before(geometry: SensorGeometry, step: int) -> None:
+def test_subsampled_pixels_keep_their_rays(geometry: SensorGeometry, step: int) -> None:
     geometry = dataclasses.replace(geometry, observed=np.random.default_rng(2).random(geometry.shape) < 0.7)
     depth = np.random.default_rng(3).uniform(18 * MM, 24 * MM, geometry.shape)
     sparse = geometry.subsample(step)
@@ -69,7 +69,7 @@ def test_every_nth_pixel_sees_what_it_saw_before(geometry: SensorGeometry, step:
     np.testing.assert_array_equal(sparse.observed_mask, geometry.observed_mask[::step, ::step])
 
 
-def test_long_side_keeps_the_proportion() -> None:
+def test_resizing_the_long_side_keeps_the_proportion() -> None:
     assert PINHOLE.resize_long_side(80).shape == (60, 80)
     upright = dataclasses.replace(PINHOLE, width_px=6, height_px=8)
     assert upright.resize_long_side(80).shape == (80, 60)
@@ -82,7 +82,7 @@ def test_the_view_is_the_default_rectangle() -> None:
     assert PINHOLE.pixel_pitch_m == pytest.approx(0.5 * (20 / 40 + 20 / 50) * MM)
 
 
-def test_a_rectangle_may_reach_beyond_the_view_where_objects_touch_unseen() -> None:
+def test_a_rectangle_may_be_larger_than_the_view() -> None:
     geometry = dataclasses.replace(ORTHOGRAPHIC, rectangle_m=(-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM))
     np.testing.assert_allclose(geometry.rectangle, [-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM])
     np.testing.assert_allclose(geometry.subsample(3).rectangle, geometry.rectangle)
@@ -91,7 +91,7 @@ def test_a_rectangle_may_reach_beyond_the_view_where_objects_touch_unseen() -> N
         np.testing.assert_allclose(g.gel_middle_m, [2.4 * MM, -2.375 * MM, geometry.surface_m])
 
 
-def test_pixels_off_the_rectangle_or_masked_are_not_observed() -> None:
+def test_pixels_outside_the_rectangle_or_masked_are_not_observed() -> None:
     observed = np.ones((6, 8), bool)
     observed[5, 7] = False
     geometry = dataclasses.replace(
@@ -106,7 +106,7 @@ def test_pixels_off_the_rectangle_or_masked_are_not_observed() -> None:
     assert PINHOLE.observed_mask.all()
 
 
-def test_the_pinhole_mask_is_taken_on_the_surface() -> None:
+def test_the_pinhole_mask_is_computed_on_the_surface() -> None:
     geometry = dataclasses.replace(PINHOLE, rectangle_m=(0.0, 1.0, -1.0, 1.0))
     points = geometry.backproject(np.full(geometry.shape, geometry.standoff_m))
     np.testing.assert_array_equal(geometry.observed_mask, points[..., 0] >= 0)
@@ -135,11 +135,11 @@ def test_every_field_has_a_change_to_try() -> None:
 
 
 @pytest.mark.parametrize("field", CHANGES)
-def test_the_description_changes_when_anything_does(field: str) -> None:
+def test_the_description_changes_with_every_field(field: str) -> None:
     assert dataclasses.replace(PINHOLE, **{field: CHANGES[field]}).describe() != PINHOLE.describe()
 
 
-def test_the_description_tells_masks_apart() -> None:
+def test_different_masks_have_different_descriptions() -> None:
     one, other = np.eye(6, 8, dtype=bool), np.eye(6, 8, k=1, dtype=bool)
     describe = [dataclasses.replace(PINHOLE, observed=mask).describe() for mask in (one, one.copy(), other)]
     assert describe[0] == describe[1] != describe[2]
@@ -168,7 +168,7 @@ def test_contradictory_numbers_are_refused(change: dict, words: str) -> None:
         dataclasses.replace(PINHOLE, **change)
 
 
-def test_the_same_sensor_may_have_another_image_size_or_mask_but_no_other_field() -> None:
+def test_the_same_sensor_may_differ_only_in_image_size_and_mask() -> None:
     blind = np.ones(PINHOLE.shape, bool)
     blind[0] = False
     assert PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE.resize(3, 20), observed=None))
@@ -182,6 +182,6 @@ def test_the_same_sensor_may_have_another_image_size_or_mask_but_no_other_field(
 
 
 @pytest.mark.parametrize("pixels_a_metre", [1e-300, 0.05, 1e9])
-def test_pixels_of_impossible_sizes(pixels_a_metre):
+def test_impossible_pixel_sizes_are_refused(pixels_a_metre):
     with pytest.raises(SensorError, match=naming(f"{pixels_a_metre / 1e3:.3g}")):
         SensorGeometry("orthographic", 32, 32, 2e3, pixels_a_metre, 16, 16, 0.01, 1e-3)

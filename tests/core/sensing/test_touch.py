@@ -15,7 +15,7 @@ PINHOLE = SensorGeometry("pinhole", 8, 6, fx=40.0, fy=50.0, cx=3.7, cy=3.1, stan
 
 
 def slope() -> np.ndarray:
-    """A contact shape that rises to the right from 0 and leaves contact in the last columns."""
+    """Return a contact shape that rises to the right from 0, without contact in the last columns."""
     row = np.linspace(0.0, 1.2 * PINHOLE.max_depth_m, PINHOLE.width_px)
     return np.tile(row, (PINHOLE.height_px, 1))
 
@@ -28,7 +28,7 @@ def test_contact_depth_is_clipped_between_the_surface_and_the_press_depth() -> N
     np.testing.assert_array_equal(ContactShape(depth, 1 * MM).contact, [[True, True, True, False, False, False]])
 
 
-def test_a_lighter_press_cuts_the_same_depths() -> None:
+def test_a_lighter_press_cuts_the_depths() -> None:
     shape = ContactShape(np.array([[0.0, 0.4, 0.8, 2.0]], np.float32) * np.float32(MM), 2 * MM)
     light = shape.press_to(0.5 * MM)
     assert light.press_depth_m == 0.5 * MM
@@ -36,7 +36,7 @@ def test_a_lighter_press_cuts_the_same_depths() -> None:
     np.testing.assert_array_equal(light.contact, [[True, True, False, False]])
 
 
-def test_a_shape_cannot_be_pressed_deeper_afterwards() -> None:
+def test_a_deeper_press_does_not_change_the_shape() -> None:
     shape = ContactShape(np.array([[0.0, 0.5]], np.float32) * np.float32(MM), 0.5 * MM)
     same = shape.press_to(2 * MM)
     assert same.press_depth_m == 0.5 * MM
@@ -51,25 +51,25 @@ def test_the_press_depth_is_the_deepest_step_in_contact(marker: float) -> None:
     np.testing.assert_allclose(shape.depth_m, np.array([[0.0, 0.7, 1.3, 1.3]]) * MM, rtol=1e-3)
 
 
-def test_a_flat_imprint_counts_as_a_quarter_of_the_range() -> None:
+def test_a_flat_imprint_has_a_press_depth_of_a_quarter_of_the_range() -> None:
     shape = contact_shape_from_array([[0.0, 0.01 * MM, np.nan]], 2 * MM)
     assert shape.press_depth_m == pytest.approx(0.5 * MM)
     np.testing.assert_array_equal(shape.contact, [[True, True, False]])
 
 
-def test_without_a_mark_the_shape_is_cut_at_its_largest_depth() -> None:
+def test_a_shape_without_markers_is_cut_at_its_largest_depth() -> None:
     shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.5 * MM, 1.5 * MM]], 2 * MM)
     assert shape.press_depth_m == pytest.approx(1.5 * MM)
     np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
 
 
-def test_a_given_press_depth_is_believed() -> None:
+def test_a_given_press_depth_is_used() -> None:
     shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.3 * MM, np.nan]], 2 * MM, press_depth_m=1 * MM)
     assert shape.press_depth_m == 1 * MM
     np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
 
 
-def test_rounding_makes_no_contact() -> None:
+def test_rounding_errors_make_no_contact() -> None:
     nearly = np.array([[0.0, 1.0 * (1 - 1e-7) * MM]])
     np.testing.assert_array_equal(contact_shape_from_array(nearly, 2 * MM, 1 * MM).contact, [[True, False]])
 
@@ -95,7 +95,7 @@ def test_bad_arrays_are_refused(values: object, press_depth_m: float | None, wro
 
 @pytest.mark.parametrize("name", ["T_base_sensor", "T_sensor_object"])
 @pytest.mark.parametrize("T", [np.diag([-1.0, 1, 1, 1]), 2 * np.eye(4), np.eye(3), np.full((4, 4), np.nan)])
-def test_a_touch_is_refused_at_poses_that_are_none(name: str, T: np.ndarray) -> None:
+def test_an_invalid_pose_of_a_touch_is_refused(name: str, T: np.ndarray) -> None:
     shape = ContactShape(np.full(PINHOLE.shape, 2 * MM, np.float32), 2 * MM)
     shape.depth_m[2:4, 2:5] = 0
     with pytest.raises(TouchError, match=naming(name, "press 3", "(4, 4)")):
@@ -109,7 +109,7 @@ def test_a_touch_must_fit_its_sensor() -> None:
         Touch(shape, PINHOLE.resize(16, 12))
 
 
-def test_contact_must_be_seen_where_the_sensor_observes() -> None:
+def test_contact_must_lie_on_observed_pixels() -> None:
     shape = contact_shape_from_array(slope(), 2 * MM)
     blind = np.zeros((6, 8), bool)
     blind[:, -1] = True
@@ -117,7 +117,7 @@ def test_contact_must_be_seen_where_the_sensor_observes() -> None:
         Touch(shape, dataclasses.replace(PINHOLE, observed=blind))
 
 
-def test_nothing_but_flat_contact_is_refused() -> None:
+def test_flat_contact_everywhere_is_refused() -> None:
     shape = contact_shape_from_array(np.zeros((6, 8)), 2 * MM)
     with pytest.raises(TouchError, match="flat"):
         Touch(shape, PINHOLE)

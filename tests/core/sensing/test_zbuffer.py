@@ -16,7 +16,7 @@ from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 @pytest.fixture(scope="module")
 def knot() -> TriangleMesh:
-    """Many small triangles, overhangs, and no symmetry."""
+    """Return a mesh with many small triangles, overhangs and no symmetry."""
     parts = [
         trimesh.creation.torus(0.008, 0.003),
         trimesh.creation.icosphere(3, 0.004).apply_translation([0.006, 0.004, 0.003]),
@@ -26,8 +26,8 @@ def knot() -> TriangleMesh:
     return TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
 
 
-def test_a_slanted_plane_has_the_depth_that_geometry_says(camera):
-    """z = 0.0215 + 0.03 x over the whole picture: a ray through slope s meets it at 0.0215 / (1 - 0.03 s)."""
+def test_a_slanted_plane_has_its_analytic_depth(camera):
+    """On the plane z = 0.0215 + 0.03 x, a ray of slope s has the depth 0.0215 / (1 - 0.03 s)."""
     corners = np.array([[x, y, 0.0215 + 0.03 * x] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     plane = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     wide = dataclasses.replace(camera, max_depth_m=0.01)
@@ -37,7 +37,7 @@ def test_a_slanted_plane_has_the_depth_that_geometry_says(camera):
     np.testing.assert_allclose(depth, np.broadcast_to(expected, depth.shape), rtol=1e-6)
 
 
-def test_rays_and_triangles_agree_on_any_pose(camera, knot):
+def test_the_zbuffer_agrees_with_ray_casting(camera, knot):
     R = draw_rotations(6, np.random.default_rng(1))
     T, touching = bring_to_contact(knot, make_transform(R, [0.001, -0.002, 0.0]), camera)
     assert touching.all()
@@ -50,22 +50,22 @@ def test_rays_and_triangles_agree_on_any_pose(camera, knot):
     assert (np.abs(ours - theirs) < 2e-7).mean() > 0.999  # a pixel's centre may lie on an edge
 
 
-def test_poses_alone_and_together_are_the_same(camera, knot):
+def test_depths_are_equal_for_poses_alone_and_together(camera, knot):
     T = bring_to_contact(knot, make_transform(draw_rotations(3, np.random.default_rng(2)), np.zeros(3)), camera)[0]
     together = draw_nearest_depths(knot, T, camera)
     for pose, depth in zip(T, together, strict=True):
         np.testing.assert_array_equal(draw_nearest_depths(knot, pose[None], camera)[0], depth)
 
 
-def test_an_object_pressed_in_is_seen_below_the_surface(camera):
-    """A refiner may push it there: the plane of a box 1 mm below the surface has its own depth, not the surface's."""
+def test_an_object_inside_the_gel_is_drawn_at_its_own_depth(camera):
+    """A refiner may move an object into the gel. A box face 1 mm inside is drawn there, not at the surface."""
     box = trimesh.creation.box([0.5, 0.5, 0.01])
     mesh = TriangleMesh(np.array(box.vertices), np.array(box.faces, np.int64))
     depth = draw_nearest_depths(mesh, make_translation([[0.0, 0.0, camera.standoff_m - 0.001 + 0.005]]), camera)
     np.testing.assert_allclose(depth, camera.standoff_m - 0.001, rtol=1e-6)
 
 
-def test_a_triangle_that_reaches_behind_the_camera_is_seen_before_it():
+def test_a_triangle_that_reaches_behind_the_camera_is_clipped():
     g = LOPSIDED_CAMERAS["pinhole"]
     wall = TriangleMesh(np.array([[0.02, -1.0, -0.3], [0.02, 1.0, -0.3], [-0.005, 0.0, 0.0225]]), np.array([[0, 1, 2]]))
     ours = draw_nearest_depths(wall, np.eye(4)[None], g)[0]
@@ -75,16 +75,16 @@ def test_a_triangle_that_reaches_behind_the_camera_is_seen_before_it():
     np.testing.assert_allclose(np.minimum(ours, limit), np.minimum(theirs, limit), rtol=1e-5)
 
 
-def test_what_is_deeper_than_the_band_or_beside_the_view_is_not_drawn(camera, knot):
+def test_surfaces_beyond_the_band_or_the_view_are_not_drawn(camera, knot):
     far = make_translation([[0.0, 0.0, 1.0], [5.0, 0.0, camera.standoff_m], [-5.0, 5.0, camera.standoff_m]])
     assert np.isinf(draw_nearest_depths(knot, far, camera)).all()
 
 
-def test_no_pose_is_no_work(camera, knot):
+def test_no_poses_give_no_depths(camera, knot):
     assert draw_nearest_depths(knot, np.zeros((0, 4, 4)), camera).shape == (0, *camera.shape)
 
 
-def test_an_edge_between_two_triangles_lets_no_ray_through(camera):
+def test_no_ray_passes_between_two_adjacent_triangles(camera):
     """A fan of triangles whose edges pass through pixel centres."""
     turn = rotation_about([0, 0, 1], np.linspace(0, 2 * np.pi, 25)[:-1])
     rim = turn @ np.array([0.1, 0.0, 0.0])

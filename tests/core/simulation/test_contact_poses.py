@@ -19,7 +19,7 @@ def face(spacing_mm: float, side: str = "+z", **options) -> FaceGrid:
 
 
 class Fixed(FaceGrid):
-    """Offers the same poses whatever the spacing."""
+    """Return the same poses for any spacing."""
 
     def __init__(self, poses: np.ndarray) -> None:
         super().__init__(FaceGrid.Options(spacing_mm=3.0))
@@ -34,26 +34,26 @@ class Fixed(FaceGrid):
 
 @pytest.mark.parametrize("name", ["pin", "head", "hook"])
 @pytest.mark.parametrize("spacing_mm", [4.0, 6.0])
-def test_the_spacing_asked_for_is_met(make_scene, pinhole, name, spacing_mm):
-    """In spite of contact, which moves poses along z, most of all on a tilted or curved face."""
+def test_the_grid_has_the_requested_spacing(make_scene, pinhole, name, spacing_mm):
+    """Contact moves poses along z, mostly on a tilted or curved face; the spacing is still right."""
     grid = make_contact_grid(face(spacing_mm, "auto"), make_scene(load_object(name), pinhole))
     assert grid.neighbour_spacing().mean() == pytest.approx(spacing_mm * 1e-3, rel=0.05)
 
 
 class Wider(FaceGrid):
-    """Sets its poses farther apart than it is asked to, as contact does to those of a steep surface."""
+    """Sample with a larger spacing than requested, as contact causes on a steep surface."""
 
     def sample(self, obj, geometry, spacing_m):
         return super().sample(obj, geometry, 1.3 * spacing_m)
 
 
-def test_a_sampler_whose_poses_end_up_too_far_apart_is_asked_again(make_scene, pinhole, box):
+def test_a_sampler_with_too_wide_spacing_is_called_again(make_scene, pinhole, box):
     grid = make_contact_grid(Wider(FaceGrid.Options(spacing_mm=4.0, face="+z")), make_scene(box, pinhole))
     assert grid.neighbour_spacing().mean() == pytest.approx(0.004, rel=0.05)
 
 
-def test_steps_that_options_fix_are_left_out_of_the_spacing(make_scene, pinhole, box):
-    """Tilts closer than the spacing must not be made up for by a coarser lattice of x and y."""
+def test_fixed_tilt_steps_do_not_affect_the_spacing(make_scene, pinhole, box):
+    """Tilts closer than the spacing must not cause a coarser lattice of x and y."""
     scene = make_scene(box, pinhole)
     tilted = make_contact_grid(face(4.0, tilt_deg=6.0), scene)
     R, x_m = tilted.T_sensor_object[:, :3, :3], tilted.T_sensor_object[:, 0, 3]
@@ -77,7 +77,7 @@ def test_poses_without_contact_are_dropped(make_scene, flat_camera, box):
     assert grid.T_sensor_object[:, 0, 3].tolist() == [0.0, 0.005]
 
 
-def test_no_contact_at_all_is_refused(make_scene, flat_camera, box):
+def test_a_grid_without_contact_is_refused(make_scene, flat_camera, box):
     scene = make_scene(box, flat_camera)
     nowhere = Fixed(make_translation([[0.05, 0.0, 0.0], [0.06, 0.0, 0.0]]))
     with pytest.raises(GridError, match="box"):
@@ -86,11 +86,11 @@ def test_no_contact_at_all_is_refused(make_scene, flat_camera, box):
         draw_contact_poses(nowhere, scene, 1, np.random.default_rng(0))
 
 
-def test_a_single_pose_is_a_grid(make_scene, flat_camera, box):
+def test_a_single_pose_gives_a_grid(make_scene, flat_camera, box):
     assert len(make_contact_grid(Fixed(np.eye(4)[None]), make_scene(box, flat_camera))) == 1
 
 
-def test_symmetric_duplicates_are_gone(make_scene, flat_camera, make_box):
+def test_symmetric_duplicates_are_removed(make_scene, flat_camera, make_box):
     half_turn = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
     poses = np.stack([np.eye(4), half_turn, make_translation([0.005, 0, 0])])
     kept = {
@@ -103,7 +103,7 @@ def test_symmetric_duplicates_are_gone(make_scene, flat_camera, make_box):
 
 
 @pytest.mark.parametrize("spacing_mm", [3.0, 4.0, 5.0])
-def test_a_symmetric_face_needs_a_share_of_the_poses(make_scene, pinhole, make_box, spacing_mm):
+def test_a_symmetric_face_needs_fewer_poses(make_scene, pinhole, make_box, spacing_mm):
     def size(symmetry: str) -> int:
         return len(
             make_contact_grid(face(spacing_mm), make_scene(make_box(0.03, 0.02, 0.012, symmetry=symmetry), pinhole))
@@ -115,7 +115,7 @@ def test_a_symmetric_face_needs_a_share_of_the_poses(make_scene, pinhole, make_b
     assert size("x2") == alone
 
 
-def test_a_regular_prisms_and_a_turned_parts_faces(make_scene, pinhole, make_object):
+def test_rotational_symmetry_reduces_the_yaws_of_a_face(make_scene, pinhole, make_object):
     def grid(symmetry: str) -> PoseGrid:
         return make_contact_grid(
             face(4.0), make_scene(make_object(trimesh.creation.cylinder(0.012, 0.01, sections=36), symmetry), pinhole)
@@ -124,7 +124,7 @@ def test_a_regular_prisms_and_a_turned_parts_faces(make_scene, pinhole, make_obj
     alone, six, any_turn = grid("none"), grid("z6"), grid("zinf")
     assert len(six) == pytest.approx(len(alone) / 6, rel=0.25)
     across = np.unique(any_turn.T_sensor_object[:, :2, 3].round(6), axis=0)
-    assert len(any_turn) == len(across), "one yaw at each place"
+    assert len(any_turn) == len(across), "each place has one yaw"
 
 
 @pytest.mark.parametrize("symmetry", ["z2", "zinf"])
@@ -138,12 +138,12 @@ def test_no_pose_is_far_from_a_symmetric_grid(make_scene, pinhole, make_object, 
     scene = make_scene(obj, pinhole)
     grid = make_contact_grid(face(4.0), scene)
     distance, _ = grid.nearest(draw_contact_poses(face(4.0), scene, 200, np.random.default_rng(0)))
-    # In a cubic cell of side s the farthest corner is 0.87 s away, a random place 0.48 s.
+    # In a cubic cell of side s, the corners are 0.87 s from the centre, random places 0.48 s on average.
     assert distance.max() < 1.1 * 0.004
     assert distance.mean() < 0.55 * 0.004
 
 
-def test_enough_contact_is_a_share_of_the_observed_pixels(make_scene, flat_camera, box):
+def test_the_least_contact_is_a_share_of_the_observed_pixels(make_scene, flat_camera, box):
     scene = make_scene(box, flat_camera)
     depths = np.full((4, *flat_camera.shape), flat_camera.max_depth_m, np.float32)
     pixels = 60 * 44
@@ -155,7 +155,7 @@ def test_enough_contact_is_a_share_of_the_observed_pixels(make_scene, flat_camer
 
 
 @pytest.mark.parametrize("count", [1, 40, 300])
-def test_random_poses_touch_and_are_as_many_as_asked(make_scene, pinhole, box, count):
+def test_random_poses_touch_and_have_the_requested_count(make_scene, pinhole, box, count):
     scene = make_scene(box, pinhole)
     poses = draw_contact_poses(face(5.0, min_contact_percent=3.0), scene, count, np.random.default_rng(1))
     assert poses.shape == (count, 4, 4)
@@ -164,7 +164,7 @@ def test_random_poses_touch_and_are_as_many_as_asked(make_scene, pinhole, box, c
     assert mark_contact(scene.render_contact_depths(poses), scene, 3.0).all()
 
 
-def test_random_poses_are_off_the_grid_and_all_over_it(make_scene, pinhole, box):
+def test_random_poses_cover_the_grid_and_differ_from_it(make_scene, pinhole, box):
     scene = make_scene(box, pinhole)
     poses = draw_contact_poses(face(5.0), scene, 300, np.random.default_rng(2))
     grid = make_contact_grid(face(5.0), scene)
@@ -177,7 +177,7 @@ def test_random_poses_are_off_the_grid_and_all_over_it(make_scene, pinhole, box)
     assert len(np.unique(yaw_rad)) == 300
 
 
-def test_random_poses_follow_their_generator(make_scene, pinhole, box):
+def test_equal_generators_give_equal_random_poses(make_scene, pinhole, box):
     scene = make_scene(box, pinhole)
     assert np.array_equal(*(draw_contact_poses(face(5.0), scene, 9, np.random.default_rng(3)) for _ in range(2)))
 
@@ -189,7 +189,7 @@ def test_an_impossible_spacing_is_refused(make_scene, pinhole, box, spacing_mm):
         make_contact_grid(sampler, make_scene(box, pinhole))
 
 
-def test_the_metric_is_the_scenes_own(make_scene, pinhole, box):
+def test_the_grid_has_the_metric_of_the_scene(make_scene, pinhole, box):
     grid = make_contact_grid(face(6.0), make_scene(box, pinhole))
     assert isinstance(grid.metric, PoseMetric)
     assert grid.metric.object is box

@@ -37,7 +37,7 @@ def test_a_batch_has_views_of_every_touch(batch):
     assert batch.depth_m.max() <= np.float32(PRESS_M)
     assert (batch.press_m == PRESS_M).all()
     assert batch.counts[:, 0].all()
-    assert not batch.seen.all(), "sensors see a part of what places show"
+    assert not batch.seen.all(), "sensors see a part of each patch"
 
 
 def test_a_touch_is_near_its_label(problem, touches):
@@ -50,7 +50,7 @@ def test_a_touch_is_near_its_label(problem, touches):
     np.testing.assert_allclose(seen_m, labels.off_m, atol=1e-9)
 
 
-def test_the_right_view_shows_what_its_key_does_and_decoys_do_not(problem, batch):
+def test_the_true_view_is_more_similar_to_its_key_than_decoys(problem, batch):
     keys = np.concatenate(list(problem.clean_keys(PRESS_M)))[batch.labels]
     differing = np.abs(batch.depth_m - keys[:, None]) * batch.seen
     off = differing.sum(axis=(2, 3)) / batch.seen.sum(axis=(2, 3))
@@ -59,7 +59,7 @@ def test_the_right_view_shows_what_its_key_does_and_decoys_do_not(problem, batch
     assert (np.nanmean(wrong, axis=1) > off[:, 0]).mean() > 0.8
 
 
-def test_a_decoy_that_symmetry_makes_right_does_not_count():
+def test_a_decoy_equivalent_by_symmetry_does_not_count():
     whole = make_place_training_problem(symmetry="z2")
     batch = whole.draw(COUNT, make_noise("none"), np.random.default_rng(1)).batch(
         COUNT, np.random.default_rng(2), PRESS_M, 60
@@ -71,7 +71,7 @@ def test_a_decoy_that_symmetry_makes_right_does_not_count():
     assert batch.counts.mean() < other.counts.mean()
 
 
-def test_noise_keeps_every_touch_a_touch(problem):
+def test_noise_leaves_contact_in_every_touch(problem):
     rng = np.random.default_rng(3)
     touches = problem.draw(COUNT, make_noise("strong"), rng)
     for press_m in problem.key_presses_m[[0, -1]]:
@@ -80,26 +80,26 @@ def test_noise_keeps_every_touch_a_touch(problem):
         assert (batch.depth_m[:, 0] < np.float32(press_m)).any(axis=(1, 2)).all()
 
 
-def test_the_same_seed_draws_the_same(problem, batch, touches):
+def test_the_same_seed_gives_the_same_batch(problem, batch, touches):
     again = touches.batch(COUNT, np.random.default_rng(2), PRESS_M, DECOYS)
     np.testing.assert_array_equal(again.depth_m, batch.depth_m)
     np.testing.assert_array_equal(again.labels, batch.labels)
 
 
-def test_keys_are_cut_at_their_press_and_come_in_shards(problem):
+def test_keys_are_cut_at_their_press_and_given_in_shards(problem):
     assert 0.2 * 2e-3 < problem.key_presses_m[0] < problem.key_presses_m[-1] <= problem.scene.geometry.max_depth_m
     shards = list(problem.clean_keys(PRESS_M))
     assert sum(map(len, shards)) == len(problem)
     assert max(shard.max() for shard in shards) == np.float32(PRESS_M)
 
 
-def test_keys_are_as_far_apart_as_their_poses_at_the_best_yaw(problem):
+def test_key_distances_are_pose_distances_at_the_best_yaw(problem):
     numbers = np.array([0, 1, len(problem) - 1])
     np.testing.assert_allclose(problem.key_distances(numbers, numbers), 0.0, atol=1e-6)
     assert (problem.key_distances(numbers, numbers[::-1])[[0, 2]] > 1e-3).all()
 
 
-def test_an_encoder_that_wants_listed_poses_is_told_so(problem):
+def test_a_request_for_listed_poses_is_refused(problem):
     with pytest.raises(ConfigError, match="--grid face"):
         _ = problem.grid
     with pytest.raises(ConfigError, match="--grid face"):

@@ -1,4 +1,4 @@
-"""The poses that touch all sensors, on a grid large enough for contacts to be looked up in another order."""
+"""The poses that touch all sensors, on a grid large enough that contacts are checked in another order."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def sensors(count: int, seed: int = 0) -> list[np.ndarray]:
 
 
 def parts(grid: PoseGrid, T_base_sensor: list[np.ndarray], keeps: list[np.ndarray]) -> list[PoseGrid]:
-    """Each sensor's grid: those of the first one's poses that `keeps` marks, shuffled."""
+    """Return one grid per sensor: the first grid, and shuffled copies of its poses that `keeps` marks."""
     made = [grid]
     for T, keep in zip(T_base_sensor[1:], keeps, strict=True):
         kept = np.random.default_rng(1).permutation(np.flatnonzero(keep))
@@ -33,7 +33,7 @@ def parts(grid: PoseGrid, T_base_sensor: list[np.ndarray], keeps: list[np.ndarra
     return made
 
 
-def test_they_are_the_intersection_and_each_is_found(grid):
+def test_common_poses_are_the_intersection_of_all_grids(grid):
     x, y, z = (grid.T_sensor_object[:, k, 3] for k in range(3))
     keeps = [x > 0.003, y < 0.009, z + x < 0.02]
     T_base_sensor = sensors(4)
@@ -46,18 +46,18 @@ def test_they_are_the_intersection_and_each_is_found(grid):
         np.testing.assert_allclose(other.T_sensor_object[found], seen, atol=1e-12)
 
 
-def test_the_error_names_the_contact_that_drops_the_last(grid):
+def test_the_error_names_the_contact_that_removes_the_last_pose(grid):
     x = grid.T_sensor_object[:, 0, 3]
-    keeps = [x > 0.011, x > 0.003, x < 0.009]  # the second and fourth exclude one another
+    keeps = [x > 0.011, x > 0.003, x < 0.009]  # the second and fourth contact have no pose in common
     T_base_sensor = sensors(4)
-    lefts = [int((x < 0.009).sum()), int((x > 0.011).sum())]  # the one that keeps fewer is asked first
+    lefts = [int((x < 0.009).sum()), int((x > 0.011).sum())]  # the contact that keeps fewer poses is checked first
     contact, left = (2, lefts[0]) if lefts[0] < lefts[1] else (4, lefts[1])
     with pytest.raises(GridError, match=naming(contact, left, 660)):
         find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
 
 
-def test_who_excludes_most_of_what_is_left_is_asked_next(grid):
-    """The fourth keeps more poses than the third, but none of the few that the second keeps."""
+def test_the_contact_that_removes_most_remaining_poses_is_checked_next(grid):
+    """The fourth contact keeps more poses than the third, but none of the few that the second keeps."""
     x, y = (grid.T_sensor_object[:, k, 3] for k in range(2))
     keeps = [x > 0.017, y < 0.009, x < 0.017]
     assert keeps[0].sum() < keeps[1].sum() < keeps[2].sum()
@@ -66,7 +66,7 @@ def test_who_excludes_most_of_what_is_left_is_asked_next(grid):
         find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
 
 
-def test_nothing_possible_is_for_the_caller_to_say(grid):
+def test_no_possible_pose_gives_an_empty_result(grid):
     common = find_common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
     assert common.first.shape == (0,)
     assert common.found.shape == (2, 0)

@@ -27,7 +27,7 @@ def names(components: dict) -> dict:
 
 
 @pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
-def test_components_that_exclude_each_other_are_refused_by_name_and_with_the_reason(rule):
+def test_incompatible_components_are_refused_with_names_and_reason(rule):
     components = declaring(rule.first, rule.second)
     with pytest.raises(ConfigError) as caught:
         require_compatible(components, names(components))
@@ -38,7 +38,7 @@ def test_components_that_exclude_each_other_are_refused_by_name_and_with_the_rea
 
 
 @pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
-def test_either_alone_is_taken(rule):
+def test_either_component_is_accepted_alone(rule):
     for one, other in ((rule.first, rule.second), (rule.second, rule.first)):
         components = declaring(one, dataclasses.replace(other, value=not other.value))
         require_compatible(components, names(components))
@@ -46,14 +46,14 @@ def test_either_alone_is_taken(rule):
 
 
 @pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
-def test_what_a_plugin_has_to_change_is_said(rule):
+def test_the_error_names_the_required_change_of_an_outdated_plugin(rule):
     components = declaring(rule.first, rule.second)
     components[rule.second.slot].outdated = "turn it inside out"
     with pytest.raises(ConfigError, match="turn it inside out"):
         require_compatible(components, names(components))
 
 
-def test_rules_are_about_slots_and_capabilities_that_there_are():
+def test_rules_name_existing_slots_and_capabilities():
     fields = {field.name for field in dataclasses.fields(Capabilities)}
     for rule in INCOMPATIBILITIES:
         for declared in (rule.first, rule.second):

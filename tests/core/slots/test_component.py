@@ -35,11 +35,11 @@ def test_each_capability_is_read_by_code(capability):
     assert capability in READ
 
 
-def test_nothing_is_asked_for_that_cannot_be_declared():
+def test_code_reads_only_declared_capabilities():
     assert {field.name for field in dataclasses.fields(Capabilities)} >= READ
 
 
-def test_the_test_sees_reading_and_not_declaring():
+def test_the_search_finds_reads_and_ignores_declarations():
     source = "class A:\n    capabilities = Capabilities(places=True)\nif a.b.capabilities.refines: capabilities.weights"
     assert set(read_in(source)) == {"refines", "weights"}
 

@@ -29,17 +29,17 @@ def strangers() -> Iterator[None]:
         yield
 
 
-def test_built_in_components_are_of_this_interface():
+def test_built_in_components_have_the_current_interface():
     own = [found.spec for found in registry().components if found.distribution == BUILT_IN]
     assert {spec.interface for spec in own} == {INTERFACE_VERSION}
 
 
-def test_a_plugin_that_says_nothing_is_of_the_first_interface():
+def test_a_plugin_without_a_version_has_the_first_interface():
     assert ComponentSpec("matcher", "old", "old:Old", "from before there were versions").interface == 1
 
 
 @pytest.mark.parametrize("interface", [0, "2", None])
-def test_an_interface_is_a_positive_whole_number(monkeypatch, interface):
+def test_an_interface_must_be_a_positive_whole_number(monkeypatch, interface):
     odd = ComponentSpec("matcher", "odd", "odd:Odd", "odd", interface=interface)
     monkeypatch.setitem(strange_matchers.SPECS, "odd", odd)
     (failure,) = Registry([strange_matchers.Stranger()]).failures
@@ -47,14 +47,14 @@ def test_an_interface_is_a_positive_whole_number(monkeypatch, interface):
 
 
 @pytest.mark.parametrize("kind", [Plain, Weighing, DenseMatcher])
-def test_weights_are_seen_in_the_signature(kind):
+def test_the_signature_shows_whether_a_matcher_takes_weights(kind):
     assert takes_weights(kind) == takes_weights(kind()) == (kind is DenseMatcher)
 
 
-def test_an_old_matcher_that_weighs_is_given_the_new_method(caplog):
+def test_an_old_weighing_matcher_gets_the_new_method(caplog):
     with caplog.at_level(logging.WARNING):
         matchers = [registry().create("matcher", "weighing") for _ in range(3)]
-    (record,) = caplog.records  # once, however often it is made
+    (record,) = caplog.records  # one warning for three matchers
     assert WEIGHTS_CHANGE in record.getMessage()
     assert "Weighing" in record.getMessage()
     rng = np.random.default_rng(0)
@@ -82,13 +82,13 @@ def test_an_old_matcher_passes_the_checks_that_apply_to_it():
         assert ("check_weights" in results) == weighs
 
 
-def test_what_is_up_to_date_or_of_another_slot_is_left_as_it_is():
+def test_current_components_and_other_slots_are_not_adapted():
     assert adapt(DenseMatcher, "matcher", 1) is DenseMatcher
     assert adapt(Plain, "matcher", 2) is Plain
     assert adapt(Plain, "refiner", 1) is Plain
 
 
-def test_an_old_matcher_without_weights_compares_with_listed_poses(store):
+def test_an_old_matcher_without_weights_scores_listed_poses(store):
     localizer = Localizer.create("pin", store=store, matcher="plain", **LISTED)
     touch = localizer.simulate(1, seed=2)[0]
     exact = Localizer.create("pin", store=store, matcher="dense", **LISTED)
@@ -96,7 +96,7 @@ def test_an_old_matcher_without_weights_compares_with_listed_poses(store):
     assert found == pytest.approx(wanted, abs=1e-5)
 
 
-def test_an_old_matcher_without_weights_is_refused_where_they_are_needed(store):
+def test_an_old_matcher_without_weights_is_refused_for_whole_grids(store):
     with pytest.raises(ConfigError) as caught:
         Localizer.create("pin", store=store, matcher="plain", **FEW)
     sentence = str(caught.value)
@@ -105,7 +105,7 @@ def test_an_old_matcher_without_weights_is_refused_where_they_are_needed(store):
     assert "\n" not in sentence
 
 
-def test_a_matcher_that_declares_that_it_cannot_weigh_is_refused_there_too(store):
+def test_a_matcher_that_declares_no_weights_is_refused_for_whole_grids(store):
     with pytest.raises(ConfigError, match="'listed'") as caught:
         Localizer.create("pin", store=store, matcher="listed", **FEW)
     assert WEIGHTS_CHANGE not in str(caught.value)
@@ -113,13 +113,13 @@ def test_a_matcher_that_declares_that_it_cannot_weigh_is_refused_there_too(store
     assert not Listed.capabilities.weights
 
 
-def test_an_old_matcher_that_weighs_locates_as_dense_does(store):
+def test_an_old_weighing_matcher_finds_the_same_pose_as_dense(store):
     old, dense = (Localizer.create("pin", store=store, matcher=name, **FEW) for name in ("weighing", "dense"))
     touch = dense.simulate(1, seed=5)[0]
     assert old.localize(touch).best.T_sensor_object == pytest.approx(dense.localize(touch).best.T_sensor_object)
 
 
-def test_a_matcher_of_this_interface_without_weights_fails_when_it_is_loaded():
+def test_a_current_matcher_without_weights_fails_to_load():
     with pytest.raises(PluginLoadError, match=WEIGHTS_CHANGE):
         registry().load("matcher", "forgetful")
 
@@ -132,7 +132,7 @@ def test_a_plugin_of_a_later_interface_is_refused_in_one_sentence():
     assert "pip install --upgrade tactile-loc" in str(caught.value)
 
 
-def test_capabilities_of_the_first_interface_are_taken_and_forgotten():
+def test_capabilities_of_the_first_interface_are_ignored():
     old: dict = {"uses_normals": True, "device": "cuda"}
     assert Capabilities(deterministic=False, **old) == Capabilities(deterministic=False)
     with pytest.raises(TypeError, match="divine"):

@@ -46,7 +46,7 @@ def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Lay out a distribution as pip would: `install("acme-tools", acme_plugin=source)`; `*_plugin` are entry points."""
+    """Write a distribution as pip does: `install("acme-tools", acme_plugin=source)`; `*_plugin` are entry points."""
     monkeypatch.syspath_prepend(tmp_path)
     before = set(sys.modules)
 
@@ -70,7 +70,7 @@ def hook(*specs: str) -> str:
     return HOOK.format(specs=", ".join(specs))
 
 
-def test_every_slot_has_built_in_components_that_fit_it():
+def test_every_slot_has_built_in_components_of_its_type():
     found = registry()
     assert found.failures == []
     built_in = [c for c in found.components if c.distribution == "tactile-loc"]
@@ -82,22 +82,22 @@ def test_every_slot_has_built_in_components_that_fit_it():
         assert component.spec.summary
 
 
-def test_create_gives_the_options():
+def test_create_sets_the_options():
     grid = registry().create("grid", "face", {"spacing_mm": 3, "face": "+x"})
     assert (grid.options.spacing_mm, grid.options.face) == (3.0, "+x")
 
 
-def test_an_unknown_name_is_answered_with_near_ones():
+def test_an_unknown_name_gives_an_error_with_similar_names():
     with pytest.raises(UnknownPluginError, match=naming("refiner", "'icpp'", "none", "'icp'")):
         registry().load("refiner", "icpp")
 
 
-def test_an_unknown_slot_is_answered_with_the_slots():
+def test_an_unknown_slot_gives_an_error_with_the_known_slots():
     with pytest.raises(UnknownPluginError, match=naming("'painter'", "sensor", "renderer", "grid")):
         registry().find("painter", "icp")
 
 
-def test_a_strangers_component_is_found_and_imported_only_when_it_is_used(install):
+def test_a_plugin_component_is_imported_only_when_it_is_loaded(install):
     install(
         "acme-tools",
         acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme")),
@@ -111,10 +111,10 @@ def test_a_strangers_component_is_found_and_imported_only_when_it_is_used(instal
     assert found.distribution == "acme-tools"
     assert "acme_impl" not in sys.modules
     assert registry().create("refiner", "acme").describe()["class"] == "acme_impl:Acme"
-    assert registry().names("refiner")[-1] == "acme", "the built-in ones come first"
+    assert registry().names("refiner")[-1] == "acme", "built-in components come first"
 
 
-def test_two_of_one_name_conflict_only_when_that_name_is_asked_for(install):
+def test_equal_names_conflict_only_when_the_name_is_requested(install):
     install("acme-tools", acme_plugin=hook(spec("refiner", "twin", "a:A"), spec("refiner", "alone", "a:A")))
     install("brand-tools", brand_plugin=hook(spec("refiner", "twin", "b:B"), spec("matcher", "alone", "b:B")))
     with pytest.raises(PluginConflictError, match=naming("refiner", "'twin'", "acme-tools", "brand-tools")):
@@ -123,7 +123,7 @@ def test_two_of_one_name_conflict_only_when_that_name_is_asked_for(install):
     assert registry().find("matcher", "alone").distribution == "brand-tools"
 
 
-def test_a_strangers_component_cannot_replace_a_built_in_unnoticed(install):
+def test_a_plugin_cannot_silently_replace_a_built_in_component(install):
     install("acme-tools", acme_plugin=hook(spec("refiner", "icp", "a:A")))
     with pytest.raises(PluginConflictError, match=naming("'icp'", "tactile-loc", "acme-tools")):
         registry().create("refiner", "icp")
@@ -143,12 +143,12 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("how", BROKEN)
-def test_a_plugin_that_fails_hurts_nobody_else(install, how):
+def test_a_failing_plugin_does_not_affect_others(install, how):
     install("broken-tools", broken_plugin=BROKEN[how])
     found = registry()
     (failure,) = found.failures
     assert (failure.plugin, failure.distribution) == ("broken_plugin", "broken-tools")
-    assert ":" in failure.error, "its type and message"
+    assert ":" in failure.error, "the error has its type and message"
     assert found.create("refiner", "none") is not None
     error = failure.error.partition(":")[0]
     with pytest.raises(UnknownPluginError, match=naming("of-the-broken-one", "broken_plugin", error)):
@@ -172,7 +172,7 @@ def test_a_plugin_that_fails_hurts_nobody_else(install, how):
         ("from tactile_loc.plugin import Refiner as Acme", PluginLoadError, ("acme-tools", "Refiner")),
     ],
 )
-def test_a_component_that_cannot_be_imported_says_why_when_it_is_selected(install, source, error, values):
+def test_loading_an_unimportable_component_gives_the_reason(install, source, error, values):
     install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme", "acme-lib")), acme_impl=source)
     found = registry()
     assert found.failures == []
@@ -181,7 +181,7 @@ def test_a_component_that_cannot_be_imported_says_why_when_it_is_selected(instal
         found.load("refiner", "acme")
 
 
-def test_a_missing_library_without_a_named_distribution_is_asked_for_by_its_module(install):
+def test_the_error_suggests_the_module_name_of_a_missing_library(install):
     source = "import a_library_that_nobody_has"
     install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme")), acme_impl=source)
     with pytest.raises(MissingLibraryError, match="pip install a_library_that_nobody_has"):
@@ -199,7 +199,7 @@ def test_a_missing_library_without_a_named_distribution_is_asked_for_by_its_modu
         (" acme-tools , brand_plugin", {"acme", "brand"}),
     ],
 )
-def test_the_environment_restricts_what_is_loaded_but_never_the_built_in(install, monkeypatch, allowed, names):
+def test_the_environment_variable_restricts_plugins_and_not_built_ins(install, monkeypatch, allowed, names):
     install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "a:A")))
     install("brand-tools", brand_plugin=hook(spec("refiner", "brand", "b:B")))
     if allowed is not None:
@@ -209,13 +209,13 @@ def test_the_environment_restricts_what_is_loaded_but_never_the_built_in(install
     assert "icp" in found
 
 
-def test_a_plugin_that_is_not_allowed_is_not_even_imported(install, monkeypatch):
+def test_a_disallowed_plugin_is_not_imported(install, monkeypatch):
     install("broken-tools", broken_plugin="raise RuntimeError('imported')")
     monkeypatch.setenv("TACTILE_LOC_PLUGINS", "")
     assert registry().failures == []
 
 
-def test_an_entry_point_without_a_distribution_is_taken():
+def test_an_entry_point_without_a_distribution_is_loaded():
     found = Registry([EntryPoint("lone", "tactile_loc.plugins", "tactile_loc")])
     assert "icp" in found.names("refiner")
 
@@ -227,11 +227,11 @@ class Paint(BaseModel):
     finish: Literal["matt", "gloss"] = "matt"
 
 
-def test_good_options_are_taken():
+def test_valid_options_are_accepted():
     assert validate_options(Paint, {"coats": 3}, "brush 'b'").coats == 3
 
 
-def test_an_unknown_option_is_answered_with_the_near_and_the_known():
+def test_an_unknown_option_gives_an_error_with_similar_and_known_options():
     with pytest.raises(
         ConfigError, match=naming("brush 'b'", "'color'", "'colour'", "colour (str)", "coats (int)", "finish")
     ):
@@ -242,17 +242,17 @@ def test_an_unknown_option_is_answered_with_the_near_and_the_known():
     ({"coats": "many"}, ("coats", "'many'", "whole number")), ({"coats": 0}, ("coats", 0, "1")),
     ({"finish": "satin"}, ("finish", "'satin'", "'matt'")), ({"colour": 5}, ("colour", 5)),
 ])  # fmt: skip
-def test_an_ill_typed_option_is_answered_with_what_is_wrong(values, problem):
+def test_an_invalid_option_value_gives_an_error_with_the_fault(values, problem):
     with pytest.raises(ConfigError, match=naming("brush 'b'", *problem)) as refused:
         validate_options(Paint, values, "brush 'b'")
     assert "\n" not in str(refused.value)
 
 
-def test_a_component_without_options_says_so():
+def test_an_option_of_a_component_without_options_is_refused():
     with pytest.raises(ConfigError, match=naming("refiner 'none'", "'reach'")):
         registry().create("refiner", "none", {"reach": 1})
 
 
-def test_all_errors_are_the_projects_own():
+def test_all_registry_errors_derive_from_the_project_error():
     for error in (ConfigError, MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError):
         assert issubclass(error, TactileLocError)
