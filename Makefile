@@ -7,12 +7,14 @@ STAMP := $(VENV)/.installed
 MUTATE := $(VENV)/.mutate
 RUN := $(VENV)/bin/python -m
 PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
+# The slow tests take as long as all others. They train, kill and start many processes.
+SLOW ?= not slow
 
 # ROS and others put their own packages, such as pytest plugins, before ours. Compiled modules are kept, because the tests
 # start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test pytest lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
+.PHONY: help setup demo test test-slow pytest lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -26,13 +28,16 @@ demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in
 	@$(VENV)/bin/tactile-loc run --seed 7 --out out/demo
 	@for picture in out/demo/*.png; do if [ -e "$$picture" ]; then echo "demo: the picture is $$picture"; fi; done
 
-test: $(STAMP) ## lint, check the types and run the tests
+test: $(STAMP) ## lint, check the types and run all tests that are not slow
 	@PYTHON="$(PYTHON)" scripts/system-packages.sh --tests
 	@$(MAKE) --no-print-directory --jobs 2 lint pytest
 
+test-slow: $(STAMP) ## run the slow tests
+	@$(MAKE) --no-print-directory pytest SLOW=slow
+
 pytest: $(STAMP)
-	@echo "test: pytest"
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN) pytest $(PYTEST_FLAGS)
+	@echo "test: pytest -m '$(SLOW)'"
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN) pytest $(PYTEST_FLAGS) -m '$(SLOW)'
 
 lint: $(STAMP) ## check style, format, types and English
 	@echo "lint: ruff check"

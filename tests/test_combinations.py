@@ -146,6 +146,7 @@ def test_a_combination_locates_a_touch(row, box, shared_store, monkeypatch):
     assert set(found["errors_mm"]) == ({"2"} if row["fuser"] == "kinematic" else {"1", "2"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", OPTIONS["grid"])
 def test_inverted_scores_locate_the_wrong_pose(grid, box, shared_store, monkeypatch):
     """The other components do not find the pose without the encoder and the matcher."""

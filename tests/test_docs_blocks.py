@@ -206,6 +206,7 @@ def test_commands_run(page, workplace):
         run(words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if any(language == "python" for language, _ in blocks(page))])
 def test_python_runs(page, workplace, monkeypatch, store):
     original = Localizer.create.__func__

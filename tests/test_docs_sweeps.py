@@ -122,6 +122,7 @@ def test_the_cluster_examples_start_a_valid_command(text, monkeypatch):
     assert understood(words)["scheduler"] == FakeCluster.scheduler_address
 
 
+@pytest.mark.slow
 def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     (example,) = [b for b in blocks("python") if not any(name in b for name in CLUSTERS)]

@@ -83,7 +83,7 @@ def test_a_missing_environment_is_reported_with_advice(tmp_path):
 
 def test_continuous_integration_runs_all_its_checks():
     lines = (ROOT / ".ci" / "run").read_text().splitlines()
-    assert lines[-4:-1] == ["make test", "make smoke", "make docs"]
+    assert lines[-5:-1] == ["make test", "make test-slow", "make smoke", "make docs"]
     assert lines[-1].startswith(".venv/bin/python scripts/fuzz.py --inputs 100 ")
     makefile = (ROOT / "Makefile").read_text()
     assert "scripts/smoke-wheel.sh $(VENV)/bin/python" in makefile

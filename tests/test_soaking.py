@@ -41,6 +41,7 @@ def test_leaked_memory_and_open_files_are_detected(tmp_path, monkeypatch):
     assert found.changed == 30
 
 
+@pytest.mark.slow
 def test_repeated_locating_and_tracking_give_the_same_answers(monkeypatch, capsys):
     monkeypatch.setattr(soak, "SLIDE", 30)
     monkeypatch.setattr(sys, "argv", ["soak.py", "--localisations", "6", "--touches", "2", "--seconds", "0.1"])

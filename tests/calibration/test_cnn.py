@@ -116,6 +116,7 @@ def weights(estimator: CnnEstimator, path) -> bytes:
     return path.read_bytes()
 
 
+@pytest.mark.slow
 def test_training_reduces_the_loss_and_beats_a_zero_depth(presses):
     notes = Notes()
     options = {**SMALL, "epochs": 25}
@@ -161,6 +162,7 @@ def test_training_leaves_the_callers_random_state_unchanged():
     assert torch.equal(torch.rand(1), expected)
 
 
+@pytest.mark.slow
 def test_a_wide_receptive_field_recovers_the_middle_of_a_flat_contact():
     image, label = Tips().read_press(1001)
     x, y = np.nonzero(label.contact)

@@ -144,6 +144,7 @@ def test_an_interruption_leaves_the_old_calibration(folder, monkeypatch):
     assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exchanges", [True, False])
 def test_a_kill_at_any_step_leaves_the_old_or_the_new_calibration(folder, monkeypatch, exchanges):
     if not exchanges:

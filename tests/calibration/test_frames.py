@@ -100,6 +100,7 @@ def textured(shift: int) -> np.ndarray:
     return dots[10:90, 10 + shift : 90 + shift]
 
 
+@pytest.mark.slow
 def test_a_moved_camera_is_detected_by_the_gel_texture():
     def photo(image, by=0):
         return np.clip(image + textured(by), 0, 255).astype(np.uint8)

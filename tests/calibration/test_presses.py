@@ -422,6 +422,7 @@ def test_public_sets_are_read_with_their_counts_and_circles(public, name):
     assert changed[label.contact].mean() > 3 * np.median(changed)  # the image has changed inside the label
 
 
+@pytest.mark.slow
 def test_a_few_training_steps_calibrate_a_real_sensor(public):
     presses = public("gelslim_balls")
     found = calibrate(presses, presses.geometry, presses.background, "photometric", {"steps": 150, "hidden": 16})

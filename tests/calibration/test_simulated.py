@@ -88,6 +88,7 @@ def test_stored_presses_are_not_rendered_again(store, monkeypatch):
     assert np.array_equal(simulate_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
 
 
+@pytest.mark.slow
 def test_an_interruption_keeps_the_finished_shards(tmp_path, monkeypatch):
     whole = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
     asked, real = [], module.press_boards

@@ -66,6 +66,7 @@ def add_m(found: list, true: list) -> float:
     return float(np.linalg.norm(corners @ R.T + t, axis=1).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
     done = cli("calibrate", presses, *STEPS, "--out", "mine")

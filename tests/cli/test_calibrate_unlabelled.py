@@ -40,6 +40,7 @@ def table(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_unlabelled_photos_give_a_sensor_and_an_editable_table(cli, photos):
     write_image(photos / "two.png", np.maximum(BALLS.images[0], BALLS.images[0][::-1, ::-1]))

@@ -235,6 +235,7 @@ def test_the_compile_option_compiles_the_kernels(cli, libraries, monkeypatch, tm
     assert (found["state"], found["seconds"], asked.count("kernels")) == ("ok", 9.5, 1)
 
 
+@pytest.mark.slow
 def test_the_kernels_of_locating_compile():
     outcome = checks.attempt("kernels", timeout_s=300)
     assert not outcome.failure

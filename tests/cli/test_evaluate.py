@@ -47,6 +47,7 @@ def test_results_of_several_objects_are_written(cli, tmp_path):
         assert name in done.stdout
 
 
+@pytest.mark.slow
 def test_images_are_evaluated_with_a_calibrated_sensor(cli, tmp_path):
     (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
     learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]

@@ -55,6 +55,7 @@ def table(cli, folder: str) -> str:
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_gives_the_same_table(cli, monkeypatch):
     whole = table(cli, "whole")
     assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
@@ -106,6 +107,7 @@ def test_a_nan_loss_is_refused(cli, monkeypatch):
     assert not [entry for entry in StageStore(Path("fresh")).entries() if entry.stage == "encoder" and entry.complete]
 
 
+@pytest.mark.slow
 def test_a_truncated_stored_encoder_is_trained_again(cli):
     assert build(cli).exit_code == 0
     (stored,) = Path("fresh").glob("encoder/*/encoder.safetensors")
@@ -119,6 +121,7 @@ def test_a_truncated_stored_encoder_is_trained_again(cli):
     assert stored.read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_training_writes_tensorboard_events(cli):
     pytest.importorskip("tensorboard")
     assert build(cli, "-o", "encoder.tensorboard=log").exit_code == 0
@@ -132,6 +135,7 @@ def test_training_writes_tensorboard_events(cli):
 WHOLE = ["--object", "pin", "--grid", "whole", "-o", "grid.directions=100", "--sensor", "flat.toml", *SURE, *MOCO]
 
 
+@pytest.mark.slow
 def test_build_trains_the_encoder_of_a_whole_object(cli):
     words = ["build", *WHOLE, "--store", "fresh"]
     first, again = cli(*words), cli(*words)
@@ -141,6 +145,7 @@ def test_build_trains_the_encoder_of_a_whole_object(cli):
     assert cli(*words, "-o", "encoder.seed=1").stdout.count("encoder: built") == 1
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_on_places_is_resumed(cli, monkeypatch):
     save = training.Trainer._checkpoint
 

@@ -76,6 +76,7 @@ def test_every_new_component_is_found(site):
     assert all(c["name"] == name_of(slot) and c["summary"] for slot, c in ours.items())
 
 
+@pytest.mark.slow
 def test_all_new_components_locate_an_object_together(site, tmp_path):
     chosen = [word for slot in SLOTS for word in (f"--{slot}", name_of(slot))]
     (tmp_path / "sure.toml").write_text("temperature = 0.1")  # no temperature is fitted

@@ -38,6 +38,7 @@ def stages(stdout: str) -> dict[str, str]:
     return {pair[0]: pair[1] for pair in pairs if pair[1] in ("built", "reused")}
 
 
+@pytest.mark.slow
 def test_build_repeats_only_the_stages_that_a_change_affects(cli, tmp_path):
     store = tmp_path / "store"
     first, again, other = (

@@ -87,6 +87,7 @@ def test_an_interrupted_build_is_resumed_with_the_same_result(tmp_path, uninterr
     assert len(list(shard.parent.glob("depth-*.npz"))) > 2
 
 
+@pytest.mark.slow
 def test_two_concurrent_builds_share_the_work(tmp_path, uninterrupted):
     store = tmp_path / "store"
     processes = [start(tmp_path, store, "start") for _ in range(2)]
@@ -101,6 +102,7 @@ def test_two_concurrent_builds_share_the_work(tmp_path, uninterrupted):
         assert [w for w in words if "poses" not in w] == [f"{stage}: built", f"{stage}: reused"]
 
 
+@pytest.mark.slow
 def test_a_truncated_artifact_is_rebuilt(cli, tmp_path):
     store = tmp_path / "store"
     assert cli("run", *TINY, "--store", store, "--out", "first").exit_code == 0

@@ -107,6 +107,7 @@ def test_bad_lists_and_priors_are_one_sentence(cli, listed):
     assert not Path("out").exists()
 
 
+@pytest.mark.slow
 def test_an_outlier_is_named_and_can_be_dropped(cli, one_moved):
     # no temperature is fitted, and eight hypotheses are enough for an easy example
     Path("run.toml").write_text("temperature = 1e-3\nhypotheses.refined_together = 8\n")

@@ -75,6 +75,7 @@ def test_a_name_conflict_names_both_distributions(install, run_process):
     assert "second-twin" not in alone.stdout
 
 
+@pytest.mark.slow
 def test_missing_egl_is_reported_with_another_renderer(run_process):
     done = run_process("run", *TINY, "--renderer", "pyrender", "--out", "out", PYOPENGL_PLATFORM="no-such-platform")
     assert_one_error(done.stderr, done.returncode, "pyrender", "--renderer heightmap")

@@ -40,6 +40,7 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_plan_is_evaluated_once_and_written(cli, plan, tmp_path):
     done = cli("sweep", "sweep.toml", "--workers", 1, "--json")
@@ -159,6 +160,7 @@ def test_an_error_in_an_option_beside_a_plan_does_not_name_the_file(cli, plan, w
     assert plan.name not in done.stderr
 
 
+@pytest.mark.slow
 def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):
     plan.write_text(PLAN.replace("8\n", "8\noption.grid.min_contact_percent = [2, 100]\n"))  # nothing has 100 %
     words = ["sweep", "sweep.toml", "--object", "pin", "--workers", 1]
@@ -228,6 +230,7 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
 
 
+@pytest.mark.slow
 def test_workers_end_when_their_parent_is_killed(plan, tmp_path):
     process = start(tmp_path, tmp_path / "store")
     wait_for(process, lambda: len(finished(tmp_path / "sweep")) > 0)

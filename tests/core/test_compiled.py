@@ -142,6 +142,7 @@ def folders(root):
     return [path for path in root.rglob("calling.*") if path.is_dir()]
 
 
+@pytest.mark.slow
 def test_compiled_code_is_reused_until_a_source_changes(tmp_path):
     assert run(tmp_path) == ["7.0", "0"]
     assert run(tmp_path) == ["7.0", "1"]
@@ -151,6 +152,7 @@ def test_compiled_code_is_reused_until_a_source_changes(tmp_path):
     assert run(tmp_path, factor=4) == ["13.0", "1"]  # the previous version again
 
 
+@pytest.mark.slow
 def test_an_index_with_a_removed_class_is_ignored(tmp_path):
     assert run(tmp_path, pair="Pair") == ["7.0", "0"]
     assert run(tmp_path, pair="Two") == ["7.0", "0"]
@@ -165,6 +167,7 @@ def test_reordered_class_fields_require_compilation(tmp_path):
     assert done.stdout.split() == ["5.0", "0"]
 
 
+@pytest.mark.slow
 def test_truncated_compiled_code_is_compiled_again(tmp_path):
     assert run(tmp_path) == ["7.0", "0"]
     for suffix, left in (("nbi", -5), ("nbi", 0), ("nbc", -5)):
@@ -179,6 +182,7 @@ def test_several_processes_can_compile_at_the_same_time(tmp_path):
     assert run(tmp_path) == ["7.0", "1"]
 
 
+@pytest.mark.slow
 def test_the_user_cache_is_used_beside_read_only_sources(tmp_path):
     (source := tmp_path / "source").mkdir()
     (source / "__pycache__").touch()  # no folder can be made there, not even by root

@@ -52,6 +52,7 @@ def test_unusable_presses_are_counted(make_box):
     assert example[1] > 0
 
 
+@pytest.mark.slow
 def test_an_object_with_too_few_usable_touches_is_refused(ball):
     with pytest.raises(TouchError, match="ball"):
         touches_of(ball, least_percent=99.0).draw_example(1, np.random.default_rng(0))

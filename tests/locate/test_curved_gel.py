@@ -31,6 +31,7 @@ def off_mm(localizer: Localizer, T: np.ndarray, touch: Touch) -> float:
     return 1e3 * float(PoseMetric(localizer.object).symmetric_distance(T[None], truth[None])[0])
 
 
+@pytest.mark.slow
 def test_three_touches_of_a_curved_gel_locate_the_object(localizer, examples):
     found = [localize_together([(localizer, touch) for touch in some]).best.T_sensor_object for some in examples]
     errors_mm = [off_mm(localizer, T, some[0]) for T, some in zip(found, examples, strict=True)]

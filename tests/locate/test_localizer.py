@@ -190,6 +190,7 @@ def test_metres_and_millimetres_give_the_same_poses(pin_files, store):
     np.testing.assert_allclose(a.best.T_sensor_object, b.best.T_sensor_object, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_frame_of_the_mesh_does_not_matter(pin_files, store):
     """A mesh of the part in another frame gives the same pose of the part."""
     folder, X = pin_files

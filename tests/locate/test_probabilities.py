@@ -66,6 +66,7 @@ def test_the_posterior_covers_the_grid(make_object):
         TemperatureScaling(0.1).posterior(grid, np.full(6, -np.inf))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("temperature", [0.15, 0.6])
 def test_the_fit_finds_the_true_temperature(temperature):
     made = TemperatureScaling(temperature, 0.1)

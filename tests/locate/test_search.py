@@ -171,6 +171,7 @@ def test_mixing_searched_and_listed_touches_is_refused(localizer, examples, stor
         localize_together([(localizer, examples[0][0]), (listed, examples[0][1])])
 
 
+@pytest.mark.slow
 def test_a_trainable_encoder_trains_once_and_keeps_its_banks(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     from tactile_loc.plugins.encoders.moco import training

@@ -77,6 +77,7 @@ def test_the_plugin_refines_the_found_poses(tactile_loc, tmp_path):
     np.testing.assert_array_equal(grid_poses[:, :3, :3], refined[:, :3, :3], err_msg="the refiner changed the rotation")
 
 
+@pytest.mark.slow
 def test_an_environment_variable_excludes_or_includes_the_plugin(tactile_loc):
     refused = tactile_loc(*RUN, TACTILE_LOC_PLUGINS="")
     assert refused.returncode == 2
@@ -107,6 +108,7 @@ def test_a_broken_plugin_is_listed_and_does_not_affect_others(tactile_loc, site)
         package.write_text(text)
 
 
+@pytest.mark.slow
 def test_the_plugins_own_tests_pass(site, tmp_path):
     tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__"))
     call = [

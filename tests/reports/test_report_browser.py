@@ -132,6 +132,7 @@ def test_the_page_of_a_run_moves_the_object_to_the_chosen_candidate(show, run_fo
     assert [card.get_attribute("aria-selected") for card in cards[:2]] == ["false", "true"]
 
 
+@pytest.mark.slow
 def test_names_are_shown_as_text_and_the_page_of_a_run_responds(show, unfriendly_run):
     browser = show(unfriendly_run)
     assert UNFRIENDLY.strip() in find(browser, "h1").get_attribute("textContent")
@@ -174,6 +175,7 @@ def assert_dark_theme_draws_anew(browser: Any) -> None:
     assert all(a != b for a, b in zip(before, after, strict=True))
 
 
+@pytest.mark.slow
 def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_folder):
     browser = show(evaluation_folder)
     assert set(plots(browser)) == {"errors", "curves", "coverage", "entropy", "times"}
@@ -208,6 +210,7 @@ def visible_rows(browser: Any) -> list[list[str]]:
     return [[cell.get_attribute("textContent") for cell in row.find_elements("css selector", "td")] for row in rows]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
     browser = show(sweep_folder)
     assert set(plots(browser)) == {"scatter", "effect-0", "effect-1"}
@@ -248,6 +251,7 @@ def live_result(number: int, touch: Touch | None) -> LiveResult:
     return LiveResult(frame, located, touch, 2, 4.0)
 
 
+@pytest.mark.slow
 def test_the_page_of_a_live_run_is_drawn_during_the_run(browser, localizer: Localizer):
     from selenium.webdriver.support.ui import WebDriverWait
 

@@ -149,6 +149,7 @@ def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(
     np.testing.assert_array_equal(artifact.load_array("x"), [1])
 
 
+@pytest.mark.slow
 def test_a_build_killed_at_its_end_is_not_repeated(store: StageStore, tmp_path: Path) -> None:
     def make(workspace: Workspace) -> None:
         with (tmp_path / "made.txt").open("a") as file:

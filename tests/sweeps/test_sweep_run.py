@@ -91,6 +91,7 @@ def test_local_processes_and_dask_give_the_same_table(locally, on_dask):
     assert [row["error"] for row in locally.rows] == [""] * 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["locally", "on_dask"])
 def test_every_stage_is_built_once(which, request, folder):
     swept = request.getfixturevalue(which)

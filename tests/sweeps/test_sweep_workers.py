@@ -68,6 +68,7 @@ def errors(swept: Sweep) -> dict[tuple[str, str], str]:
     return {(row["object"], row["refiner"]): row["error"] for row in swept.rows}
 
 
+@pytest.mark.slow
 def test_a_failed_combination_has_a_row_and_is_tried_again(tiny, folder, tmp_path):
     refiners = ["none", "raising", "grumbling", "telling"]
     swept = sweep(tiny, refiners, tmp_path, folder / "store")
@@ -84,6 +85,7 @@ def test_a_failed_combination_has_a_row_and_is_tried_again(tiny, folder, tmp_pat
     assert again.done == 6
 
 
+@pytest.mark.slow
 def test_a_killed_local_worker_costs_only_time(tiny, folder, tmp_path):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally")}
     swept = sweep(tiny, ["none", lethal], tmp_path / "out", tmp_path / "store")
@@ -143,6 +145,7 @@ def cluster(faults):
         yield cluster
 
 
+@pytest.mark.slow
 def test_a_killed_dask_worker_costs_only_time(tiny, tmp_path, cluster):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally")}
     workers = DaskWorkers(cluster.scheduler_address)
@@ -155,6 +158,7 @@ def test_a_killed_dask_worker_costs_only_time(tiny, tmp_path, cluster):
     assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
 
 
+@pytest.mark.slow
 def test_a_job_that_always_kills_its_dask_worker_affects_no_other_job(tiny, folder, tmp_path, cluster, monkeypatch):
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)  # the first death is enough, for neighbours as well
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}

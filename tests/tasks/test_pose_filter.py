@@ -184,6 +184,7 @@ def test_a_touch_far_from_the_prediction_has_less_weight():
     assert gain[2] < 0.1 * gain[1]
 
 
+@pytest.mark.slow
 def test_the_covariance_is_right_for_correlated_errors():
     """The errors of touches and of sensor poses are first-order autoregressive; NEES is chi-squared."""
     nees, share = [], 0.1

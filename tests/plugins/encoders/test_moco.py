@@ -121,6 +121,7 @@ def encoder_touches(problem, rng):
     return problem.scene.render_contact_depths(poses), problem.grid.nearest(poses)[1]
 
 
+@pytest.mark.slow
 def test_equal_seeds_learn_equal_weights_and_other_seeds_learn_others(problem, learned):
     again, other = make(), make(seed=1)
     for encoder in (again, other):
@@ -330,6 +331,7 @@ def test_decoys_count_as_wrong_answers_unless_they_are_equivalent(places):
     assert np.isfinite(trainer._step(batch, keys, 0, np.random.default_rng(2)))
 
 
+@pytest.mark.slow
 def test_decoys_change_the_learned_weights_and_the_key(places):
     encoder, problem = places
     other = make(**PLACES, decoys=2)
@@ -368,6 +370,7 @@ crew.leave()
 """
 
 
+@pytest.mark.slow
 def test_two_processes_average_add_and_share_values(tmp_path):
     (tmp_path / "two.py").write_text(TWO)
     words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "two.py"]
