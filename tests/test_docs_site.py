@@ -73,6 +73,7 @@ def site(tmp_path) -> Site:
     return Site(tmp_path.resolve())
 
 
+@pytest.mark.slow
 def test_a_good_site_is_built_without_warnings(site):
     site.write({"drawing.py": "raise SystemExit\n"})
     made = site.make_docs()

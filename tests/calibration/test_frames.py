@@ -83,6 +83,7 @@ def test_bad_images_are_dropped_with_the_reason(with_bad_ones):
     assert len(with_bad_ones.used) == len(PRESSES)
 
 
+@pytest.mark.slow
 def test_a_hand_on_the_gel_is_dropped():
     y, x = np.mgrid[:80, :80]
     shade = 40 * (x > 30) * (y > 20 + x / 4)

@@ -75,6 +75,7 @@ def test_all_shards_exist_and_the_last_may_be_short(store):
     assert presses.name(7) == "simulated press 7"
 
 
+@pytest.mark.slow
 def test_the_seed_determines_the_presses(tmp_path):
     one, same, other = (simulate_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
         (1, 1, 2), "abc", strict=True))  # fmt: skip

@@ -108,6 +108,7 @@ def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
     assert not Path("none").exists()
 
 
+@pytest.mark.slow
 def test_image_size_sets_the_size_of_the_calibrated_images(cli, presses):
     larger = magnified(BALLS, 2)
     larger.write(Path("larger"))

@@ -76,6 +76,7 @@ def test_each_missing_input_is_one_sentence(cli, photos):
     assert_refused(cli("calibrate", photos, *BALL, *SCALE, *FEW), "photos", "PNG", "JPEG")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lengths", "said"),
     [

@@ -34,6 +34,7 @@ def libraries(monkeypatch):
     return lambda *chosen: monkeypatch.setattr(checks, "LIBRARIES", chosen)
 
 
+@pytest.mark.slow
 def test_working_parts_are_reported_as_ok(cli, libraries, tmp_path):
     libraries(*FEW)
     done = cli("doctor", "--json", "--store", tmp_path / "store")

@@ -16,6 +16,7 @@ from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 FEW = ["--count", 3, "--refiner", "none", *TINY]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_results_of_several_objects_are_written(cli, tmp_path):
     done = cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW)

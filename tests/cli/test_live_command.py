@@ -149,6 +149,7 @@ def wait_for_lines(path: Path, count: int) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_live_shows_new_frames_until_ctrl_c(going, touches, tmp_path):
     (folder := tmp_path / "in").mkdir()
     live = going(folder, "--port", "0", "--out", "found.jsonl")

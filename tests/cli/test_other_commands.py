@@ -52,6 +52,7 @@ def test_build_repeats_only_the_stages_that_a_change_affects(cli, tmp_path):
     assert all(entry.complete for entry in StageStore(store).entries())
 
 
+@pytest.mark.slow
 def test_build_prints_the_size_and_spacing_of_the_grid(cli, tmp_path):
     done = cli("build", *TINY, "--store", tmp_path / "store")
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("grid: ") and "poses" in line]
@@ -60,6 +61,7 @@ def test_build_prints_the_size_and_spacing_of_the_grid(cli, tmp_path):
     assert float(words[3]) == pytest.approx(8, rel=0.15)
 
 
+@pytest.mark.slow
 def test_run_reuses_the_stages_of_build(cli, tmp_path):
     cli("build", *TINY, "--store", tmp_path / "store")
     before = sorted((tmp_path / "store").rglob("*.np[yz]"))

@@ -48,6 +48,7 @@ def test_the_report_contains_all_touches(cli):
     assert all(re.search(rf"observed[^<]*\b{name}\b", page) for name in poses)
 
 
+@pytest.mark.slow
 def test_evaluations_have_reports(cli):
     done = cli("evaluate", *PIN, "--count", 3, "--out", "evaluation")
     assert done.exit_code == 0, done.stderr

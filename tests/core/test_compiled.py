@@ -159,6 +159,7 @@ def test_an_index_with_a_removed_class_is_ignored(tmp_path):
     assert run(tmp_path, pair="Two") == ["7.0", "1"]
 
 
+@pytest.mark.slow
 def test_reordered_class_fields_require_compilation(tmp_path):
     assert run(tmp_path) == ["7.0", "0"]
     swapped = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: float\n    a: float\n"
@@ -177,6 +178,7 @@ def test_truncated_compiled_code_is_compiled_again(tmp_path):
     assert run(tmp_path) == ["7.0", "1"]
 
 
+@pytest.mark.slow
 def test_several_processes_can_compile_at_the_same_time(tmp_path):
     assert [finish(one)[0] for one in [start(tmp_path) for _ in range(3)]] == ["7.0"] * 3
     assert run(tmp_path) == ["7.0", "1"]
@@ -196,6 +198,7 @@ def test_the_user_cache_is_used_beside_read_only_sources(tmp_path):
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_numba_settings_are_respected(tmp_path):
     (source := tmp_path / "source").mkdir()
     assert run(source, {"NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path / "chosen")}) == ["7.0", "None"]

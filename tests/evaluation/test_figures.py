@@ -69,6 +69,7 @@ def test_a_violin_can_show_a_single_exact_touch(tmp_path):
     assert save_figure(tmp_path / "one.png", figure, dpi=40).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "columns"), [(6, 6), (3, 3), (1, 1)])
 def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_path, count, columns):
     six = evaluate(localizer, 6, SimulatedTouches("strong", 3))

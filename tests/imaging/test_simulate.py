@@ -66,6 +66,7 @@ def test_the_picture_of_a_board_press_shows_its_indentation():
     assert render_touches(depth, press_m, geometry, optics, rng()) == pytest.approx(images, abs=1)
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_presses_under_any_lights():
     geometry = sensor(24)
     a, b, c = (
@@ -84,6 +85,7 @@ def test_equal_seeds_give_equal_presses_under_any_lights():
         assert not np.array_equal(q.images, n.images)
 
 
+@pytest.mark.slow
 def test_the_boards_alternate():
     seen = []
 

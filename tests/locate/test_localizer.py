@@ -149,6 +149,7 @@ def test_a_prior_on_the_truth_decides_between_similar_poses(pin):
         assert errors_mm(pin, touch, found)[0] < 6.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_result(coarse, tmp_path):
     other = Localizer.create("pin", store=StageStore(tmp_path / "own"), **COARSE)
     for a, b in zip(coarse.simulate(2, seed=3), other.simulate(2, seed=3), strict=True):

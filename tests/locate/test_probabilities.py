@@ -75,6 +75,7 @@ def test_the_fit_finds_the_true_temperature(temperature):
     assert found.tail in (0.05, 0.1, 0.2)
 
 
+@pytest.mark.slow
 def test_misleading_touches_widen_the_tail():
     rng = np.random.default_rng(2)
     scores, truth = drawn(TemperatureScaling(0.15), 1000, rng)

@@ -250,6 +250,7 @@ def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:
     )
 
 
+@pytest.mark.slow
 def test_a_prior_guides_the_search(localizer, search, noisy):
     rng, found = np.random.default_rng(4), {"alone": [], "guided": []}
     for touch in noisy:

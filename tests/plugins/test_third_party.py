@@ -95,6 +95,7 @@ def test_a_misspelt_option_of_the_plugin_gives_a_one_sentence_error(tactile_loc)
     assert "Traceback" not in refused.stderr
 
 
+@pytest.mark.slow
 def test_a_broken_plugin_is_listed_and_does_not_affect_others(tactile_loc, site):
     package = site / "tactile_loc_centroid" / "__init__.py"
     text = package.read_text()

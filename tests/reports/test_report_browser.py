@@ -197,6 +197,7 @@ def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_
     assert x == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_page_of_several_contacts_is_drawn(show, contacts_folder):
     browser = show(contacts_folder)
     medians = "return document.getElementById('curves').data.filter(t => t.mode === 'lines+markers').length"

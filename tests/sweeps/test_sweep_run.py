@@ -135,6 +135,7 @@ def test_a_finished_sweep_repeats_nothing(plan, locally, folder):
     assert again.done == 0
 
 
+@pytest.mark.slow
 def test_only_missing_rows_are_computed(plan, locally, folder):
     gone = locally.combinations[2]
     path = folder / "local" / "rows" / f"{gone.key}.json"

@@ -148,6 +148,7 @@ def found(name: str) -> SymmetryGroup:
     return detect_symmetry(*BODIES[name][0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BODIES)
 def test_the_symmetry_of_a_body_is_detected_and_verified(name: str) -> None:
     mesh, text, order = BODIES[name]
@@ -210,6 +211,7 @@ def test_a_declared_symmetry_is_accepted_for_a_rough_scan() -> None:
     require_symmetry(SymmetryGroup.parse("x2*y2", SurfaceProbe(*scan).centre_m), *scan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["box", "square prism", "cube", "hexagonal prism", "cylinder", "frustum", "L", "screw"]
 )
@@ -270,6 +272,7 @@ def test_a_sphere_is_treated_as_a_cylinder_and_logs_a_warning(caplog: pytest.Log
     assert "sphere" in caplog.text
 
 
+@pytest.mark.slow
 def test_verification_measures_the_gap() -> None:
     mesh = prism(rectangle(20, 24), 40)
     assert measure_deviation(SymmetryGroup.parse("x2*y2", (0, 0, 0.02)), mesh, tolerance_m=0.0) < 1e-9
@@ -331,6 +334,7 @@ def test_a_mesh_without_a_surface_is_refused(vertices: NDArray[np.float64], face
         detect_symmetry(vertices, faces)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not BOLT.exists(), reason="the mesh of the M16 bolt is missing")
 def test_the_thread_of_a_bolt_breaks_the_symmetry_of_its_head() -> None:
     trimesh = pytest.importorskip("trimesh")

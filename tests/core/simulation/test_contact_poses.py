@@ -102,6 +102,7 @@ def test_symmetric_duplicates_are_removed(make_scene, flat_camera, make_box):
     assert kept == {"none": 3, "z2": 2, "x2": 3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing_mm", [3.0, 4.0, 5.0])
 def test_a_symmetric_face_needs_fewer_poses(make_scene, pinhole, make_box, spacing_mm):
     def size(symmetry: str) -> int:

@@ -140,6 +140,7 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(problem, learned
     assert same(learned, resumed)
 
 
+@pytest.mark.slow
 def test_early_stopping_keeps_the_best_network(problem, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     seen = []
@@ -298,6 +299,7 @@ def test_an_encoder_of_places_is_read_back_from_a_file(places, tmp_path):
     np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_at", [1])
 def test_an_interrupted_training_on_places_ends_like_an_uninterrupted_one(places, tmp_path, stop_at):
     encoder, problem = places
