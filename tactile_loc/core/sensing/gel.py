@@ -1,0 +1,194 @@
+"""The mechanics of the gel: how an elastic layer deforms under a rigid object, and where it touches the object.
+
+Let d be the reach of a rigid object into the undeformed gel, u the displacement of the gel's surface, and p the
+pressure. Frictionless contact satisfies u >= d, p >= 0 and p (u - d) = 0, with u = F^-1[C F[p]] (F: Fourier transform).
+C is the compliance of a layer bonded to a rigid plate (Carbone and Mangialardi, J. Mech. Phys. Solids 56, 2008), or of
+a half-space. At a given indentation, u does not depend on the stiffness, so p is in units of the shear modulus.
+
+The solver is the constrained conjugate-gradient method of Polonsky and Keer (Wear 231, 1999) without its load
+constraint, for many objects at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import SensorError
+
+Float32 = NDArray[np.float32]
+Floats = NDArray[np.float64]
+
+FAR_M = np.float32(-1.0)  # reach of an object that is nowhere near a pixel
+THINNEST_M = 2e-4
+LEAST_K = 1e-4  # wave number times thickness, below which the limit is used
+DEFAULT_THICKNESS_M = 4e-3  # of a layer whose thickness is unknown
+COMPARED = 0.5  # share of the press
+ITERATIONS = 3  # leave a few micrometres for a press of 0.6 mm: see docs/method-gel.md
+
+
+@dataclass(frozen=True)
+class Gel:
+    """The gel's elasticity: a layer of `thickness_m` metres (inf: a half-space) with Poisson's ratio `poisson`.
+
+    A rigid gel (thickness None) shows the object where it would penetrate the undeformed surface. Raises SensorError
+    for impossible values.
+    """
+
+    thickness_m: float | None = None
+    poisson: float = 0.48
+
+    def __post_init__(self) -> None:
+        if self.thickness_m is not None and not THINNEST_M <= self.thickness_m <= math.inf:
+            raise SensorError(
+                f"the gel is {self.thickness_m * 1e3:g} mm thick; give its thickness in mm, at least "
+                f"{THINNEST_M * 1e3:g} mm"
+            )
+        if not 0 <= self.poisson < 0.5:
+            raise SensorError(f"the gel's Poisson's ratio is {self.poisson:g}; give at least 0 and less than 0.5")
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether the gel is an elastic layer or half-space."""
+        return self.thickness_m is not None
+
+    def find_compared_m(self, press_depth_m: float) -> float:
+        """Return the depth, metres from the deepest point, up to which touches and poses are compared.
+
+        Farther up, an elastic gel shows mostly its own slope beside the contact.
+        """
+        return press_depth_m * self.compared_share
+
+    @property
+    def compared_share(self) -> float:
+        """The share of the press up to which touches and poses are compared."""
+        return COMPARED if self.is_elastic else 1.0
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies the gel, as JSON values."""
+        thickness_m = "inf" if self.thickness_m == math.inf else self.thickness_m
+        return {"thickness_m": thickness_m, "poisson": self.poisson if self.is_elastic else None}
+
+    @classmethod
+    def of_description(cls, described: dict[str, Any]) -> Gel:
+        """Return the gel that `describe` describes."""
+        if described["thickness_m"] is None:
+            return RIGID
+        return cls(float(described["thickness_m"]), described["poisson"])
+
+
+RIGID = Gel()
+
+
+class Contact(NamedTuple):
+    """Contacts of N objects: displacements of the gel's surface (N, H, W), metres, and pressures (N, H, W).
+
+    Displacements are towards the sensor; beside a contact, a nearly incompressible gel bulges, so they may be negative.
+    Pressures are in units of the gel's shear modulus.
+    """
+
+    displacement_m: Float32
+    pressure: Float32
+
+
+class GelSolver:
+    """Solves contacts on a window of `shape` (H, W) pixels with `pitch_m` (x, y) metres; make it with `make_solver`."""
+
+    def __init__(self, gel: Gel, shape: tuple[int, int], pitch_m: tuple[float, float]) -> None:
+        from scipy import fft
+
+        if gel.thickness_m is None:
+            raise SensorError("a rigid gel has no elastic contact; give the sensor's gel a thickness")
+        self.shape = shape
+        # the window is repeated by the Fourier transform, so it is padded to twice its size
+        self.padded = (fft.next_fast_len(2 * shape[0], real=True), fft.next_fast_len(2 * shape[1], real=True))
+        if math.isinf(gel.thickness_m):
+            compliance = _transform_point_loads(self.padded, pitch_m, gel.poisson)
+        else:
+            compliance = compute_compliance(_list_wave_numbers(self.padded, pitch_m), gel)
+        self._compliance = compliance.astype(np.float32)
+
+    def displace(self, pressure: Float32) -> Float32:
+        """Return the displacements (N, H, W), metres, under pressures (N, H, W), unitless."""
+        from scipy import fft
+
+        spectrum = fft.rfft2(pressure, self.padded, axes=(-2, -1))
+        spectrum *= self._compliance
+        moved: Float32 = fft.irfft2(spectrum, self.padded, axes=(-2, -1))
+        return moved[..., : self.shape[0], : self.shape[1]]
+
+    def press(self, reach_m: Float32, iterations: int = ITERATIONS, pressure: Float32 | None = None) -> Contact:
+        """Press rigid objects with reaches (N, H, W), metres, into the gel; where a reach is -inf, nothing touches.
+
+        `pressure` (N, H, W) is a guess to start from.
+        """
+        d = np.maximum(np.asarray(reach_m, np.float32), FAR_M)
+        p: NDArray[Any] = np.maximum(d, np.float32(0)) if pressure is None else pressure
+        u: NDArray[Any] = self.displace(p)
+        if pressure is None:  # the best multiple of the reach
+            k = _sum(p * p) / np.maximum(_sum(p * u), np.float32(1e-30))
+            p, u = p * k, u * k
+        along: NDArray[Any] = np.zeros_like(p)
+        last: NDArray[Any] = np.ones_like(_sum(p))
+        keep: NDArray[Any] = np.zeros_like(last)
+        for _ in range(iterations):
+            gap, touching = u - d, p > 0
+            descent = np.where(touching, gap, np.float32(0))
+            size = _sum(descent * descent)
+            along = descent + keep * size / np.maximum(last, np.float32(1e-30)) * np.where(touching, along, 0)
+            step = _sum(descent * along) / np.maximum(_sum(self.displace(along) * along), np.float32(1e-30))
+            pierced = ~touching & (gap < 0)  # the object is below the surface without pressing it
+            p = np.asarray(np.maximum(np.where(pierced, -step * gap, p - step * along), np.float32(0)))
+            last, keep = size, np.asarray(~pierced.any(axis=(-2, -1), keepdims=True), np.float32)
+            u = self.displace(p)
+        return Contact(u, p)
+
+
+@lru_cache(maxsize=32)
+def make_solver(gel: Gel, shape: tuple[int, int], pitch_m: tuple[float, float]) -> GelSolver:
+    """Return the solver of a gel for images of `shape` (H, W) with a pixel pitch (x, y) in metres."""
+    return GelSolver(gel, shape, pitch_m)
+
+
+def compute_compliance(q: Floats, gel: Gel) -> Floats:
+    """Return the compliance times the shear modulus, metres, of a bonded layer at wave numbers `q`, rad/m.
+
+    Carbone and Mangialardi (2008), equation A.30, with exponentials that do not overflow.
+    """
+    t, nu = float(gel.thickness_m or 0.0), gel.poisson
+    k = q * t
+    decay = np.exp(-2 * k)
+    above = (3 - 4 * nu) * (1 - decay**2) - 4 * k * decay
+    below = (3 - 4 * nu) * (1 + decay**2) + 2 * decay * (2 * k**2 + 5 - 12 * nu + 8 * nu**2)
+    uniform = t * (1 - 2 * nu) / (2 * (1 - nu))  # the limit for q = 0
+    return np.asarray(np.where(k > LEAST_K, (1 - nu) / np.where(q > 0, q, 1.0) * above / below, uniform))
+
+
+def _list_wave_numbers(shape: tuple[int, int], pitch_m: tuple[float, float]) -> Floats:
+    qx, qy = np.fft.rfftfreq(shape[1], pitch_m[0]), np.fft.fftfreq(shape[0], pitch_m[1])
+    return np.asarray(2 * np.pi * np.hypot(qx[None], qy[:, None]), float)
+
+
+def _transform_point_loads(shape: tuple[int, int], pitch_m: tuple[float, float], poisson: float) -> Floats:
+    """Return the transform of a half-space's displacements, metres, around a pixel under unit pressure.
+
+    Johnson, Contact Mechanics (1985), equation 3.25. The padded window holds every distance between two pixels, so
+    there are no repeated contacts.
+    """
+    x = np.asarray(np.fft.fftfreq(shape[1], 1 / shape[1]), float)[None] * pitch_m[0]
+    y = np.asarray(np.fft.fftfreq(shape[0], 1 / shape[0]), float)[:, None] * pitch_m[1]
+    total = np.zeros(shape)
+    for right, down, sign in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        u, v = x + right * pitch_m[0] / 2, y + down * pitch_m[1] / 2
+        total += sign * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
+    return np.asarray(np.fft.rfft2((1 - poisson) / (2 * np.pi) * total).real)
+
+
+def _sum(images: Float32) -> Float32:
+    """Return the sums of images (N, H, W) as (N, 1, 1)."""
+    return np.asarray(np.sum(images, axis=(-2, -1), keepdims=True))
