@@ -192,7 +192,23 @@ def _calibrate(
     if curved:
         presses = _curve_gel(presses, seed)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), make_progress())
-    return _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
+    record = {**record, "camera_px": list(presses.camera.shape), **_measure_gel(made, presses)}
+    return _finish(presses, made, record, out)
+
+
+def _measure_gel(made: GelEstimator, presses: PressFolder) -> dict[str, Any]:
+    """Return the gel's effective thickness as part of the record; nothing if the presses do not determine it."""
+    from tactile_loc.calibration.gel_thickness import estimate_gel
+
+    fit = estimate_gel(made, presses, progress=make_progress()) if made.sees_skirt else None
+    if fit is None:
+        return {}
+    mm, um = 1e3, 1e6
+    say(
+        f"the gel's effective thickness is {mm * fit.thickness_m:.1f} mm, standard deviation {mm * fit.std_m:.1f} mm: "
+        f"its surface is off by {um * fit.rms_m:.0f} um, that of a rigid gel by {um * fit.rigid_rms_m:.0f} um"
+    )
+    return {"gel": dataclasses.asdict(fit)}
 
 
 def _curve_gel(presses: PressFolder, seed: int) -> PressFolder:
