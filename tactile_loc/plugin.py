@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.sensing.contact import group_rotations as group_rotations
     from tactile_loc.core.slots.depth_sensor import DepthSensor as DepthSensor
+    from tactile_loc.core.slots.depth_sensor import GelOptions as GelOptions
     from tactile_loc.core.sensing.touch import compute_contact_depth as compute_contact_depth
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField

@@ -116,14 +116,7 @@ def find_contact_shape(
 
     Raises NoContactError when the press depth is below the detection limit.
     """
-    press = measure_press_m(indentation_m, geometry)
-    least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
-    if press < least:
-        raise NoContactError(
-            f"no contact: the deepest press is {max(0.0, 1e3 * press):.2g} mm, below this image's detection limit of "
-            f"{1e3 * least:.2g} mm"
-        )
-    press = min(press, geometry.max_depth_m)
+    press, least = _require_press(indentation_m, geometry, noise_m, false_press_m)
     if not sees_skirt:
         contact = geometry.observed_mask & (indentation_m > least)
         depth = np.maximum(np.float32(press) - indentation_m, 0)
@@ -138,6 +131,34 @@ def find_contact_shape(
     cut = np.float32(press - level)
     depth = np.clip(np.float32(press) - indentation_m, 0, np.nextafter(cut, np.float32(0)))
     return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut), press)
+
+
+def find_gel_surface(
+    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float = 0.0
+) -> ContactShape:
+    """Return the contact shape of an elastic gel, given the indentation (H, W), metres, that an image shows.
+
+    The shape is the whole surface above the noise; `Touch.touching_shape` is the part that touches the object.
+    `noise_m` and `false_press_m` are as for `find_contact_shape`, which raises the same error.
+    """
+    press, _ = _require_press(indentation_m, geometry, noise_m, false_press_m)
+    shown = geometry.observed_mask & (indentation_m > noise_m)
+    depth = np.maximum(np.float32(press) - indentation_m, 0)
+    return ContactShape(np.where(shown, depth, press).astype(np.float32), press)
+
+
+def _require_press(
+    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float
+) -> tuple[float, float]:
+    """Return the press depth and the detection limit, metres. Raises NoContactError if the press is below the limit."""
+    press = measure_press_m(indentation_m, geometry)
+    least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
+    if press < least:
+        raise NoContactError(
+            f"no contact: the deepest press is {max(0.0, 1e3 * press):.2g} mm, below this image's detection limit of "
+            f"{1e3 * least:.2g} mm"
+        )
+    return min(press, geometry.max_depth_m), least
 
 
 def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:

@@ -111,14 +111,14 @@ class _Judge:
         """Return the least ratio of the rivals (R, 4, 4), refined or not; infinite if there is no rival."""
         pressed = self.scene.match_touch(touch)
         truth = pressed.bring_to_contact(T_true[None])[0][0]
-        clean = ContactShape(pressed.render_contact_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
+        clean = ContactShape(pressed.render_gel_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
         poses = self._keep_distant(pressed, truth, np.concatenate([rivals, self._refine(touch, clean, rivals)]))
         if len(poses) == 0:
             return np.inf
         measured = self._measure(touch, truth, rng)
         true, others, noisy = (
             _blur_gently(depths, touch.geometry)
-            for depths in (clean.depth_m[None], pressed.render_contact_depths(poses), measured)
+            for depths in (clean.depth_m[None], pressed.render_gel_depths(poses), measured)
         )
         return float(compute_noise_ratio(true[0], others, noisy).min())
 
@@ -179,7 +179,7 @@ def _draw_true_shapes(localizer: Localizer, touches: Sequence[Touch], truths: Po
     shapes = []
     for touch, T in zip(touches, truths, strict=True):
         pressed = localizer.coarse_scene.press(touch.indentation_m, touch.press_depth_m)
-        shapes.append(pressed.render_contact_depths(pressed.bring_to_contact(T[None])[0])[0])
+        shapes.append(pressed.render_gel_depths(pressed.bring_to_contact(T[None])[0])[0])
     return np.stack(shapes)
 
 

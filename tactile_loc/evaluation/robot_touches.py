@@ -129,7 +129,7 @@ class RobotTouches:
         Returns the TouchError if a sensor cannot distinguish the press from no touch.
         """
         geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
-        clean = Scene(self.object, geometry, self.renderer).render_contact_depths(T[None])
+        clean = Scene(self.object, geometry, self.renderer).render_gel_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
         if contact.sum() < max(1.0, self.least_percent / 100 * geometry.observed_mask.sum()):
             return None

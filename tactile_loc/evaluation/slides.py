@@ -81,7 +81,7 @@ class Slide:
         if press_m <= 0:
             return untouched
         seen = self.scene.press(press_m, geometry.max_depth_m)
-        clean = seen.render_contact_depths(self.T_sensor_object[number][None])
+        clean = seen.render_gel_depths(self.T_sensor_object[number][None])
         rng = np.random.default_rng([self.seed, number])
         depth, measured_m = measure_noisily(self.noise, clean, press_m, seen.geometry, rng)
         return depth if (depth < np.float32(measured_m)).any() else untouched

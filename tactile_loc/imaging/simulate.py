@@ -87,7 +87,7 @@ def _draw_presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[F
     for _ in range(MOST_ROUNDS):
         T, touching = scene.bring_to_contact(draw_board_poses(scene.object, geometry, count - len(depths), rng))
         press = geometry.max_depth_m * rng.uniform(LIGHTEST, 1.0, len(T))
-        depth = np.minimum(scene.render_contact_depths(T), press.astype(np.float32)[:, None, None])
+        depth = np.minimum(scene.render_gel_depths(T), press.astype(np.float32)[:, None, None])
         contact = (depth < press.astype(np.float32)[:, None, None]) & geometry.observed_mask
         shows = touching & (contact.sum(axis=(1, 2)) >= max(1.0, LEAST_CONTACT * geometry.observed_mask.sum()))
         depths, presses = np.concatenate([depths, depth[shows]]), np.concatenate([presses, press[shows]])

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError, SensorError
+from tactile_loc.core.sensing.gel import RIGID
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
+from tactile_loc.core.slots.depth_sensor import GelOptions
 from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
 from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
 from tactile_loc.store.files import recover_folder
@@ -41,6 +43,11 @@ class _SensorFile(BaseModel):
     )
     mask: str | None = Field(None, description="the path of a PNG, relative to the sensor file, in quotes")
     surface: str | None = Field(None, description="the path of a .npy file, relative to the sensor file, in quotes")
+    gel: Literal["rigid", "layer"] = Field("rigid", description="'rigid' or 'layer'")
+    gel_thickness_mm: Positive | None = Field(None, description="a positive number (mm), by default 4")
+    poisson: Annotated[float, Field(ge=0, lt=0.5)] | None = Field(
+        None, description="a number from 0 to 0.5, by default 0.48"
+    )
 
 
 class _Pinhole(_SensorFile):
@@ -95,6 +102,7 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
         rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
         observed=None if keys.mask is None else _read_mask(folder / keys.mask),
         relief_m=None if keys.surface is None else _read_surface(folder / keys.surface),
+        gel=GelOptions(gel=keys.gel, gel_thickness_mm=keys.gel_thickness_mm, poisson=keys.poisson).make_gel(RIGID),
     )  # fmt: skip
 
 
@@ -147,6 +155,8 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     if geometry.observed is not None:
         values |= {"mask": f"{path.stem}_mask.png"}
         write_image(path.with_name(values["mask"]), geometry.observed.astype(np.uint8) * 255)
+    if geometry.gel.thickness_m is not None:
+        values |= {"gel": "layer", "gel_thickness_mm": mm * geometry.gel.thickness_m, "poisson": geometry.gel.poisson}
     if geometry.relief_m is not None:
         values |= {"surface": f"{path.stem}_surface.npy"}
         np.save(path.with_name(values["surface"]), geometry.relief_m)

@@ -41,7 +41,7 @@ class GridScores:
         Touches of equal press depth are matched together. Adds the durations of encoding and matching to `times`, but
         not that of building banks.
         """
-        press_m = [self.bank_press_m(touch.press_depth_m) for touch in touches]
+        press_m = [self.bank_press_m(t.geometry.gel.find_compared_m(t.press_depth_m)) for t in touches]
         found: dict[int, Scores] = {}
         for pressed_m in sorted(set(press_m)):
             numbers = [number for number, m in enumerate(press_m) if m == pressed_m]
@@ -77,8 +77,8 @@ class GridScores:
         return matcher
 
     def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
-        """Return the embedding (1, D) of a touch whose shape is cut at `press_depth_m` metres."""
-        shape = touch.contact_shape.press_to(press_depth_m)
+        """Return the embedding (1, D) of a touch, compared with a bank for presses of `press_depth_m` metres."""
+        shape = touch.touching_shape.press_to(press_depth_m)
         # The shape of a lighter touch stays cut at its own press depth, which the encoder needs to find the contact.
         press_m = shape.press_depth_m
         embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)

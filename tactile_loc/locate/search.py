@@ -117,27 +117,29 @@ class PlaceSearch:
 
     def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
-        matcher = self._banks.matcher(touch.press_depth_m)
-        press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
-        T_sensor_anchor, codes = encode_rotated(touch, self.encoder, press_m, self.yaws_rad)
+        compared_m = touch.geometry.gel.find_compared_m(touch.press_depth_m)
+        matcher = self._banks.matcher(compared_m)
+        cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
+        T_sensor_anchor, codes = encode_rotated(touch, self.encoder, cut_m, self.yaws_rad)
         scores = matcher.scores(*codes)
         yaw, number = find_highest(scores, count)
         return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores[yaw, number].astype(float)
 
 
 def encode_rotated(
-    touch: Touch, encoder: Encoder, press_m: float, yaws_rad: NDArray[np.float64]
+    touch: Touch, encoder: Encoder, cut_m: float, yaws_rad: NDArray[np.float64]
 ) -> tuple[Poses, tuple[Scores, Scores]]:
     """Return T_sensor_anchor (4, 4), metres, and the codes and weights (M, ...) of a touch rotated to M yaws.
 
-    The anchor is the frame at the touch's deepest point about which the touch is rotated.
+    The touch is cut at `cut_m` metres. The anchor is the frame at the touch's deepest point, about which the touch is
+    rotated.
     """
     from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
     anchor_m, R_sensor_gel = find_anchor(touch)
-    depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
-    cut_m = np.minimum(depths_m, np.float32(press_m))
-    return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_m, seen, press_m, CAMERA)
+    depths_m, known = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad, touch.find_known(cut_m))
+    cut_depths_m = np.minimum(depths_m, np.float32(cut_m))
+    return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_depths_m, known, cut_m, CAMERA)
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:

@@ -224,5 +224,5 @@ def _compute_full_evidence(touch: Touch) -> float:
     """Return the evidence, nats, of a pose whose contact is exactly the touch's contact."""
     geometry, shape = touch.thin(IOU_PX)
     seen = shape.depth_m
-    fully = compare_imprints(seen[None], seen, touch.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
+    fully = compare_imprints(seen[None], seen, shape.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
     return float(fully.evidence[0])

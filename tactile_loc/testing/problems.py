@@ -319,7 +319,7 @@ def make_touch(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m
     """Return the touch of the object at a pose (4, 4), pressed in by `press_depth_m` metres."""
     pressed = scene.press(press_depth_m)
     T = pressed.bring_to_contact(T_sensor_object[None])[0]
-    shape = ContactShape(pressed.render_contact_depths(T)[0], press_depth_m)
+    shape = ContactShape(pressed.render_gel_depths(T)[0], press_depth_m)
     return Touch(shape, pressed.geometry, "pressed block", T_sensor_object=T[0])
 
 

@@ -127,7 +127,7 @@ class JointRegistration:
 
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
-        seen = [Seen(shape, geometry) for geometry, shape in (v.touch.thin(options.image_px) for v in views)]
+        seen = [Seen.of(view.touch, options.image_px) for view in views]
         observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
         press_mm = [max(options.press_error * view.touch.indentation_m, 1e-6) * MILLI for view in views]
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.sensing.touch import ContactShape, Touch
 
 MILLI = 1e3
 FEWEST_PATCHES = 3.0
@@ -54,10 +54,21 @@ class Observed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One touch to register: a contact shape, and the geometry of the pressed sensor."""
+    """One touch to register, in the geometry of the pressed sensor.
+
+    The object touches the gel at the contact of `shape`, and is nowhere nearer to the camera than the gel's `surface`.
+    A rigid gel touches wherever it is pressed, so both are the same.
+    """
 
     shape: ContactShape
+    surface: ContactShape
     geometry: SensorGeometry
+
+    @classmethod
+    def of(cls, touch: Touch, pixels: int) -> Seen:
+        """Return a touch with about `pixels` pixels on the longer side."""
+        geometry, shape = touch.thin(pixels)
+        return cls(shape, touch.thin_surface(pixels), geometry)
 
 
 def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
@@ -103,8 +114,8 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
     from scipy.ndimage import distance_transform_edt
 
     geometry = touch.geometry
-    contact = touch.shape.contact & geometry.observed_mask
-    z_m = touch.shape.depth_m + geometry.full_penetration_m
+    contact = touch.surface.contact & geometry.observed_mask
+    z_m = touch.surface.depth_m + geometry.full_penetration_m
     rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)[:, :-1, :-1]
     gel_mm = _gel_mm(touch)
     lowest_mm = _least_of_four(gel_mm) if gel_mm.ndim else gel_mm
@@ -123,7 +134,7 @@ def _least_of_four(heights: Floats) -> Floats:
 
 def _gel_mm(touch: Seen) -> Floats:
     """Return the z, mm, at the press depth: surface out of contact is not nearer to the camera. (H, W) if curved."""
-    return np.asarray((touch.geometry.full_penetration_m + touch.shape.press_depth_m) * MILLI)
+    return np.asarray((touch.geometry.full_penetration_m + touch.surface.press_depth_m) * MILLI)
 
 
 def _camera_mm(touch: Seen, weight: float) -> Floats:

@@ -20,7 +20,7 @@ def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: boo
     along the outline of the contact. A wall stands at each pixel on the outline whose depth is more than a pixel's size
     below the press depth. It leads from the surface to the press depth, and its normals point sideways, out of contact.
     A flat face alone does not determine the object's sideways position; its walls do. The border of the image has no
-    walls, because the object continues beyond it.
+    walls, because the object continues beyond it. An elastic gel shows no walls, because it slopes down beside them.
     """
     rows, columns = _crop(shape.contact & geometry.observed_mask)
     observed = geometry.observed_mask[rows, columns]
@@ -29,7 +29,7 @@ def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: boo
     deepest_m = np.broadcast_to(geometry.full_penetration_m, geometry.shape)[rows, columns]
     xyz = _backproject(depth + deepest_m, geometry, rows, columns)
     points, normals = xyz[contact], _estimate_normals(xyz, contact)
-    if not walls:
+    if not walls or geometry.gel.is_elastic:
         return points, normals
     wall_points, wall_normals = _sample_walls(
         xyz, shape.press_depth_m - depth, contact, observed, geometry.pixel_pitch_m

@@ -44,21 +44,27 @@ def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[
 
 
 def rotate_patches(
-    touch: Touch, anchor_m: NDArray[np.float64], R_sensor_gel: NDArray[np.float64], yaw_rad: NDArray[np.float64]
+    touch: Touch,
+    anchor_m: NDArray[np.float64],
+    R_sensor_gel: NDArray[np.float64],
+    yaw_rad: NDArray[np.float64],
+    known: NDArray[np.bool_] | None = None,
 ) -> tuple[Float32, NDArray[np.bool_]]:
     """Return a touch's patch around its anchor (3,), metres, rotated back by each of M yaws (M,), as CAMERA sees it.
 
     The patches (M, PATCH_PX, PATCH_PX) are contact depths, metres, cut at the touch's press depth. They are measured
     from the anchor along the gel's normal, the third axis of R_sensor_gel (3, 3). Also returns which pixels, of the
-    same shape, the sensor observes. All other pixels are out of contact.
+    same shape, the sensor observes. All other pixels are out of contact. With `known` (H, W), only these pixels count
+    as observed: see `Touch.find_known`.
     """
     geometry, shape = touch.geometry, touch.contact_shape
+    observed = geometry.observed_mask if known is None else known
     depth_m = np.empty((len(yaw_rad), PATCH_PX, PATCH_PX), np.float32)
     seen = np.empty(depth_m.shape, np.bool_)
     camera = (geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy)
     deepest_m = np.broadcast_to(np.asarray(geometry.full_penetration_m, np.float64), geometry.shape)
     run_in_threads(
-        _fill_patches, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), geometry.observed_mask, camera,
+        _fill_patches, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), observed, camera,
         deepest_m, anchor_m, R_sensor_gel, np.asarray(yaw_rad, float), depth_m, seen,
     )  # fmt: skip
     return depth_m, seen

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import SensorError
+from tactile_loc.core.sensing.gel import RIGID, Gel
 
 Depth = NDArray[np.float32]
 
@@ -43,8 +44,8 @@ class SensorGeometry:
     `rectangle_m` (x_min, x_max, y_min, y_max), metres, bounds the gel on the sensing surface. By default, the gel fills
     the image. `observed` (H, W), bool, is False at pixels without information. By default, all pixels on the rectangle
     have information. `relief_m` (H, W), float32, metres, describes a curved gel. At each pixel, it is the distance
-    along z from `surface_m` to the undeformed gel. Raises SensorError if a number is implausible or contradicts
-    another.
+    along z from `surface_m` to the undeformed gel. `gel` is the gel's elasticity. Raises SensorError if a number is
+    implausible or contradicts another.
     """
 
     camera: Literal["pinhole", "orthographic"]
@@ -60,6 +61,7 @@ class SensorGeometry:
     observed: NDArray[np.bool_] | None = field(default=None, repr=False)
     indentation_m: float = 0.0
     relief_m: Depth | None = field(default=None, repr=False)
+    gel: Gel = RIGID
 
     def __post_init__(self) -> None:
         if self.camera not in ("pinhole", "orthographic"):
@@ -176,13 +178,17 @@ class SensorGeometry:
         return (u - self.cx) / self.fx, (v - self.cy) / self.fy
 
     @cached_property
-    def observed_mask(self) -> NDArray[np.bool_]:
-        """A mask (H, W), True at pixels that are on the sensing rectangle and not excluded by `observed`."""
+    def on_rectangle(self) -> NDArray[np.bool_]:
+        """Pixels (H, W) on the sensing rectangle."""
         k = self.surface_m if self.is_pinhole else 1.0
         x, y = (s * k for s in self.pixel_slopes)
         x0, x1, y0, y1 = self.rectangle
-        inside = ((y >= y0) & (y <= y1))[:, None] & ((x >= x0) & (x <= x1))[None, :]
-        return inside if self.observed is None else inside & self.observed
+        return ((y >= y0) & (y <= y1))[:, None] & ((x >= x0) & (x <= x1))[None, :]
+
+    @cached_property
+    def observed_mask(self) -> NDArray[np.bool_]:
+        """Pixels (H, W) with information: on the sensing rectangle and not masked."""
+        return self.on_rectangle if self.observed is None else self.on_rectangle & self.observed
 
     def backproject(self, depth_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Convert depths z (..., H, W), metres, to points (..., H, W, 3) in the sensor frame, metres."""
@@ -257,7 +263,7 @@ class SensorGeometry:
         same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
         if self.indentation_m == other.indentation_m:
             same = same and math.isclose(self.max_depth_m, other.max_depth_m, rel_tol=1e-6)
-        same = same and self._is_as_curved(other)
+        same = same and self.gel == other.gel and self._is_as_curved(other)
         apart_m = np.abs(np.subtract(self.view, other.view)).max()
         return bool(same and apart_m < max(self.pixel_pitch_m, other.pixel_pitch_m))
 
@@ -270,7 +276,7 @@ class SensorGeometry:
     def describe(self) -> dict[str, Any]:
         """Return what identifies the sensor, as JSON values: metres, pixels, and digests of the mask and the relief."""
         arrays = {"observed": self.observed, "relief_m": self.relief_m}
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in arrays}
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in {*arrays, "gel"}}
         digests = {
             name: None if array is None else hashlib.sha256(_pack_bytes(array)).hexdigest()
             for name, array in arrays.items()
@@ -278,7 +284,8 @@ class SensorGeometry:
         if self.relief_m is None:  # so that flat sensors keep their keys in the store
             del digests["relief_m"]
         rectangle = None if self.rectangle_m is None else list(self.rectangle_m)
-        return {**fields, "rectangle_m": rectangle, **digests}
+        gel = {"gel": self.gel.describe()} if self.gel.is_elastic else {}  # so that rigid gels keep their keys
+        return {**fields, "rectangle_m": rectangle, **digests, **gel}
 
 
 def _pack_bytes(array: NDArray[Any]) -> bytes:

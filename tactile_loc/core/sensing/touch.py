@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -128,10 +129,43 @@ class Touch:
         """Indentation of the object's deepest point, metres."""
         return self.contact_shape.deepest_m
 
+    @cached_property
+    def touching_shape(self) -> ContactShape:
+        """The part of the contact shape at which the gel touches the object, cut at the indentation.
+
+        A rigid gel touches wherever it is pressed. An elastic gel is pressed in around the contact, too.
+        """
+        shape = self.contact_shape
+        if not self.geometry.gel.is_elastic:
+            return shape
+        from tactile_loc.core.sensing.gel_surface import find_touching
+
+        press = np.float32(self.indentation_m)
+        depth_m = np.where(shape.contact & self.geometry.observed_mask, shape.depth_m, press)
+        touching = find_touching(depth_m, self.indentation_m, self.geometry)
+        return ContactShape(np.where(touching, depth_m, press), self.indentation_m)
+
     def thin(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
-        """Return the sensor and the contact shape with fewer pixels: about `pixels` on the longer side."""
-        step = max(1, round(max(self.geometry.shape) / pixels))
-        return self.geometry.subsample(step), self.contact_shape.subsample(step)
+        """Return the sensor and the touching shape with fewer pixels: about `pixels` on the longer side."""
+        step = self._find_step(pixels)
+        return self.geometry.subsample(step), self.touching_shape.subsample(step)
+
+    def find_known(self, cut_m: float) -> NDArray[np.bool_]:
+        """Return the observed pixels (H, W) that show whether the object is nearer than `cut_m` metres.
+
+        Around the contact, an elastic gel may be pressed in deeper than `cut_m` without the object being there.
+        """
+        observed = self.geometry.observed_mask
+        if not self.geometry.gel.is_elastic:
+            return observed
+        return observed & (self.touching_shape.contact | (self.contact_shape.depth_m >= np.float32(cut_m)))
+
+    def thin_surface(self, pixels: int) -> ContactShape:
+        """Return the gel's surface, nearer to which the object cannot be, with the pixels of `thin`."""
+        return self.contact_shape.subsample(self._find_step(pixels))
+
+    def _find_step(self, pixels: int) -> int:
+        return max(1, round(max(self.geometry.shape) / pixels))
 
 
 def contact_shape_from_array(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.simulation.contact_poses import draw_contacts
 from tactile_loc.core.simulation.noise import TouchNoise
@@ -44,7 +45,8 @@ class ListedTouches(TrainingTouches):
         deepest = self.geometry.max_depth_m
         press = self.noise.draw_press(count, deepest, rng)
         measured = self.noise.measure_press(press, deepest, rng)
-        depth = self.noise.cut(self.noise.corrupt(self.depth_m[chosen], press, self.geometry, rng), press, measured)
+        shown = deform_gel(self.depth_m[chosen], press, self.geometry)
+        depth = self.noise.cut(self.noise.corrupt(shown, press, self.geometry, rng), press, measured)
         seen = np.broadcast_to(self.geometry.observed_mask, depth.shape)
         return TrainingBatch(
             depth[:, None], seen[:, None], measured, self.labels[chosen], np.ones((count, 1), np.bool_)

@@ -21,6 +21,7 @@ from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.rotated import RotatedPoses
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, PATCH_PX, PITCH_M, PRESS_STEP_M, Places
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -72,8 +73,9 @@ class PlaceProblem(TrainingProblem):
 
     @property
     def key_presses_m(self) -> NDArray[np.float64]:
-        """The press depths (P,), metres, from a light press to the maximal depth, in steps of PRESS_STEP_M."""
-        deepest_m = min(HIGHEST_M, self.scene.geometry.max_depth_m)
+        """The depths (P,), metres, at which touches are cut, from that of a light press, in steps of PRESS_STEP_M."""
+        geometry = self.scene.geometry
+        deepest_m = min(HIGHEST_M, geometry.gel.find_compared_m(geometry.max_depth_m))
         first = max(1, round(LIGHTEST * deepest_m / PRESS_STEP_M))
         last = max(first, int(deepest_m / PRESS_STEP_M + 1e-6))
         return np.round(np.arange(first, last + 1, dtype=np.float64) * PRESS_STEP_M, 9)
@@ -205,7 +207,7 @@ class PlaceTouches(TrainingTouches):
         depth_m = np.empty((*yaw_rad.shape, PATCH_PX, PATCH_PX), np.float32)
         seen = np.empty(depth_m.shape, np.bool_)
         for k, touch in enumerate(touches):
-            depth_m[k], seen[k] = rotate_patches(touch, *find_anchor(touch), yaw_rad[k])
+            depth_m[k], seen[k] = rotate_patches(touch, *find_anchor(touch), yaw_rad[k], touch.find_known(press_m))
         depth_m = np.minimum(depth_m, np.float32(press_m))
         return TrainingBatch(depth_m, seen, np.full(count, press_m), labels.numbers, counts)
 
@@ -215,11 +217,13 @@ class PlaceTouches(TrainingTouches):
         """Return the touches `chosen` (M,) with noise, or without it if noise would spoil them, and their labels."""
         problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
         geometry, clean = problem.fine.geometry, self.depth_m[chosen]
-        believed_m = np.minimum(press_m + PRESS_STEP_M * rng.random(len(chosen)), geometry.max_depth_m)
+        pressed_m = press_m / geometry.gel.compared_share
+        believed_m = np.minimum(pressed_m + PRESS_STEP_M * rng.random(len(chosen)), geometry.max_depth_m)
         # if noise makes the measured press deeper by a factor, the true press is lighter by the same factor
         true_m = np.minimum(believed_m**2 / noise.measure_press(believed_m, np.inf, rng), geometry.max_depth_m)
-        noisy = noise.cut(noise.corrupt(clean, true_m, geometry, rng), true_m, np.full(len(chosen), press_m))
-        plain = [self._make_clean(depth, press_m) for depth in clean]
+        imprints = noise.corrupt(deform_gel(clean, true_m, geometry), true_m, geometry, rng)
+        noisy = noise.cut(imprints, true_m, np.full(len(chosen), press_m))
+        plain = [self._make_clean(depth, press_m) for depth in deform_gel(clean, pressed_m, geometry)]
         shown = [problem.touch(depth, press_m) for depth in noisy]
         touches = [one or other for one, other in zip(shown, plain, strict=True)]
         labels = problem.labels(touches, poses)

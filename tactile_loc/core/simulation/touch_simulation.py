@@ -105,7 +105,7 @@ class PressNoise:
         depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
         for m in np.unique(press_m):
             these, scene = press_m == m, self.scene.press(m, self.scene.geometry.max_depth_m)
-            depths[these] = scene.render_contact_depths(T_sensor_object[these])
+            depths[these] = scene.render_gel_depths(T_sensor_object[these])
         return depths
 
     def _misplace(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:

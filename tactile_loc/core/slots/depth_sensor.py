@@ -2,17 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import SensorError, TouchError
+from tactile_loc.core.sensing.gel import DEFAULT_THICKNESS_M, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, contact_shape_from_array
 from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.sensor import SensorModel
+
+
+class GelOptions(ComponentOptions):
+    """The elasticity of the sensor's gel; None keeps what the sensor says."""
+
+    gel: Literal["rigid", "layer"] | None = Field(None, description="the gel: rigid, or an elastic layer")
+    gel_thickness_mm: float | None = Field(None, gt=0, description="thickness of the layer, mm; inf for a half-space")
+    poisson: float | None = Field(None, ge=0, lt=0.5, description="Poisson's ratio of the elastic layer")
+
+    def make_gel(self, gel: Gel) -> Gel:
+        """Return a sensor's gel, changed as these options say. Raises SensorError if they contradict each other."""
+        if self.gel == "rigid" and (self.gel_thickness_mm is not None or self.poisson is not None):
+            raise SensorError("a rigid gel has no thickness and no Poisson's ratio; give gel=layer, or leave them out")
+        if self.gel == "rigid" or (self.gel is None and not gel.is_elastic and self.gel_thickness_mm is None):
+            return RIGID
+        thickness_m = gel.thickness_m or DEFAULT_THICKNESS_M
+        return Gel(
+            thickness_m if self.gel_thickness_mm is None else 1e-3 * self.gel_thickness_mm,
+            gel.poisson if self.poisson is None else self.poisson,
+        )
 
 
 class DepthSensor(SensorModel):
@@ -24,6 +47,9 @@ class DepthSensor(SensorModel):
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
         self._geometry = self._make_geometry()
+        if isinstance(self.options, GelOptions):
+            gel = self.options.make_gel(self._geometry.gel)
+            self._geometry = dataclasses.replace(self._geometry, gel=gel)
 
     @abstractmethod
     def _make_geometry(self) -> SensorGeometry:

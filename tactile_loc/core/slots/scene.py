@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
 from tactile_loc.core.sensing.imprints import Explained, compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
@@ -72,10 +73,27 @@ class Scene:
         return dataclasses.replace(self, geometry=touch.geometry)
 
     def render_contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) that are already in contact."""
+        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) that are already in contact.
+
+        They are those in a rigid gel; `render_gel_depths` returns those that an elastic gel shows.
+        """
         T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
         depth = self.renderer.render_apart(self.object.mesh, T, camera.band)
         return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
+
+    def render_gel_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, that the gel shows of pressed poses (N, 4, 4).
+
+        They are cut at `press_depth_m` metres, by default at the maximal depth.
+        """
+        geometry, cut_m = self.geometry, self.geometry.max_depth_m if press_depth_m is None else press_depth_m
+        if not geometry.gel.is_elastic or not geometry.indentation_m:
+            return self.render_contact_depths(T_sensor_object, press_depth_m)
+        pressed_m = geometry.indentation_m
+        # all of the object below the undeformed surface decides what the gel shows
+        whole = dataclasses.replace(self, geometry=dataclasses.replace(geometry, max_depth_m=pressed_m))
+        shown = deform_gel(whole.render_contact_depths(T_sensor_object), pressed_m, geometry)
+        return np.where(shown < np.float32(min(pressed_m, cut_m)), shown, np.float32(cut_m))
 
     def render_grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
         """Render contact depths (N, H, W), metres, of a grid's poses (N, 4, 4), cut at the maximal depth.
@@ -92,8 +110,17 @@ class Scene:
 
         Poses move along z towards contact, by at most the error of the measured press plus `freedom_m` metres.
         """
-        freedom_m += LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
-        return self.render_contact_depths(self.bring_near_contact(T_sensor_object, freedom_m), touch.press_depth_m)
+        freedom_m += _estimate_press_error_m(touch)
+        cut_m = touch.touching_shape.press_depth_m
+        return self.render_contact_depths(self.bring_near_contact(T_sensor_object, freedom_m), cut_m)
+
+    def render_what_touch_shows(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, that poses (N, 4, 4) would show instead of a touch.
+
+        Poses move along z towards contact, by at most the error of the measured press.
+        """
+        T = self.bring_near_contact(T_sensor_object, _estimate_press_error_m(touch))
+        return self.render_gel_depths(T, touch.press_depth_m)
 
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
@@ -103,7 +130,7 @@ class Scene:
         pressed = self if self.geometry.indentation_m else self.press(press_depth_m)
         T, _ = pressed.bring_to_contact(T_sensor_object[None])
         return ContactShape(
-            pressed.render_contact_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m
+            pressed.render_gel_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m
         )
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
@@ -136,10 +163,17 @@ class Scene:
         Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
         geometry, wanted = touch.thin(pixels)
+        press_m = wanted.press_depth_m
         made = dataclasses.replace(self, geometry=geometry).render_depths_to_compare(T_sensor_object, touch, freedom_m)
-        return compare_imprints(
-            made, wanted.depth_m, touch.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m
-        )
+        if geometry.gel.is_elastic:
+            # beside the contact, the object may be anywhere beyond the gel's surface
+            pierced = made < touch.thin_surface(pixels).depth_m - np.float32(SLACK * press_m)
+            made = np.where(wanted.contact | pierced, made, np.float32(press_m))
+        return compare_imprints(made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m)
+
+
+def _estimate_press_error_m(touch: Touch) -> float:
+    return LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
 
 
 @keep_old_names(explained="compare_imprints")

@@ -21,6 +21,7 @@ from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import TriangleMesh, check_surface
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import load_npz
@@ -89,7 +90,7 @@ def gather_arrays(contacts: Sequence[Observation], localization: Localization) -
     touches = []
     for localizer, touch in contacts:
         view = make_view(first, localizer, touch)
-        made_m = view.scene.render_depths_to_compare(view.T_sensor_first @ poses, touch)
+        made_m = view.scene.render_what_touch_shows(view.T_sensor_first @ poses, touch)
         touches.append(TouchArrays(touch.contact_shape, touch.geometry, view.T_sensor_first, made_m, touch.image))
     kept = find_most_probable(posterior)
     mesh = reduce_mesh(first_localizer.object.mesh)
@@ -183,6 +184,7 @@ def unpack_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
 def _pack_touch(touch: TouchArrays) -> dict[str, NDArray[Any]]:
     camera = {f.name: getattr(touch.geometry, f.name) for f in dataclasses.fields(touch.geometry)}
     observed, relief_m = camera.pop("observed"), camera.pop("relief_m")
+    camera["gel"] = touch.geometry.gel.describe()
     optional = {"observed": observed, "relief_m": relief_m, "image": touch.image}
     return {
         "depth_m": touch.shape.depth_m, "press_depth_m": np.array(touch.shape.press_depth_m),
@@ -195,6 +197,7 @@ def _unpack_touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
     camera = parse_json(str(arrays["geometry"]))
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
+    camera["gel"] = Gel.of_description(camera["gel"]) if "gel" in camera else RIGID  # older files have no gel
     geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))
     shape = ContactShape(_read_numbers(arrays, "depth_m").astype(np.float32), float(arrays["press_depth_m"]))
     made_m, T_sensor_first = _read_numbers(arrays, "made_m").astype(np.float32), _read_numbers(arrays, "T_sensor_first")

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.calibration.folder import Calibration, read_calibration
-from tactile_loc.calibration.reading import find_contact_shape
-from tactile_loc.plugin import ComponentOptions, ContactShape, DepthSensor, SensorGeometry
+from tactile_loc.calibration.reading import find_contact_shape, find_gel_surface
+from tactile_loc.plugin import ContactShape, DepthSensor, GelOptions, SensorGeometry
 
 
 class CalibratedSensor(DepthSensor):
     """Reads images of the gel, and contact shapes. Raises CalibrationError when the folder is incomplete."""
 
-    class Options(ComponentOptions):
+    class Options(GelOptions):
         """The `path` of the calibration folder, and optionally `zero`, a newer image of the untouched gel."""
 
         path: str = Field(description="calibration folder written by `tactile-loc calibrate`")
@@ -25,7 +25,8 @@ class CalibratedSensor(DepthSensor):
 
     def describe(self) -> dict[str, Any]:
         """Return JSON values that identify the sensor by the folder's content, not by its path."""
-        return {**super().describe(), "options": self.calibration.describe()}
+        gel = {"gel": self.geometry.gel.describe()} if self.geometry.gel.is_elastic else {}
+        return {**super().describe(), "options": {**self.calibration.describe(), **gel}}
 
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
         """Return the contact shape of an image (H, W, 3) uint8, or of depths (H, W) in metres.
@@ -37,7 +38,10 @@ class CalibratedSensor(DepthSensor):
             return super().contact_shape(image)
         known = self.calibration
         seen = known.read_indentation(image)
-        return find_contact_shape(seen, self.geometry, known.noise_m, known.estimator.sees_skirt, known.false_press_m)
+        sees_skirt = known.estimator.sees_skirt
+        if self.geometry.gel.is_elastic and sees_skirt:
+            return find_gel_surface(seen, self.geometry, known.noise_m, known.false_press_m)
+        return find_contact_shape(seen, self.geometry, known.noise_m, sees_skirt, known.false_press_m)
 
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the simulated image (H, W, 3) of a contact shape, with the optics of the calibration's images.

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
+from tactile_loc.plugin import DepthSensor, GelOptions, SensorGeometry
 
 
 class FileSensor(DepthSensor):
@@ -17,7 +17,7 @@ class FileSensor(DepthSensor):
     Raises SensorError, which names the file, the key and the allowed values, when the file is wrong.
     """
 
-    class Options(ComponentOptions):
+    class Options(GelOptions):
         """The `path` of the sensor file."""
 
         path: str = Field(description="the sensor file (TOML)")

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
+from tactile_loc.plugin import DepthSensor, GelOptions, SensorGeometry
 
 # With parallel rays, images do not depend on the standoff. It only sets the surface's position in the sensor frame.
 ORTHOGRAPHIC_STANDOFF_M = 10e-3
@@ -29,7 +29,7 @@ class Preset(DepthSensor):
     native: ClassVar[SensorGeometry]
     default_size_px: ClassVar[tuple[int, int] | None] = None
 
-    class Options(ComponentOptions):
+    class Options(GelOptions):
         """`image_size_px` (width, height) and `max_depth_mm`; None keeps the preset's value."""
 
         image_size_px: tuple[int, int] | None = Field(None, description="image size (width, height), pixels")

@@ -7,6 +7,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import SensorError
+from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 MM = 1e-3
@@ -127,6 +128,7 @@ CHANGES = {
     "camera": "orthographic", "width_px": 9, "height_px": 7, "fx": 41.0, "fy": 51.0, "cx": 3.8, "cy": 3.2,
     "standoff_m": 21 * MM, "max_depth_m": 1 * MM, "rectangle_m": (-1 * MM, 1 * MM, -1 * MM, 1 * MM),
     "observed": np.eye(6, 8, dtype=bool), "indentation_m": 1 * MM, "relief_m": np.full((6, 8), 1e-4, np.float32),
+    "gel": Gel(4 * MM),
 }  # fmt: skip
 
 

@@ -1,0 +1,175 @@
+#!/usr/bin/env python3
+"""The errors of locating objects on an elastic gel, and those from assuming that the gel is rigid.
+
+Objects are pressed from any direction, by 30 to 90 % of the sensor's deepest press. They are drawn by ray casting, and
+the gel's surface is computed by ContactMechanics, neither of which the localizer uses. Each touch is located with the
+elasticity of the gel, and as if the gel were rigid. Touches on a rigid gel are the reference. For one touch, the table
+has the share with any hypothesis within 1 mm (root mean square over the surface, modulo symmetry). For three touches,
+it has the share of located surfaces whose mean distance from the true surface is below 0.5 and 0.1 mm. The times are
+medians. An example that ends in an error counts as not located.
+
+Meshes are given as FILE[:UNITS] or a demo object's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.geometry.rigid import invert, transform_points
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.store.store import StageStore
+
+MM = 1e3
+SIZES_PX = {"gelsight-mini": (160, 120), "gelslim": (160, 160)}  # at which ContactMechanics solves a touch in a second
+CASES = ("elastic, located as elastic", "elastic, taken for rigid", "rigid")
+POINTS = 2000  # of the surface, whose distances are averaged
+
+
+def deform(depth_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry, gel: Gel) -> NDArray[np.float32]:
+    """Return the contact depths (H, W), metres, that ContactMechanics computes for an object in a rigid gel (H, W)."""
+    import ContactMechanics
+    from ContactMechanics.Systems import NonSmoothContactSystem
+    from SurfaceTopography import Topography
+
+    (height, width), (sx, sy) = geometry.shape, geometry.scale_at_surface
+    if math.isinf(gel.thickness_m or 0):
+        shape, sides_mm = (height, width), (height / sy * MM, width / sx * MM)
+        substrate = ContactMechanics.FreeFFTElasticHalfSpace(shape, 1.0, sides_mm)
+    else:
+        shape, sides_mm = (2 * height, 2 * width), (2 * height / sy * MM, 2 * width / sx * MM)
+        substrate = ContactMechanics.PeriodicFFTElasticHalfSpace(
+            shape, 1.0, sides_mm, thickness=(gel.thickness_m or 0) * MM, poisson=gel.poisson
+        )
+    heights_mm = np.full(shape, -50.0)
+    heights_mm[:height, :width] = np.where(depth_m < press_m, (press_m - depth_m) * MM, -50.0)
+    system = NonSmoothContactSystem(substrate, Topography(heights_mm, sides_mm))
+    if not system.minimize_proxy(offset=0.0, pentol=1e-4, maxiter=500).success:
+        raise RuntimeError("ContactMechanics did not converge")
+    return np.clip(press_m - system.disp[:height, :width] / MM, 0, press_m).astype(np.float32)
+
+
+def press_elastic(touch: Touch, source: RobotTouches, gel: Gel) -> Touch:
+    """Return the touch of a pressed object on an elastic gel, given its touch on a rigid gel."""
+    press_m = touch.indentation_m
+    geometry = source.geometry.press(press_m)
+    rigid = Scene(source.object, geometry, source.renderer).render_contact_depths(touch.T_sensor_object[None])  # type: ignore[index]
+    shown = deform(rigid[0], press_m, geometry, gel)
+    elastic = dataclasses.replace(source.geometry, gel=gel)
+    return dataclasses.replace(touch, contact_shape=ContactShape(shown, press_m), geometry=elastic)
+
+
+def measure_surface_mm(mesh: TriangleMesh, T: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Return the mean distance, mm, of the surface at pose T (4, 4) from the surface at the true pose (4, 4)."""
+    import trimesh
+
+    points_m = mesh.sample(POINTS, np.random.default_rng(0))
+    surface = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
+    return MM * float(
+        np.mean(trimesh.proximity.closest_point(surface, transform_points(invert(truth) @ T, points_m))[1])
+    )
+
+
+def measure(
+    localizer: Localizer, examples: list[list[Touch]]
+) -> tuple[list[float], list[float], list[float], list[float]]:
+    """Return, of each example, the nearest pose of one touch and the surface error of all, mm, and both times, ms."""
+    nearest_mm, surface_mm, one_ms, all_ms = [], [], [], []
+    metric = PoseMetric(localizer.object)
+    for touches in examples:
+        truth = np.asarray(touches[0].T_sensor_object)
+        for some, kept, kept_ms in ((touches[:1], nearest_mm, one_ms), (touches, surface_mm, all_ms)):
+            start = time.perf_counter()
+            try:
+                found = localize_together([(localizer, touch) for touch in some])
+            except TactileLocError:
+                kept.append(np.inf)
+                continue
+            kept_ms.append(1e3 * (time.perf_counter() - start))
+            poses = np.stack([h.T_sensor_object for h in found.hypotheses])
+            if kept is surface_mm:
+                kept.append(measure_surface_mm(localizer.object.mesh, poses[0], truth))
+            else:
+                kept.append(MM * float(metric.symmetric_distance(poses, np.broadcast_to(truth, poses.shape)).min()))
+    return nearest_mm, surface_mm, one_ms, all_ms
+
+
+def write_row(name: str, case: str, found: tuple[list[float], list[float], list[float], list[float]]) -> str:
+    """Return a row of the table."""
+    nearest, surface, one_ms, all_ms = (np.array(values) for values in found)
+    return (
+        f"| {name} | {case} | {(nearest < 1).mean():.0%} | {np.median(one_ms):.0f} | {(surface < 0.5).mean():.0%} | "
+        f"{(surface < 0.1).mean():.0%} | {np.median(all_ms):.0f} |"
+    )
+
+
+def main() -> None:
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "objects", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects"
+    )
+    parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
+    parser.add_argument("--thickness-mm", type=float, default=4.0, help="of the elastic layer; inf for a half-space")
+    parser.add_argument("--poisson", type=float, default=0.48)
+    parser.add_argument("--touches", type=int, default=3)
+    parser.add_argument("--examples", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=31)
+    arguments = parser.parse_args()
+    raycast = registry().create("renderer", "raycast", {})
+    gel = Gel(arguments.thickness_mm / MM, arguments.poisson)
+    print(
+        "| object | gel | one touch listed within 1 mm | one, ms | surface < 0.5 mm | < 0.1 mm | all, ms |\n"
+        "|---|---|---|---|---|---|---|"
+    )
+    total: dict[str, list[list[float]]] = {case: [[], [], [], []] for case in CASES}
+    with tempfile.TemporaryDirectory() as folder:
+        store = StageStore(Path(folder))
+        for name in arguments.objects:
+            path, _, units = name.partition(":")
+            sensor = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
+            layer = {**sensor, "gel": "layer", "gel_thickness_mm": arguments.thickness_mm, "poisson": arguments.poisson}
+            elastic, rigid = (
+                Localizer.create(path, units=units or "auto", store=store, sensor=one) for one in (layer, sensor)
+            )
+            source = RobotTouches(rigid.object, rigid.scene.geometry, raycast)
+            drawn = [
+                source.draw_example(arguments.touches, np.random.default_rng([arguments.seed, number]))[0]
+                for number in range(arguments.examples)
+            ]
+            soft = [[press_elastic(touch, source, gel) for touch in touches] for touches in drawn]
+            taken = [[_view_as(touch, RIGID) for touch in touches] for touches in soft]
+            for case, localizer, examples in zip(CASES, (elastic, rigid, rigid), (soft, taken, drawn), strict=True):
+                localize_together([(localizer, touch) for touch in examples[0]])  # builds what is stored
+                found = measure(localizer, examples)
+                for values, more in zip(total[case], found, strict=True):
+                    values += more
+                print(write_row(Path(path).stem, case, found), flush=True)
+    for case in CASES:
+        print(write_row("all", case, tuple(total[case])))  # type: ignore[arg-type]
+
+
+def _view_as(touch: Touch, gel: Gel) -> Touch:
+    """Return a touch as a sensor with another gel sees it."""
+    return dataclasses.replace(touch, geometry=dataclasses.replace(touch.geometry, gel=gel))
+
+
+if __name__ == "__main__":
+    main()
