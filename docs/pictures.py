@@ -51,6 +51,7 @@ SHOWN = 4  # number of shown poses, the most probable ones
 TOUCH_SEED = 3
 SLIDE_FRAMES, SLIDE_SEED, SLIDE_LIFT = 500, 5, (250, 300)  # SLIDE_LIFT: the range of frames without contact
 NEXT_SEED = 5
+GEL_SEED, GEL_PRESS_M = 1, 6e-4
 TRACKED, TRUE, SURE, STARTED = "#2b6cb0", "#e03131", "#bee3f8", "#2f855a"
 SHADES = {
     Verdict.AMBIGUOUS: "#fefcbf", Verdict.POOR_FIT: "#fed7d7", Verdict.NOT_FOUND: "#fed7d7",
@@ -283,6 +284,34 @@ def draw_next(localizer: Localizer) -> Figure:
     return draw_next_touch(chosen, f"{localizer.object.name}: {len(chosen.modes.probabilities)} possible poses")
 
 
+def draw_gel(localizer: Localizer) -> Figure:
+    """Draw one press on a rigid gel and on the localizer's elastic gel, where the elastic one touches, and a profile."""
+    (touch,) = localizer.simulate(1, seed=GEL_SEED, press_depth_m=GEL_PRESS_M)
+    scene = localizer.scene.match_touch(touch)
+    rigid = ContactShape(scene.render_contact_depths(np.asarray(touch.T_sensor_object)[None])[0], GEL_PRESS_M)
+    figure = make_figure(13.5, 4.2, constrained=True)
+    panels: Any = figure.subplots(1, 3, width_ratios=[1, 1, 1.1])
+    for axes, shape, title in zip(panels, (rigid, touch.contact_shape), ("rigid gel", "elastic gel"), strict=False):
+        draw_contact_shape(axes, shape, touch.geometry)
+        axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)")
+    x_mm, y_mm = (1e3 * slopes for slopes in touch.geometry.pixel_slopes)
+    touching = touch.touching_shape.contact
+    panels[1].contour(x_mm, y_mm, touching.astype(float), levels=[0.5], colors=TRUE, linewidths=1.2)
+    row = int(np.unravel_index(touch.contact_shape.depth_m.argmin(), touch.contact_shape.depth_m.shape)[0])
+    for axes in panels[:2]:
+        axes.axhline(y_mm[row], color="#4a5568", linewidth=0.8, linestyle=":")
+    profile = panels[2]
+    surfaces = {"rigid gel": (rigid, TRACKED), "elastic gel": (touch.contact_shape, STARTED)}
+    for label, (shape, colour) in surfaces.items():
+        profile.plot(x_mm, 1e3 * (shape.depth_m[row] - GEL_PRESS_M), color=colour, label=label)
+    here = touching[row]
+    height_mm = np.where(here, 1e3 * (touch.contact_shape.depth_m[row] - GEL_PRESS_M), np.nan)
+    profile.plot(x_mm, height_mm, color=TRUE, linewidth=3, alpha=0.6, label="where it touches the object")
+    profile.set(xlabel="x (mm)", ylabel="gel surface (mm)", title="along the dotted line")
+    profile.legend(loc="lower right", fontsize=8)
+    return figure
+
+
 def _touch(localizer: Localizer) -> Touch:
     return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
 
@@ -309,6 +338,7 @@ def main() -> None:
         "noise": draw_noise(plain),
         "matching": draw_matching(localizers),
         "track": draw_slide(Localizer.create(OBJECT, sensor="gelsight-mini")),
+        "gel": draw_gel(Localizer.create("pin", sensor={"name": "gelsight-mini", "gel": "layer"})),
         "next-touch": draw_next(Localizer.create("head", sensor="gelsight-mini", temperature=0.05)),
     }
     for name, figure in figures.items():
