@@ -285,7 +285,7 @@ def draw_next(localizer: Localizer) -> Figure:
 
 
 def draw_gel(localizer: Localizer) -> Figure:
-    """Draw one press on a rigid gel and on the localizer's elastic gel, where the elastic one touches, and a profile."""
+    """Draw one press on a rigid gel and on the localizer's elastic gel, where the latter touches, and a profile."""
     (touch,) = localizer.simulate(1, seed=GEL_SEED, press_depth_m=GEL_PRESS_M)
     scene = localizer.scene.match_touch(touch)
     rigid = ContactShape(scene.render_contact_depths(np.asarray(touch.T_sensor_object)[None])[0], GEL_PRESS_M)
