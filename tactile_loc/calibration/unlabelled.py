@@ -129,14 +129,23 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
         )
     if not found.used:
         counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
-        causes = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
+        causes = _describe_causes(counted)
         if ball_px is not None and counted and counted[0][1] == OVERSIZED:
             usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
             raise CalibrationError(
                 f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; "
-                "check --ball-radius, in mm, and --mm-per-px"
+                "check --ball-radius and --mm-per-px, both in mm"
             )
-        raise CalibrationError(f"no image shows one whole ball: {causes}; {HOW_TO_PRESS}")
+        raise CalibrationError(f"no image shows one whole ball ({causes}); {HOW_TO_PRESS}")
+
+
+def _describe_causes(counted: Sequence[tuple[int, str]]) -> str:
+    """Return the numbers of rejected images and the reasons in words, from the number for each reason."""
+    if not counted:
+        return "all show the untouched gel"
+    (first, reason), *others = counted
+    parts = [f"{first} {'image' if first == 1 else 'images'}: {reason}"]
+    return "rejected: " + ", ".join([*parts, *(f"{count}: {reason}" for count, reason in others)])
 
 
 def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
@@ -149,7 +158,8 @@ def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: fl
     if depths_mm.max() < SHALLOWEST_MM:
         raise CalibrationError(
             f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
-            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check --ball-radius (mm)"
+            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check --ball-radius and "
+            "--mm-per-px, both in mm"
         )
     return float(depths_mm.min()), float(depths_mm.max())
 
