@@ -38,7 +38,7 @@ SECOND = 0.35  # least contrast of a second ball, share of the first ball's cont
 APART = 2.2  # radius of the area that belongs to an imprint, in radii of the imprint
 OUTSIDE = 0.1  # largest part of a circle's radius that may lie beyond the image's border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
-OVERSIZED = "larger than the ball"
+OVERSIZED = "imprint larger than the ball"
 TOO_LARGE = 1.3  # largest radius of a circle with its skirt, in radii of the ball
 MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share of change and pixels it explains, and texture, counts
 ALIKE = 0.25  # least gain of correlation by a large shift
@@ -143,9 +143,7 @@ def _describe_causes(counted: Sequence[tuple[int, str]]) -> str:
     """Return the numbers of rejected images and the reasons in words, from the number for each reason."""
     if not counted:
         return "all show the untouched gel"
-    (first, reason), *others = counted
-    parts = [f"{first} {'image' if first == 1 else 'images'}: {reason}"]
-    return "rejected: " + ", ".join([*parts, *(f"{count}: {reason}" for count, reason in others)])
+    return "rejected: " + ", ".join(f"{reason} in {n} {'image' if n == 1 else 'images'}" for n, reason in counted)
 
 
 def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
