@@ -29,7 +29,10 @@ Verbose = Annotated[
     ),
 ]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Hide warnings and progress bars.")]
-Json = Annotated[bool, typer.Option("--json", help="Write the result as one JSON document, in SI units.")]
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="Print the result on stdout as one JSON document, in SI units, instead of text."),
+]
 
 SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, False)}
 
@@ -41,14 +44,14 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
     """
     name = function.__name__.replace("_", "-")
     own = list(inspect.signature(function, eval_str=True).parameters.values())
-    taken = {p.name: names for p in own if (names := _read_taken(p.annotation))}
+    taken = {p.name: takes for p in own if (takes := _read_taken(p.annotation))}
 
     @functools.wraps(function)
     def command(context_: typer.Context, as_json: bool, verbose: int, quiet: bool, **options: Any) -> None:
         with show_log((context_.obj or 0) + verbose - quiet), report_failures(name, as_json):
             start = time.perf_counter()
-            for parameter, names in taken.items():
-                options[parameter] = RunOptions(**{key: options.pop(key) for key in names})
+            for parameter, takes in taken.items():
+                options[parameter] = RunOptions(**{key: options.pop(key) for key in takes.names})
             result, code = _call(function, options, as_json)
             logger.info("%s took %.1f s.", name, time.perf_counter() - start)
             if as_json:
@@ -71,14 +74,12 @@ def _call(
         return finding.result, finding.exit_code
 
 
-def _read_taken(annotation: Any) -> tuple[str, ...]:
-    """Return the names of the shared options that a parameter stands for; empty if the parameter is an option."""
-    return next((extra.names for extra in getattr(annotation, "__metadata__", ()) if isinstance(extra, Takes)), ())
+def _read_taken(annotation: Any) -> Takes | None:
+    """Return the shared options that a parameter stands for; None if the parameter is an option."""
+    return next((extra for extra in getattr(annotation, "__metadata__", ()) if isinstance(extra, Takes)), None)
 
 
-def _list_parameters(
-    own: Sequence[inspect.Parameter], taken: Mapping[str, Sequence[str]]
-) -> Iterator[inspect.Parameter]:
+def _list_parameters(own: Sequence[inspect.Parameter], taken: Mapping[str, Takes]) -> Iterator[inspect.Parameter]:
     """Yield the command's parameters: those of the function, with completion of names, and those of all commands."""
     keyword = inspect.Parameter.KEYWORD_ONLY
     declared, defaults = get_type_hints(RunOptions, include_extras=True), RunOptions()
@@ -86,11 +87,23 @@ def _list_parameters(
     for p in own:
         if p.name not in taken:
             yield p.replace(kind=keyword, annotation=complete_parameter(p.name, p.annotation))
-        for name in taken.get(p.name, ()):
-            annotation = complete_parameter(name, declared[name])
+            continue
+        takes = taken[p.name]
+        for name in takes.names:
+            annotation = complete_parameter(name, _change_help(declared[name], takes.helps.get(name)))
             yield inspect.Parameter(name, keyword, default=getattr(defaults, name), annotation=annotation)
     for name, (annotation, default) in SHARED.items():
         yield inspect.Parameter(name, keyword, default=default, annotation=annotation)
+
+
+def _change_help(annotation: Any, about: str | None) -> Any:
+    """Return an option's annotation with another help text, or unchanged if `about` is None."""
+    if about is None:
+        return annotation
+    base, info = get_args(annotation)
+    changed = copy.copy(info)
+    changed.help = about
+    return Annotated[base, changed]
 
 
 LONGEST = 60  # characters of an explanation; some shells read the second line of a longer explanation as a name

@@ -16,10 +16,10 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.progress import Progress, rank
+from tactile_loc.core.progress import NOTE, Progress, rank
 
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
-LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
+LEVELS = {-1: logging.ERROR, 0: NOTE, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
 REASONS = 5  # number of shown reasons why frames were refused
 UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and least width of a folded column
 
@@ -89,7 +89,7 @@ def complain(kind: str, text: str) -> None:
 class OneLineHandler(logging.Handler):
     """Log handler that writes each record of the library as one line.
 
-    Lines below the level of warnings begin with the seconds since the start.
+    Lines below the level of notes begin with the seconds since the start.
     """
 
     def __init__(self) -> None:
@@ -100,19 +100,19 @@ class OneLineHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write the record to stderr, unless it repeats a warning."""
         text = record.getMessage()
-        if record.levelno < logging.WARNING:
+        if record.levelno < NOTE:
             text = f"[{time.perf_counter() - self._start_s:.1f} s] {text}"
         elif text in self._warned:
             return
         self._warned.add(text)
-        complain(record.levelname.lower(), text)
+        complain("note" if record.levelno == NOTE else record.levelname.lower(), text)
 
 
 @contextmanager
 def show_log(verbosity: int = 0) -> Iterator[None]:
     """Show the library's log, and hide Python warnings of other libraries.
 
-    `verbosity` -1 shows only errors, 0 also warnings, 1 also each step, and 2 all details.
+    `verbosity` -1 shows only errors, 0 also warnings and notes, 1 also each step, and 2 all details.
     """
     handler = OneLineHandler()
     loggers = [logging.getLogger(name) for name in PACKAGES]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -34,19 +35,28 @@ class PlainErrors(TyperGroup):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command line and end the process."""
         kwargs["standalone_mode"] = False
-        words = kwargs.get("args")
-        as_json = "--json" in (sys.argv[1:] if words is None else words)
+        words = sys.argv[1:] if kwargs.get("args") is None else list(kwargs["args"])
+        as_json = "--json" in words
         try:
             code = super().main(*args, **kwargs)
         except UsageError as error:
-            context = getattr(error, "ctx", None)
-            path = context.command_path if context else "tactile-loc"
+            context = getattr(error, "ctx", None)  # None if the parser finds the error
+            path = context.command_path if context else " ".join(["tactile-loc", *_find_command(self, words)])
             tell("UsageError", describe_usage_error(error, path), as_json)
             code = USAGE_ERROR
         except typer.Abort:
             tell("Interrupted", TO_BE_RESUMED, as_json, "interrupted")
             code = INTERRUPTED
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _find_command(group: TyperGroup, words: Sequence[str]) -> list[str]:
+    """Return the names of the command, and of its group if there is one, that the words of a command line choose."""
+    name = next((word for word in words if word in group.commands), None)
+    if name is None:
+        return []
+    found = group.commands[name]
+    return [name, *(_find_command(found, words[words.index(name) + 1 :]) if isinstance(found, TyperGroup) else [])]
 
 
 def _make_app(**settings: Any) -> typer.Typer:

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import ValidationError
 
-from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, advise_choice, quote
-from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, advise_choice, name_source, quote
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
@@ -27,6 +28,10 @@ logger = logging.getLogger(__name__)
 Units = StrEnum("Units", "AUTO M MM CM INCH")  # of a mesh file
 TouchUnit = StrEnum("TouchUnit", "M MM UM")
 Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
+READ_FROM = {  # advice for sensors that are chosen by their path
+    "file": "give the file itself: --sensor my_sensor.toml",
+    "calibrated": "give the calibration folder itself: --sensor FOLDER",
+}
 
 
 def declare(flag: str, metavar: str | None, about: str, **limits: Any) -> Any:
@@ -54,8 +59,12 @@ class RunOptions:
     ] = None
     symmetry: Annotated[
         str | None,
-        declare("--symmetry", "GROUP", "Rotational symmetry: none, z2, z6*x2, zinf, ... Default: auto, detected."),
-    ] = None
+        declare(
+            "--symmetry", "GROUP",
+            "Rotational symmetry: none, or terms joined by *. z6: looks the same after each 1/6 turn about z. zinf: "
+            "round about z. Default: auto, detected.",
+        ),
+    ] = None  # fmt: skip
     touch: Annotated[
         str | None,
         declare(
@@ -71,8 +80,7 @@ class RunOptions:
         float | None,
         declare(
             "--press-depth", "MM",
-            "Press depth in mm. Default: that in the touch file, or an estimate; simulated touches have the maximal "
-            "depth.",
+            "Press depth of the touch in mm. Default: that in its file, or an estimate.",
         ),
     ] = None  # fmt: skip
     noise: Annotated[Noise | None, declare("--noise", None, "Noise of simulated touches. Default: none.")] = None
@@ -118,7 +126,14 @@ class RunOptions:
     drop_outliers: Annotated[
         bool, declare("--drop-outliers", None, "With a list of touches: leave out a touch that contradicts all others.")
     ] = False
-    top: Annotated[int | None, declare("--top", "N", "Number of poses to list. Default: 10.")] = None
+    top: Annotated[
+        int | None,
+        declare(
+            "--top", "N",
+            "Number of poses to refine and list. Default: 10. With --grid face or hopf, fewer also changes the "
+            "probabilities.",
+        ),
+    ] = None  # fmt: skip
     coverage: Annotated[
         float | None,
         declare(
@@ -133,14 +148,16 @@ class RunOptions:
 class Takes:
     """Marks a command's parameter of type RunOptions. `names` are the options that the command takes; default: all.
 
-    Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line.
+    Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line. `helps` gives an
+    option a help text for this command alone.
     """
 
-    def __init__(self, *names: str) -> None:
+    def __init__(self, *names: str, **helps: str) -> None:
         known = tuple(field.name for field in fields(RunOptions))
-        if unknown := set(names) - {*known}:
+        if unknown := {*names, *helps} - {*known}:
             raise ValueError(f"there are no options {', '.join(sorted(unknown))}; declare them as fields of RunOptions")
         self.names = tuple(name for name in known if name in names) if names else known
+        self.helps = helps
 
 
 Rerun = Annotated[
@@ -180,6 +197,8 @@ def make_config(given: RunOptions) -> RunConfig:
         if not isinstance(in_file, str):
             in_file = _require_table(in_file or {}, slot, given.config)
         settings[slot] = _merge_component(slot, in_file, getattr(given, slot), overrides.get(slot, {}), grid)
+        if given.config is not None and in_file:
+            _check_component(slot, settings[slot], overrides.get(slot, {}), given.config)
         grid = settings["grid"]["name"]
     if given.zero is not None:
         _require_zero(settings["sensor"]["name"])
@@ -189,6 +208,23 @@ def make_config(given: RunOptions) -> RunConfig:
     RunConfig.from_dict(own, COMMAND_LINE)  # raises errors that name the flag, not the file
     settings |= plain | chosen | _drop_none({"drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, COMMAND_LINE if given.config is None else str(given.config))
+
+
+def _check_component(slot: str, merged: Mapping[str, Any], overrides: Mapping[str, Any], source: Path) -> None:
+    """Raise an error that names the configuration file `source` if it names a wrong component or a wrong option.
+
+    Options in `overrides` are from the command line. The component itself reports errors in them.
+    """
+    options = {key: value for key, value in merged.items() if key != "name"}
+    if not isinstance(merged["name"], str) or isinstance(options.get("options"), dict):
+        return
+    kind = registry().load(slot, merged["name"]).Options
+    try:
+        kind(**options)
+    except ValidationError as error:
+        if next(iter(error.errors()[0]["loc"]), None) not in overrides:
+            with name_source(source):
+                validate_options(kind, options, f"the {slot} {merged['name']!r}")
 
 
 def _require_zero(sensor: str) -> None:
@@ -205,7 +241,9 @@ def _drop_none(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _require_table(value: Any, section: str, source: Path | None) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigError(f"{source}: {section} cannot be {quote(value)}; give a table [{section}]")
+        key = "path" if section in ("object", "touch") else "name"
+        path = f" with {key} = {json.dumps(value)}" if isinstance(value, str) else ""
+        raise ConfigError(f"{source}: {section} cannot be {quote(value)}; give a table [{section}]{path}")
     return value
 
 
@@ -232,7 +270,10 @@ def _merge_component(
         given["name"] = flag
     if slot == "sensor" and (kind := find_sensor_kind(str(given["name"]))):
         given = {**given, "name": kind, "path": given["name"]}
-    return {**given, **overrides}
+    merged = {**given, **overrides}
+    if slot == "sensor" and merged["name"] in READ_FROM and "path" not in merged:
+        raise ConfigError(f"the sensor {merged['name']!r} needs a path; {READ_FROM[merged['name']]}")
+    return merged
 
 
 def _warn_of_namesake(name: str) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
 
 IMPRINT = "imprint IoU %"
+LEAST_SHOWN = 0.01  # least probability of unlisted poses that is shown
 POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
@@ -40,8 +41,10 @@ def say_result(record: ResultRecord) -> None:
 
 def _summarise(record: ResultRecord) -> Iterator[str]:
     """Yield the lines below the table."""
+    from tactile_loc.locate.results.verdict import explain_verdict
+
     if record.verdict is not None:
-        yield f"verdict: {record.verdict}"
+        yield f"verdict: {record.verdict} ({explain_verdict(record.verdict)})"
     yield (
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
         f"{record.searched}"
@@ -52,6 +55,9 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
             f"{format_count(len(record.hypotheses), 'hypothesis')}. It holds the grid pose nearest to the truth with "
             f"this probability, measured on {found.examples} simulated examples"
         )
+    unlisted = 1 - record.elsewhere - sum(h.probability for h in record.hypotheses)
+    if unlisted > LEAST_SHOWN and record.pose_set is None:
+        yield f"{100 * unlisted:.0f} % of the probability belongs to poses not listed; --top N lists more"
     grid = record.configuration["grid"]
     if grid["name"] == "whole":
         yield (
@@ -110,7 +116,7 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
     for one in record.out_of_reach:
         say(f"out of reach: {one.name} {one.reason}")
-    if record.unlisted > 0.01:
+    if record.unlisted > LEAST_SHOWN:
         say(
             f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
             "run --top N lists more"

@@ -34,6 +34,7 @@ from tactile_loc.store.keys import hash_arrays, hash_file
 SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
 PICTURE = "held-out.png"
+ZERO_ADVICE = "take it with the same sensor and light, or calibrate again"
 OURS = {SENSOR, "sensor_mask.png", "sensor_surface.npy", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
 
 
@@ -151,6 +152,11 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
             )
     try:
         record = read_json(folder / CALIBRATION)
+    except (OSError, ValueError) as error:
+        raise CalibrationError(
+            f"{folder / CALIBRATION} cannot be read ({error}); calibrate the sensor again"
+        ) from error
+    try:
         geometry = read_sensor_file(folder / SENSOR)
         background = read_colour_image(folder / BACKGROUND)
     except (OSError, ValueError, SensorError, TouchError) as error:
@@ -176,7 +182,9 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     found = Calibration(geometry, background, background, record, folder)
     if zero is None:
         return found
-    return replace(found, untouched=require_image(read_zero(zero), background, found.camera_px))
+    with name_source(f"{zero} (--zero)"):
+        newer = require_image(read_zero(zero), background, found.camera_px, ZERO_ADVICE)
+    return replace(found, untouched=newer)
 
 
 def require_replaceable(folder: Path) -> None:

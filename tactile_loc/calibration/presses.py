@@ -220,7 +220,8 @@ def _read_table(table: Path) -> list[Row]:
         raise CalibrationError(f"{table} cannot be read as a table ({error}); write it anew") from error
     if missing:
         raise CalibrationError(
-            f"{table} has no column {' and no column '.join(sorted(missing))}; name the columns in its first line"
+            f"{table} has no column {' and no column '.join(sorted(missing))}; its first line must name image and "
+            "kind, and the columns that the kind needs (docs/sensor-labels.md)"
         )
     return [_parse_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
 
@@ -277,7 +278,9 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
         found = FORMATS[format](source, out)
         rows = [(image, None if c is None else (c[0] + HALF, c[1] + HALF, c[2])) for image, c in found]
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
+        named = getattr(error, "filename", None)
         reason = getattr(error, "strerror", None) or error
+        reason = f"{named}: {reason}" if named else reason
         raise CalibrationError(
             f"{source} cannot be read as a set in the format {format} ({reason}); check FOLDER and --format"
         ) from error

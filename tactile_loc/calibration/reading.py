@@ -47,12 +47,17 @@ def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
     return np.asarray(Picture.fromarray(image).resize(shape[::-1], Picture.Resampling.BOX))
 
 
-def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, int] | None = None) -> Image:
+def require_image(
+    image: NDArray[Any],
+    background: Image,
+    camera_px: tuple[int, int] | None = None,
+    advice: str = "calibrate this sensor",
+) -> Image:
     """Check an image against the `background` (H, W, 3), and return the image at the background's size.
 
     The background is an image of the untouched gel. An image of the camera's size `camera_px` (rows, columns) is
-    reduced. Raises TouchError for another size or type, and for an image that is black, mostly saturated, or different
-    from the background everywhere.
+    reduced. `advice` says what to do about an image of another sensor. Raises TouchError for another size or type, and
+    for an image that is black, mostly saturated, or different from the background everywhere.
     """
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
@@ -77,7 +82,7 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
     if np.median(np.abs(image[some].astype(np.int16) - background[some])) > STRANGE:
         raise TouchError(
             "the image differs from the untouched gel everywhere, so it shows another sensor or another light; "
-            "calibrate this sensor"
+            f"{advice}"
         )
     return image
 

@@ -38,7 +38,7 @@ SECOND = 0.35  # least contrast of a second ball, share of the first ball's cont
 APART = 2.2  # radius of the area that belongs to an imprint, in radii of the imprint
 OUTSIDE = 0.1  # largest part of a circle's radius that may lie beyond the image's border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
-OVERSIZED = "larger than the ball"
+OVERSIZED = "imprint larger than the ball"
 TOO_LARGE = 1.3  # largest radius of a circle with its skirt, in radii of the ball
 MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share of change and pixels it explains, and texture, counts
 ALIKE = 0.25  # least gain of correlation by a large shift
@@ -129,14 +129,21 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
         )
     if not found.used:
         counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
-        causes = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
+        causes = _describe_causes(counted)
         if ball_px is not None and counted and counted[0][1] == OVERSIZED:
             usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
             raise CalibrationError(
                 f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; "
-                "check --ball-radius, in mm, and --mm-per-px"
+                "check --ball-radius and --mm-per-px, both in mm"
             )
-        raise CalibrationError(f"no image shows one whole ball: {causes}; {HOW_TO_PRESS}")
+        raise CalibrationError(f"no image shows one whole ball ({causes}); {HOW_TO_PRESS}")
+
+
+def _describe_causes(counted: Sequence[tuple[int, str]]) -> str:
+    """Return the numbers of rejected images and the reasons in words, from the number for each reason."""
+    if not counted:
+        return "all show the untouched gel"
+    return "rejected: " + ", ".join(f"{reason} in {n} {'image' if n == 1 else 'images'}" for n, reason in counted)
 
 
 def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
@@ -149,7 +156,8 @@ def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: fl
     if depths_mm.max() < SHALLOWEST_MM:
         raise CalibrationError(
             f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
-            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check --ball-radius (mm)"
+            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check --ball-radius and "
+            "--mm-per-px, both in mm"
         )
     return float(depths_mm.min()), float(depths_mm.max())
 

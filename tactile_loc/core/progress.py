@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+NOTE = (logging.INFO + logging.WARNING) // 2  # level of log messages that are no warning, but shown by default
 
 
 class Progress:

@@ -91,5 +91,8 @@ def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
     if T is None:
         raise ValueError(f"the start pose is missing; {name_pose_keys('T_sensor_next, T_base_sensor')}")
     if T_base_first is None:
-        raise ValueError("T_base_sensor needs the sensor's pose in the previous touch; give that, or T_sensor_next")
+        raise ValueError(
+            "a start pose in the base frame needs T_base_sensor of the previous touch; locate that touch again from a "
+            "list with T_base_sensor, or give T_sensor_next"
+        )
     return T

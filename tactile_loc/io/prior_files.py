@@ -52,8 +52,8 @@ class FramedPrior:
             return self.prior
         if T_base_sensor is None:
             raise ConfigError(
-                f"{self.source} is in the base frame, but the touch has no sensor pose; give T_base_sensor, or the "
-                "prior in the sensor's frame"
+                f"{self.source} is in the base frame, but the touch has no sensor pose; write the touch with its "
+                'T_base_sensor into a list (.toml) and give that as --touch, or set frame = "sensor"'
             )
         return self.prior.view_from(T_base_sensor)
 
@@ -93,6 +93,11 @@ class _Region(_Placed):
     high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf without a bound")
 
     def make(self, obj: ObjectModel) -> PosePrior:
+        if not all(low < high for low, high in zip(self.low_mm, self.high_mm, strict=True)):
+            raise ValueError(
+                f"the region is empty: low_mm = {self.low_mm} and high_mm = {self.high_mm}; each number of low_mm must "
+                "be below that of high_mm"
+            )
         return RegionPrior(1e-3 * np.array(self.low_mm), 1e-3 * np.array(self.high_mm), self.find_point_m(obj))
 
 
@@ -119,6 +124,8 @@ def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     """
     path, values = Path(path), read_toml(path)
     kind = values.get("kind")
+    if kind is None:
+        raise ConfigError(f"{path}: kind is missing; give {KIND}")
     if not isinstance(kind, str) or kind not in _KINDS:
         near = did_you_mean(kind, _KINDS) if isinstance(kind, str) else ""
         raise ConfigError(f"{path}: kind = {kind!r} is not a kind of prior.{near} Known: {', '.join(_KINDS)}")

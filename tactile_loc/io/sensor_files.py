@@ -23,6 +23,8 @@ from tactile_loc.store.files import recover_folder
 
 CALIBRATION = "calibration.json"  # a file that every calibration folder holds
 
+SMALLEST_M, LARGEST_M = 1e-3, 1.0  # limits of a plausible side of the gel that an image shows
+
 PositiveInt = Annotated[int, Field(gt=0)]
 
 
@@ -85,7 +87,7 @@ def read_sensor_file(path: Path) -> SensorGeometry:
     model = _Orthographic if values.get("camera") == "orthographic" else _Pinhole
     kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
     with name_errors(path, model, values, f"{kind} sensor", SensorError, decisive="camera"):
-        return _build_geometry(model(**values), path.parent)
+        return _check_view(_build_geometry(model(**values), path.parent))
 
 
 def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeometry:
@@ -104,6 +106,18 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
         relief_m=None if keys.surface is None else _read_surface(folder / keys.surface),
         gel=GelOptions(gel=keys.gel, gel_thickness_mm=keys.gel_thickness_mm, poisson=keys.poisson).make_gel(RIGID),
     )  # fmt: skip
+
+
+def _check_view(geometry: SensorGeometry) -> SensorGeometry:
+    """Return the geometry. Raises SensorError if the image shows an implausibly large or small part of the gel."""
+    x0, x1, y0, y1 = geometry.view
+    if not all(SMALLEST_M <= side_m <= LARGEST_M for side_m in (x1 - x0, y1 - y0)):
+        keys = "fx, fy or standoff_mm" if geometry.is_pinhole else "mm_per_px"
+        raise SensorError(
+            f"the image shows {1e3 * (x1 - x0):.5g} x {1e3 * (y1 - y0):.5g} mm of the gel; {keys} is probably in "
+            "another unit"
+        )
+    return geometry
 
 
 def _read_mask(path: Path) -> NDArray[np.bool_]:

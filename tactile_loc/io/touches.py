@@ -205,8 +205,9 @@ def _build_shape(
     if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
         depth[raw == NO_CONTACT_U16] = np.nan
     if contents.press_depth is None:
-        return contact_shape_from_array(depth, max_depth_m, press_depth_m, str(path))
-    shape = contact_shape_from_array(depth, max_depth_m, contents.press_depth * scale, str(path))
+        return contact_shape_from_array(depth, max_depth_m, press_depth_m, str(path), contents.unit is not None)
+    press_m = contents.press_depth * scale
+    shape = contact_shape_from_array(depth, max_depth_m, press_m, str(path), contents.unit is not None)
     if contents.indentation is not None:
         shape = dataclasses.replace(shape, indentation_m=_check_depth_m(contents.indentation * scale, shape, path))
     return _cut(shape, str(path), press_depth_m)

@@ -23,7 +23,7 @@ from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
-from tactile_loc.core.slots.common_poses import require_sensor_poses
+from tactile_loc.core.slots.common_poses import NoCommonPoseError, require_sensor_poses
 from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.matcher import ExactMatcher
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
@@ -377,7 +377,10 @@ class _Query:
                   for localizer, _ in self.observations]  # fmt: skip
         with self.times.stage("fuse"):
             each = [posterior.temper(power) for posterior, power in zip(alone, powers, strict=True)]
-            fused = self.first.fuser.fuse(each, [touch.T_base_sensor for touch in self.touches], self.known)
+            try:
+                fused = self.first.fuser.fuse(each, [touch.T_base_sensor for touch in self.touches], self.known)
+            except NoCommonPoseError as error:
+                raise error.name_touch([touch.name for touch in self.touches]) from error
         return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
     def answer(self, alone: Sequence[PosePosterior]) -> Localization:

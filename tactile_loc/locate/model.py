@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.progress import Progress, rank
+from tactile_loc.core.progress import NOTE, Progress, rank
 from tactile_loc.core.simulation.contact_poses import make_contact_grid, mark_contact
 from tactile_loc.core.slots.encoder import Checkpoints, Encoder, TrainingProblem
 from tactile_loc.core.slots.grid import GridSampler
@@ -21,6 +22,8 @@ from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
+
+log = logging.getLogger(__name__)
 
 SHARD = 1024  # poses that are rendered at once and saved in one file
 NO_CONTACT = 65535
@@ -174,6 +177,7 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
             kept.append(start + np.flatnonzero(enough))
             sizes.append(len(codes))
             advance(len(poses))
+    log.info("grid: %d poses, %d with enough contact", len(grid), sum(sizes))
     if not sum(sizes):
         raise GridError(
             f"no pose of {scene.object.name} touches {percent:g} % of the sensor; lower grid.min_contact_percent or "
@@ -211,17 +215,20 @@ def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -
 
 
 def train_encoder(
-    encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
-) -> str:
+    encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore,
+    name: str = "",
+) -> str:  # fmt: skip
     """Train `encoder` on a problem, or load the weights stored under `key`; return the weights' digest.
 
-    If the encoder needs no training, `key` is None and the digest is empty. If torchrun started several processes, they
-    train together, and the first process stores the weights. Raises the errors of `Encoder.fit`.
+    If the encoder needs no training, `key` is None and the digest is empty. `name` is that of the object, for a
+    message. If torchrun started several processes, they train together, and the first process stores the weights.
+    Raises the errors of `Encoder.fit`.
     """
     if key is None:
         return ""
 
     def fit(work: Workspace) -> None:
+        log.log(NOTE, "training the encoder%s; this takes minutes", f" of {name}" if name else "")
         encoder.fit(problem(WorkspaceCheckpoints(work)))
         work.save_file(WEIGHTS, encoder.save_weights)
 

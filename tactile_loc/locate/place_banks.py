@@ -50,6 +50,7 @@ class PlaceBanks:
         return train_encoder(
             self.encoder, self.encoder_key,
             lambda kept: PlaceProblem(self.places, self.scene, self.sampler, self.progress, kept), self.store,
+            self.scene.object.name,
         )  # fmt: skip
 
     def bank(self, press_depth_m: float) -> Scores:

@@ -46,16 +46,16 @@ class Refinement:
         if self.refiner.capabilities.covariances:
             return ""
         parts = [
-            "the rough search" if searched else "",
-            "several touches" if self.is_joint else "",
-            "covariances" if self.refiner.capabilities.refines else "",
+            "improves the poses in the search of the whole object" if searched else "",
+            "refines poses to several touches together" if self.is_joint else "",
         ]
-        named = ", ".join(part for part in parts if part)
-        if not named:
-            return ""
+        others = " and ".join(part for part in parts if part)
+        if not self.refiner.capabilities.refines:
+            return f"the joint registration {others}, because {name} does not refine" if others else ""
+        also = f". The joint registration also {others}" if others else ""
         return (
-            f"the refiner {name} only refines the hypotheses of one touch, because it gives no covariance and is slow; "
-            f"the joint registration does the rest: {named}"
+            f"{name} refines the poses; their covariances come from the joint registration, because {name} gives "
+            f"none{also}"
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

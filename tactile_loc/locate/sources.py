@@ -147,7 +147,7 @@ class GridSource(PoseSource):
         return train_encoder(
             self.encoder, make_encoder_key(model.key, self.encoder, sampler),
             lambda kept: ListedProblem(model.grid, scene, sampler, model.shapes.shards, self.progress, kept),
-            self.store,
+            self.store, scene.object.name,
         )  # fmt: skip
 
     @cached_property

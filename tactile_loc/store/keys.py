@@ -18,6 +18,24 @@ from tactile_loc.core.errors import StoreError
 
 JsonValue = str | int | float | bool | None | list[Any] | tuple[Any, ...] | Mapping[str, Any]
 
+MEANINGS = {  # what a stage makes, for messages
+    "surface": "the mesh in metres",
+    "symmetry": "the object's symmetry",
+    "grid": "poses in contact",
+    "shapes": "contact shapes of the grid",
+    "places": "places of the object that can touch first",
+    "encoder": "training of the encoder",
+    "bank": "encoded contact shapes",
+    "temperature": "fit of the probabilities",
+    "fused-temperature": "fit of the probabilities of several touches",
+    "conformal": "fit of the calibrated sets",
+    "glances": "touches to compare objects quickly",
+    "evaluation": "evaluated touches",
+    "contact-evaluation": "evaluated sets of touches",
+    "board-presses": "simulated presses for a calibration",
+    "calibration": "training of a calibration",
+}
+
 _STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
@@ -53,6 +71,10 @@ class StageKey:
 
     def __str__(self) -> str:
         return f"{self.stage} {self.short}"
+
+    def explain(self) -> str:
+        """Return the key as text with the meaning of the stage: "temperature 0123456789abcdef (fit of ...)"."""
+        return f"{self} ({MEANINGS[self.stage]})" if self.stage in MEANINGS else str(self)
 
 
 def write_canonical_json(value: JsonValue) -> str:

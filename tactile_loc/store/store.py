@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.errors import StoreError
+from tactile_loc.core.formatting import format_bytes
 from tactile_loc.core.user_cache import find_user_cache
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.files import delete, sync_folder
@@ -146,7 +147,7 @@ class StageStore:
     def _make(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
         folder = self._find_folder(key)
         partial = folder.with_suffix(".partial")
-        logger.info("stage %s is being built", key)
+        logger.info("stage %s is being built", key.explain())
         start_s = time.monotonic()
         with guard_store(f"stage {key}", partial):
             partial.mkdir(exist_ok=True)
@@ -160,7 +161,8 @@ class StageStore:
             self.built.append(key)
             sync_folder(folder.parent)
         artifact = read_artifact(folder)
-        logger.info("stage %s is built: %.1f MB in %.1f s", key, artifact.nbytes / 1e6, time.monotonic() - start_s)
+        size, seconds = format_bytes(artifact.nbytes), time.monotonic() - start_s
+        logger.info("stage %s is built: %s in %.1f s", key.explain(), size, seconds)
         return artifact
 
     def _lock(self, key: StageKey) -> AbstractContextManager[object]:

@@ -133,6 +133,9 @@ class ReplaySummary:
 
     frames: int
     located: int
+    certain: int
+    ambiguous: int
+    poor_fit: int
     not_found: int
     no_contact: int
     refused: int

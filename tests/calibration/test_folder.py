@@ -30,7 +30,7 @@ from tactile_loc.calibration.folder import (  # noqa: E402
     write_calibration,
 )
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
-from tactile_loc.core.errors import CalibrationError, ConfigError, OutputError, WeightsError  # noqa: E402
+from tactile_loc.core.errors import CalibrationError, ConfigError, OutputError, TouchError, WeightsError  # noqa: E402
 from tactile_loc.io.sensor_files import CALIBRATION, write_sensor_file  # noqa: E402
 from tactile_loc.store import files  # noqa: E402
 
@@ -258,3 +258,15 @@ def test_a_sensor_file_of_another_size_is_refused(folder):
     write_sensor_file(folder / SENSOR, sensor(32))
     with pytest.raises(CalibrationError, match=naming("background.png", "sensor.toml")):
         read_calibration(folder)
+
+
+def test_a_damaged_record_is_named(folder):
+    (folder / "calibration.json").write_text("{")
+    with pytest.raises(CalibrationError, match=naming(folder / "calibration.json")):
+        read_calibration(folder)
+
+
+def test_an_unfit_image_of_the_untouched_gel_is_named(folder, tmp_path):
+    zero = write_image(tmp_path / "photo.png", 255 - BALLS.background)
+    with pytest.raises(TouchError, match=naming(zero, "--zero", "calibrate again")):
+        read_calibration(folder, zero)

@@ -34,8 +34,8 @@ def hear_ctrl_c() -> None:
 
 
 def assert_one_error(stderr: str, code: int, *mentioned: str) -> None:
-    """Require exit code 2 and a single line with the error; other lines may be warnings."""
-    lines = [line for line in stderr.splitlines() if not line.startswith("warning: ")]
+    """Require exit code 2 and a single line with the error; other lines may be warnings or notes."""
+    lines = [line for line in stderr.splitlines() if not line.startswith(("warning: ", "note: "))]
     assert code == 2, stderr
     assert len(lines) == 1, stderr
     assert lines[0].startswith("error: ")

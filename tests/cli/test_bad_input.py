@@ -155,6 +155,26 @@ def test_a_wrong_value_has_the_same_message_everywhere(refused, cli):
     assert_refused(cli("sweep", "plan.toml"), "plan.toml", "'ipc'", "choose none, ")
 
 
+def test_a_missing_value_points_to_the_help_of_the_command(cli):
+    assert_refused(cli("run", "--top"), "--top", "tactile-loc run -h")
+    assert_refused(cli("store", "list", "--store"), "--store", "tactile-loc store list -h")
+
+
+def test_a_sensor_without_its_path_is_refused(refused):
+    refused("--sensor", "file", mentions=("'file'", "--sensor my_sensor.toml"))
+    refused("--sensor", "calibrated", mentions=("'calibrated'", "--sensor FOLDER"))
+
+
+def test_an_option_of_a_configuration_file_is_refused_with_the_files_name(cli):
+    Path("g.toml").write_text("[grid]\nname = 'face'\nspacing = 3\n")
+    assert_refused(cli("run", "--config", "g.toml"), "g.toml", "'spacing'", "'spacing_mm'")
+    done = cli("run", "--config", "g.toml", "--grid", "hopf", "-o", "grid.spacin_mm=3")
+    assert_refused(done, "'spacin_mm'")
+    assert "g.toml" not in done.stderr
+    Path("h.toml").write_text("object = 'pin'\n")
+    assert_refused(cli("run", "--config", "h.toml"), "h.toml", "[object]", 'path = "pin"')
+
+
 def test_an_unknown_command_is_refused(cli):
     assert_refused(cli("rnu"), "rnu")
 

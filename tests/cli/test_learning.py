@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 from pathlib import Path
 
@@ -109,7 +110,9 @@ def test_a_nan_loss_is_refused(cli, monkeypatch):
 
 @pytest.mark.slow
 def test_a_truncated_stored_encoder_is_trained_again(cli):
-    assert build(cli).exit_code == 0
+    done = build(cli)
+    assert done.exit_code == 0
+    assert re.search(r"^note: .*\bpin\b.*minutes$", done.stderr, re.MULTILINE)
     (stored,) = Path("fresh").glob("encoder/*/encoder.safetensors")
     whole = stored.read_bytes()
     stored.chmod(0o644)

@@ -48,11 +48,15 @@ def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     table = cli("next-touch", result, "--candidates", poses, "--out", "out")
     assert "nats" in table.stdout
     assert "approach 3" in table.stdout
+    of_folder = cli("next-touch", result.parent, "--candidates", poses, "--out", "out")
+    assert (of_folder.exit_code, of_folder.stdout) == (0, table.stdout)
 
 
 def test_bad_input_is_one_sentence(cli, result):
     poses = listed("poses.toml", motion(0))
     assert_refused(cli("next-touch", "nowhere.json", "--candidates", poses), "nowhere.json")
+    Path("empty").mkdir()
+    assert_refused(cli("next-touch", "empty", "--candidates", poses), "empty", "result.json")
     assert_refused(cli("next-touch", result, "--candidates", "no.toml"), "no.toml")
     assert_refused(cli("next-touch", result, "--candidates", listed("none.toml")), "none.toml", "[[approach]]")
     far = listed("far.toml", motion(0), more="cost = inf\n")

@@ -14,11 +14,14 @@ from cli_helpers import TINY, assert_refused, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
 from tactile_loc_cli.main import app
+from tactile_loc_cli.results import say_result
 from typer.testing import CliRunner
 
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.results import result_arrays
+from tactile_loc.locate.results.result_json import read_record
+from tactile_loc.locate.results.verdict import Verdict, explain_verdict
 from tactile_loc.plugins.grids.face import find_resting_normal
 
 ROOT = Path(__file__).parents[2]
@@ -49,6 +52,15 @@ def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     assert done.exit_code == 0, done.stderr
     said = {"stdout": done.stdout, "stderr": done.stderr, "folder": folder / "out", "alone": alone}
     return {**said, **json.loads((folder / "out/result.json").read_text())}
+
+
+def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(result, capsys):
+    assert f"verdict: {result['verdict']} ({explain_verdict(Verdict(result['verdict']))})" in result["stdout"]
+    record = read_record(result["folder"] / "result.json")
+    for listed, shown in ((0.5, True), (0.895, False)):
+        first = record.hypotheses[0].model_copy(update={"probability": listed})
+        say_result(record.model_copy(update={"hypotheses": [first], "elsewhere": 0.1}))
+        assert ("40 % of the probability" in capsys.readouterr().out) == shown
 
 
 def test_run_without_a_touch_locates_a_simulated_one(result):

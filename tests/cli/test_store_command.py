@@ -72,11 +72,25 @@ def ask(cli, place) -> Callable:
     return lambda *words: cli("store", *words, "--store", place)
 
 
-def test_a_missing_store_counts_as_empty(cli, tmp_path):
+def test_a_missing_default_store_counts_as_empty(cli, tmp_path, monkeypatch):
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(tmp_path / "nowhere"))
     for words in (["list"], ["size"], ["prune", "--all", "--yes"]):
-        done = cli("store", *words, "--store", tmp_path / "nowhere")
+        done = cli("store", *words)
         assert done.exit_code == 0, done.stderr
         assert "0 entries, 0 B" in done.stdout
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_chosen_store_must_be_a_folder(cli, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("mine")
+    for name in ("nowhere", "file"):
+        for words in (["list"], ["size"], ["prune", "--all", "--yes"]):
+            done = cli("store", *words, "--store", tmp_path / name, "--json")
+            assert done.exit_code == 2
+            assert json.loads(done.stdout)["error"]["kind"] == "StoreError"
+            assert not missing(done.stderr, tmp_path / name, "--store")
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(tmp_path / "file"))
+    assert cli("store", "list").exit_code == 2
     assert not (tmp_path / "nowhere").exists()
 
 

@@ -12,7 +12,9 @@ from cli_helpers import TINY
 from message_helpers import missing
 from tactile_loc_cli.console import Bars, make_progress, show_log
 
+from tactile_loc.core.progress import NOTE
 from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.store.keys import MEANINGS
 
 PIN = ["--object", "pin", *TINY]
 INFO = re.compile(r"info: \[\d+\.\d s\] \S.*")
@@ -35,9 +37,11 @@ def test_verbose_reports_each_stage_with_its_time(build, before, after):
     lines = build(before, after)
     assert all(map(INFO.fullmatch, lines)), lines
     for stage in ("grid", "shapes", "bank", "temperature"):
-        told = [line for line in lines if re.search(rf"\b{stage} [0-9a-f]{{16}}\b", line)]
+        told = [
+            line for line in lines if re.search(rf"\b{stage} [0-9a-f]{{16}} \({re.escape(MEANINGS[stage])}\)", line)
+        ]
         assert len(told) >= 2, "one line before the stage and one after it"
-        assert re.search(r"\d MB\b.*\d s\b", told[-1])
+        assert re.search(r"\d k?B\b.*\d s\b", told[-1])
     assert re.fullmatch(r"info: \[.*\] .*\bbuild\b.* \d+\.\d s\b.*", lines[-1])
 
 
@@ -87,6 +91,13 @@ def test_a_repeated_warning_is_shown_once(capsys):
         for text in ("a", "b", "a"):
             logging.getLogger("tactile_loc.core").warning(text)
     assert capsys.readouterr().err == "warning: a\nwarning: b\n"
+
+
+def test_notes_are_shown_without_v_and_hidden_by_quiet(capsys):
+    for verbosity, shown in ((0, "note: a\n"), (1, "note: a\n"), (-1, "")):
+        with show_log(verbosity):
+            logging.getLogger("tactile_loc.core").log(NOTE, "a")
+        assert capsys.readouterr().err == shown
 
 
 def test_logger_levels_are_restored(capsys):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tactile_loc.core.errors import ConfigError, TactileLocError, fold_line, name_source, quote
+from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, fold_line, name_source, quote
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,22 @@ def test_errors_name_their_source_once():
         raise ConfigError("wrong")
     with pytest.raises(ConfigError, match=r"^wrong in plan\.toml$"), name_source("plan.toml"):
         raise ConfigError("wrong in plan.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "meant"),
+    [
+        ("pni", ["pin", "hook"], ["pin"]),
+        ("gausian", ["gaussian", "region"], ["gaussian"]),
+        ("T_sensor_flange", ["T_flange_sensor", "xyz_mm"], ["T_flange_sensor"]),
+        ("spacing", ["spacing_mm", "tilt_deg"], ["spacing_mm"]),
+        ("contact", ["mount", "run"], []),
+        ("loud", ["none", "mild", "strong"], []),
+        ("foo", ["face", "hopf", "whole", "pin", "hook"], []),
+        ("", ["a", "bc"], []),
+    ],
+)
+def test_only_similar_names_are_suggested(name, known, meant):
+    said = did_you_mean(name, known)
+    assert [other for other in known if repr(other) in said] == meant
+    assert bool(said) == bool(meant)

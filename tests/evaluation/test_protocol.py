@@ -177,5 +177,5 @@ def test_touches_without_a_true_pose_and_unknown_noise_are_refused(localizer):
     touch = dataclasses.replace(SimulatedTouches().draw_touch(localizer, 0), T_sensor_object=None)
     with pytest.raises(TouchError, match="touch-0000"):
         TouchEvaluator(localizer).measure(touch, np.random.default_rng(0))
-    with pytest.raises(ConfigError, match=naming("'loud'", "'mild'")):
+    with pytest.raises(ConfigError, match=naming("'loud'", "mild")):
         evaluate(localizer, 1, SimulatedTouches("loud"))

@@ -92,7 +92,7 @@ def test_a_prior_in_the_sensors_frame_needs_no_pose_of_the_sensor(tmp_path, box)
 @pytest.mark.parametrize(
     ("text", "values"),
     [
-        ("", ("kind", "None", "gaussian", "region", "half-space")),
+        ("", ("kind", "gaussian", "region", "half-space")),
         ('kind = "gausian"\n', ("'gausian'", "'gaussian'")),
         ("kind = [1]\n", ("kind", "[1]", "gaussian")),
         (GAUSSIAN, ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
@@ -103,7 +103,7 @@ def test_a_prior_in_the_sensors_frame_needs_no_pose_of_the_sensor(tmp_path, box)
         (GAUSSIAN.replace('"sensor"', '"camera"') + POSE, ("frame", "'camera'", "'sensor'", "'base'")),
         ('kind = "gaussian"\ntranslation_std_mm = 4\n', ("frame", "'sensor'", "'base'")),
         (REGION + "low_mm = [0, 0]\n", ("low_mm", "[0, 0]")),
-        (REGION + "low_mm = [0, 0, 0]\nhigh_mm = [1, 0, 1]\n", ("[0. 0. 0.]", "[0.001 0. 0.001]")),
+        (REGION + "low_mm = [0, 0, 0]\nhigh_mm = [1, 0, 1]\n", ("low_mm", "high_mm", "[1.0, 0.0, 1.0]")),
         (HALF_SPACE.replace("[0, 0, 1]", "[0, 0, 0]"), ("[0. 0. 0.]",)),
         ("kind = ", ("TOML",)),
     ],

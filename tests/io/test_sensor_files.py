@@ -97,3 +97,13 @@ def test_an_invalid_gel_surface_is_refused_by_file(tmp_path: Path, surface: np.n
 def test_a_file_in_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="none"):
         write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])
+
+
+@pytest.mark.parametrize("mm_per_px", [63.4, 6.34e-4])
+def test_a_gel_of_impossible_size_is_refused(tmp_path: Path, mm_per_px: float) -> None:
+    path = write_sensor_file(tmp_path / "s.toml", GEOMETRIES["both"])
+    text = path.read_text().replace(f"{1 / 3}", str(mm_per_px))
+    path.write_text("\n".join(line for line in text.splitlines() if "rectangle" not in line))
+    assert str(mm_per_px) in path.read_text()
+    with pytest.raises(SensorError, match=naming("s.toml", "mm_per_px")):
+        read_sensor_file(path)

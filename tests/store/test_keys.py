@@ -9,7 +9,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.keys import StageKey, hash_arrays, hash_file, write_canonical_json
+from tactile_loc.store.keys import MEANINGS, StageKey, hash_arrays, hash_file, write_canonical_json
 
 
 def test_the_digest_is_that_of_the_canonical_json() -> None:
@@ -116,3 +116,8 @@ def test_hash_file_gives_the_digest_of_the_content(tmp_path: Path) -> None:
     assert hash_file(tmp_path / "mesh.stl") == hashlib.sha256(content).hexdigest()
     with pytest.raises(StoreError, match=r"none\.stl"):
         hash_file(tmp_path / "none.stl")
+
+
+def test_a_key_explains_its_stage():
+    assert MEANINGS["temperature"] in StageKey("temperature", 1, {}).explain()
+    assert StageKey("unheard-of", 1, {}).explain() == str(StageKey("unheard-of", 1, {}))

@@ -135,8 +135,8 @@ def test_a_wrong_plan_gives_a_one_sentence_error(values, said):
 
 def test_an_error_names_the_plan_file(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text("colour = 3")
-    with pytest.raises(ConfigError, match=naming("mine.toml", "'colour'", "'count'")):
+    path.write_text("cuont = 3")
+    with pytest.raises(ConfigError, match=naming("mine.toml", "'cuont'", "'count'")):
         Plan.from_toml(path)
     path.write_text("= 3")
     with pytest.raises(ConfigError, match=naming("mine.toml", "TOML", "line 1")):

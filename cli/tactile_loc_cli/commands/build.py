@@ -20,7 +20,7 @@ Given = Annotated[
     RunOptions,
     options.Takes(
         "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "option", "config",
-        "seed",
+        "seed", press_depth="Press depth in mm for which the model is built. Default: the sensor's maximal depth.",
     ),
 ]  # fmt: skip
 
@@ -59,12 +59,14 @@ def _require_press_depth_m(localizer: Localizer) -> float:
 
 def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
     obj, store = localizer.object, localizer.store
+    from tactile_loc.store.keys import MEANINGS
+
     extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer)
     size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
     grid = _describe_grid(localizer)
     for stage, origin in stages.items():
-        say(f"{stage}: {origin}")
+        say(f"{stage} ({MEANINGS[stage]}): {origin}")
     say(f"stored in {store.root} ({seconds:.1f} s)")
     about = {"size_m": extents_m, "triangles": len(obj.mesh.faces), "symmetry": str(obj.symmetry)}
     return {

@@ -15,8 +15,9 @@ import typer
 
 from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say, say_reasons, say_written
+from tactile_loc_cli.console import format_count, say, say_reasons, say_written
 from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.verdict_counts import list_verdicts, warn_of_uncertain
 
 if TYPE_CHECKING:
     from tactile_loc.io.streams.frame_sources import FrameSource
@@ -197,8 +198,6 @@ def _log(result: LiveResult) -> None:
 
 def _report(summary: LiveSummary, about: str) -> None:
     """Write the number of frames by outcome, and the reasons of refusals."""
-    say(
-        f"{about}: {summary.frames} frames, {summary.located} located, {summary.not_found} not found, "
-        f"{summary.no_contact} without contact, {summary.refused} refused, {summary.dropped} dropped"
-    )
+    say(f"{about}: {format_count(summary.frames, 'frame')}: {list_verdicts(summary)}; {summary.dropped} dropped")
     say_reasons(summary.reasons)
+    warn_of_uncertain(summary)

@@ -7,18 +7,22 @@ from typing import Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import ResultError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say_written
 
 DEFAULT_OUT = Path("tactile-loc-next-touch")
 
-Result = Annotated[
-    Path, typer.Argument(metavar="RESULT", help="A result.json written by run, with its .npz beside it.")
-]
+Result = Annotated[Path, typer.Argument(metavar="RESULT", help="Folder written by run, or its result.json.")]
 Candidates = Annotated[
-    Path, options.declare("--candidates", "FILE.toml", "Approaches: [[approach]] tables, each with its start pose.")
-]
+    Path,
+    options.declare(
+        "--candidates", "FILE.toml",
+        "Approaches: [[approach]] tables, each with a start pose: xyz_mm with rpy_deg, or T_sensor_next in metres "
+        "(docs/next-touch.md).",
+    ),
+]  # fmt: skip
 Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show; the file has all of them.")]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of next_touch.json and next_touch.png.")]
 
@@ -38,7 +42,7 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
     from tactile_loc_cli.results import say_next_touch
 
-    modes, T_base_sensor = read_modes(result)
+    modes, T_base_sensor = read_modes(_find_result(result))
     approaches = read_approaches(candidates, T_base_sensor)
     require_writable(out)
     found = choose(modes, approaches)
@@ -50,3 +54,15 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
     return {**record.model_dump(mode="json"), "written": say_written(written)}
+
+
+def _find_result(path: Path) -> Path:
+    """Return the result.json of a folder, or the path itself if it is not a folder. Raises ResultError without one."""
+    from tactile_loc.reports import find_source
+
+    if not path.is_dir():
+        return path
+    source = find_source(path)
+    if source.kind != "run":
+        raise ResultError(f"{path} is the folder of another command; give the folder that run wrote")
+    return source.path

@@ -13,8 +13,9 @@ import typer
 from tactile_loc.core.errors import OutputError, RecordingError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say, say_reasons, say_written
+from tactile_loc_cli.console import format_count, say, say_reasons, say_written
 from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.verdict_counts import list_verdicts, warn_of_uncertain
 
 if TYPE_CHECKING:
     from tactile_loc.io.streams.recordings import Contents
@@ -126,10 +127,8 @@ def _report(found: Replayed, topic: str) -> None:
     """Write the number of images by outcome, the reasons of refusals, and a warning about jumps of the clock."""
     summary = found.summary
     finished = f"; {found.resumed} of them were already finished" if found.resumed else ""
-    say(
-        f"{topic}: {summary.frames} images, {summary.located} located, {summary.not_found} not found, "
-        f"{summary.no_contact} without contact, {summary.refused} refused{finished}"
-    )
+    say(f"{topic}: {format_count(summary.frames, 'image')}: {list_verdicts(summary)}{finished}")
+    warn_of_uncertain(summary)
     if more := say_reasons(summary.reasons):
         say(f"{more} more reasons: see {found.written[1]}")
     if summary.jumps_back:

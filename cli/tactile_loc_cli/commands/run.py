@@ -28,8 +28,20 @@ logger = logging.getLogger(__name__)
 DEFAULT_OUT = Path("tactile-loc-result")
 DRAWN = 8  # number of simulated touches; the touch with the most contact is used
 
-Given = Annotated[RunOptions, options.Takes()]
-PriorFile = Annotated[Path | None, options.declare("--prior", "FILE", "Prior knowledge of the pose: a TOML file.")]
+Given = Annotated[
+    RunOptions,
+    options.Takes(
+        press_depth="Press depth of the touch in mm. Default: that in its file, or an estimate; simulated touches have "
+        "the maximal depth."
+    ),
+]
+PriorFile = Annotated[
+    Path | None,
+    Path | None,
+    options.declare(
+        "--prior", "FILE.toml", "Prior knowledge of the pose: a TOML file in mm and degrees (docs/files.md)."
+    ),
+]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json, .npz and .png.")]
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: also draw a result.png for each.")

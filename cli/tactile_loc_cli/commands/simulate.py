@@ -51,9 +51,10 @@ Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of the touches,
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "press_depth", "noise", "sensor", "grid", "renderer", "option", "config", "seed"
+        "object", "units", "symmetry", "press_depth", "noise", "sensor", "grid", "renderer", "option", "config", "seed",
+        press_depth="Depth of the simulated presses in mm. Default: the sensor's maximal depth.",
     ),
-]
+]  # fmt: skip
 
 
 def simulate(

@@ -113,9 +113,13 @@ COMMANDS: Mapping[str, Callable[..., dict[str, Any]]] = {"list": list_store, "si
 
 
 def _open(store: Store) -> StageStore:
+    """Open the store. Raises StoreError if its path is not a folder; only the default folder may be missing."""
     from tactile_loc.store.store import StageStore
 
-    return StageStore(store)
+    found = StageStore(store)
+    if not found.root.is_dir() and (store is not None or found.root.exists()):
+        raise StoreError(f"there is no store at {found.root}; check --store")
+    return found
 
 
 def _describe(place: StageStore, entry: Entry, origins: Origins) -> dict[str, Any]:

@@ -209,8 +209,8 @@ def _parse_term(term: str, text: str) -> SymmetryTerm:
     components = _parse_axis(match) if match else None
     if match is None or components is None:
         raise SymmetryError(
-            f"the symmetry '{text}' cannot be read at '{term}'; give 'none', or terms such as z6, zinf or axis(1,1,0)2 "
-            "joined by '*'"
+            f"the symmetry '{text}' cannot be read at '{term}'; give auto, none, or terms joined by *, such as z6 (1/6 "
+            "turns about z), zinf (round about z) or axis(1,1,0)2"
         )
     order = math.inf if match[3] == "inf" else int(match[3])
     if order < 2:

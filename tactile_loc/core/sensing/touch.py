@@ -15,6 +15,8 @@ from tactile_loc.core.errors import NoContactError, TouchError
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 
+TINY_M = 2e-6  # smallest plausible range of a touch's depths
+
 
 @keep_old_names(every="subsample", pressed_to="press_to")
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,13 @@ class Touch:
                 f"{self.name} shows no contact: no observed pixel is nearer than its press depth of "
                 f"{self.contact_shape.press_depth_m * 1e3:.3g} mm; press the object on the sensor, or check the unit"
             )
-        flat = np.ptp(depth[self.geometry.observed_mask]) < 0.05 * self.contact_shape.press_depth_m
+        range_m = float(np.ptp(depth[self.geometry.observed_mask]))
+        flat = range_m < 0.05 * self.contact_shape.press_depth_m
+        if contact.all() and 0 < range_m < TINY_M:
+            raise TouchError(
+                f"all depths of {self.name} are within {1e3 * range_m:.1g} mm of each other; their unit is probably "
+                "too small (mm instead of um: --touch-unit mm), or the touch is on a flat face"
+            )
         if contact.all() and flat:
             raise TouchError(
                 f"{self.name} has the same depth at every pixel, which fits any flat face; touch an edge or a "
@@ -169,14 +177,16 @@ class Touch:
 
 
 def contact_shape_from_array(
-    values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch"
-) -> ContactShape:
+    values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch",
+    states_unit: bool = False,
+) -> ContactShape:  # fmt: skip
     """Make a contact shape from depths (H, W), metres, where 0 is full penetration.
 
     NaN, or a depth of at least `max_depth_m`, means no contact. If `press_depth_m` is None, the press depth is the
     largest depth in contact. It is at least a quarter of `max_depth_m`, because a flat imprint does not show how deep
     it was pressed. If every pixel is in contact and the depths differ, the pixels at the largest depth are taken to be
-    out of contact. Raises TouchError if the array has a wrong type or shape, or if its depths do not fit the sensor.
+    out of contact. `states_unit` says whether the touch's file states its unit, for advice in messages. Raises
+    TouchError if the array has a wrong type or shape, or if its depths do not fit the sensor.
     """
     depth = np.asarray(values)
     if depth.ndim != 2 or depth.size == 0 or depth.dtype.kind not in "fiu":
@@ -190,9 +200,13 @@ def contact_shape_from_array(
         raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration")
     finite = depth[np.isfinite(depth)]
     if finite.size and finite.max() > 100 * max_depth_m:
+        advice = (
+            "check the unit in the file, and max_depth_mm (in mm) of the sensor" if states_unit
+            else "its unit is probably wrong; give --touch-unit mm or um"
+        )  # fmt: skip
         raise TouchError(
             f"{name} has depths up to {finite.max():.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; "
-            "its unit is probably wrong; give --touch-unit mm or um"
+            f"{advice}"
         )
     if press_depth_m is None:
         press_depth_m = _find_deepest_step(depth, max_depth_m)

@@ -36,7 +36,7 @@ def make_contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
     for _ in range(MOST_ROUNDS if sampler.spacing_is_mean else 1):
         grid = _list_contact_poses(sampler, scene, asked_m)
         spacing_m = float(grid.neighbour_spacing().mean()) if len(grid) > 1 else wanted_m
-        log.info("grid of %d poses, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
+        log.info("grid: %d poses in contact, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
         found.append((abs(spacing_m / wanted_m - 1), grid))
         if found[-1][0] <= CLOSE_ENOUGH:
             break

@@ -25,6 +25,17 @@ Indices = NDArray[np.int64]
 SAMPLE = 200  # least number of poses by which sensors are ordered
 
 
+class NoCommonPoseError(GridError):
+    """No pose touches all sensors. `touch` is the number, from 0, of the touch that excludes the last poses."""
+
+    touch: int = 0
+
+    def name_touch(self, names: Sequence[str]) -> GridError:
+        """Return the same error with the touch's name in its message. `names` are those of all touches."""
+        number = f"touch {self.touch + 1}"
+        return GridError(str(self).replace(number, f"{number} ({names[self.touch]})", 1))
+
+
 class CommonPosesFuser(Fuser):
     """Base class for fusers over those poses of the first grid that touch all sensors.
 
@@ -162,7 +173,7 @@ def find_common_poses(
 
     In the frame of sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. The pose touches
     sensor i if this sensor's grid has a pose within `reach` mean spacings, up to symmetry. Sensors that exclude many
-    poses are searched first. Raises GridError if no pose is left; the message names the contact that excludes the last
+    poses are searched first. Raises GridError if no pose is left; the message names the touch that excludes the last
     poses.
     """
     others = _list_others(grids, T_base_sensor, reach)
@@ -172,11 +183,13 @@ def find_common_poses(
         found[number] = others[number].look_up(poses[first])
         touching = found[number] >= 0
         if len(first) and not touching.any():
-            raise GridError(
-                f"no pose touches all {len(grids)} sensors: contact {number + 1} excludes the last {len(first):,} of "
-                f"{len(poses):,} poses. Check each T_base_sensor (metres, from sensor to base), or search all faces "
-                "with the grid whole or hopf"
+            error = NoCommonPoseError(
+                f"no pose touches all {len(grids)} sensors: {len(first):,} of {len(poses):,} poses are left before "
+                f"touch {number + 1}, and none after it. Check each T_base_sensor (metres, from sensor to base), or "
+                "search all faces with the grid whole or hopf"
             )
+            error.touch = number
+            raise error
         first, found = first[touching], found[:, touching]
     return CommonPoses(first, found)
 

@@ -213,9 +213,15 @@ def validate_options(
             near = did_you_mean(str(problem["loc"][-1]), fields)
             raise ConfigError(f"{owner} has no option {key!r}.{near} Known: {allowed}") from error
         if problem["type"] == "missing":
-            raise ConfigError(f"{owner} needs the option {key!r}; set it") from error
+            raise ConfigError(f"{owner} needs the option {key!r}; {_advise_setting(owner, key)}") from error
         subject = f"{key} of {owner}" if name_option is None else name_option(key)
         raise ConfigError(f"{subject} cannot be {quote(problem['input'])}; {explain_allowed(problem)}") from error
+
+
+def _advise_setting(owner: str, key: str) -> str:
+    """Return advice on how to set an option of the owner, such as "the sensor 'file'"."""
+    slot = owner.removeprefix("the ").partition(" ")[0]
+    return f"set it with -o {slot}.{key}=..." if slot in SLOTS else "set it"
 
 
 _ALLOWED = {

@@ -29,6 +29,7 @@ from tactile_loc.io.streams.ros_messages import (
 )
 from tactile_loc.store.files import write_atomically
 
+MCAP_MAGIC, BAG_MAGIC = b"\x89MCAP", b"#ROSBAG"  # first bytes of the formats
 FORMATS = "an MCAP file (.mcap), a ROS 1 bag (.bag), or the folder of a ROS 2 bag"
 
 
@@ -102,9 +103,26 @@ class Recording:
             if not names or message.topic.name in names:
                 yield message
         if self.damage and not found:
+            if self._begins_as_recording():
+                raise RecordingError(
+                    f"{self.path} is damaged or cut off: no message can be read ({self.damage}); copy or record it "
+                    "again"
+                )
             raise RecordingError(f"{self.path} cannot be read as a recording ({self.damage}); give {FORMATS}")
         if self.damage:
             self.damage = f"{self.path} is damaged or ends early ({self.damage}); its first {found} messages are used"
+
+    def _begins_as_recording(self) -> bool:
+        """Return whether the file begins like a recording; True for a folder and no access."""
+        magic = MCAP_MAGIC if self._in_mcap else BAG_MAGIC
+        try:
+            if os.path.isdir(self.path):
+                return True
+            with self.path.open("rb") as file:
+                head = file.read(len(magic))
+                return bool(head) and magic.startswith(head)
+        except OSError:
+            return True
 
     def read_contents(self) -> Contents:
         """Return the recording's contents. Raises RecordingError when no message can be read."""
@@ -186,7 +204,8 @@ def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topi
     if name is None and len(topics) > 1:
         raise RecordingError(f"{path} has images on several topics; {listed}")
     if name is not None and name not in topics:
-        raise RecordingError(f"{path} has no images on {name}; {listed}.{did_you_mean(name, topics)}")
+        near = did_you_mean(name, topics)
+        raise RecordingError(f"{path} has no images on {name}; {listed}{'.' + near if near else ''}")
     return topics[name or next(iter(topics))]
 
 

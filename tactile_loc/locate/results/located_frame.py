@@ -133,11 +133,17 @@ def record_fields(located: LocatedFrame) -> dict[str, Any]:
 def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
     """Return the number of all `frames`, and of frames with each result.
 
-    The results are `located`, `not_found`, `no_contact` and `refused`. A poor fit counts as located.
+    The results are `located`, `not_found`, `no_contact` and `refused`. A frame is located if its verdict is `certain`,
+    `ambiguous` or `poor_fit`, which are also counted.
     """
     counts = Counter(verdicts)
+    found = {
+        "certain": counts[Verdict.CERTAIN],
+        "ambiguous": counts[Verdict.AMBIGUOUS],
+        "poor_fit": counts[Verdict.POOR_FIT],
+    }
     others = {
         "not_found": counts[Verdict.NOT_FOUND], "no_contact": counts[Verdict.NO_CONTACT], "refused": counts[None],
     }  # fmt: skip
     frames = counts.total()
-    return {"frames": frames, "located": frames - sum(others.values()), **others}
+    return {"frames": frames, "located": frames - sum(others.values()), **found, **others}

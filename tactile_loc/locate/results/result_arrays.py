@@ -124,7 +124,7 @@ def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path
 def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
     """Read the arrays of a record. Raises ResultError if the file cannot be used."""
     if not path.is_file():
-        raise ResultError(f"{path} is missing, and a report of this result needs it; {AGAIN}")
+        raise ResultError(f"{path} is missing; copy it from where result.json was made, or run `tactile-loc run` again")
     try:
         stored = load_npz(path)
     except (OSError, ValueError) as error:

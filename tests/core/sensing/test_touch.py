@@ -123,3 +123,17 @@ def test_flat_contact_everywhere_is_refused() -> None:
         Touch(shape, PINHOLE)
     tilted = np.tile(np.linspace(0, 1 * MM, 8), (6, 1))
     assert Touch(contact_shape_from_array(tilted, 2 * MM, 1.5 * MM), PINHOLE).contact_shape.contact.all()
+
+
+def test_depths_in_too_small_a_unit_are_refused_with_advice_about_the_unit() -> None:
+    in_mm = np.tile(np.linspace(0, 1.0, 8), (6, 1))
+    with pytest.raises(TouchError, match=naming("0.001 mm", "--touch-unit mm")):
+        Touch(contact_shape_from_array(in_mm * 1e-6, 2 * MM), PINHOLE)
+
+
+def test_advice_on_far_too_large_depths_depends_on_who_states_the_unit() -> None:
+    with pytest.raises(TouchError, match="--touch-unit"):
+        contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM)
+    with pytest.raises(TouchError, match="max_depth_mm") as caught:
+        contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM, states_unit=True)
+    assert "--touch-unit" not in str(caught.value)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from message_helpers import naming
+from message_helpers import missing, naming
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.slots.common_poses import SAMPLE, find_common_poses
+from tactile_loc.core.slots.common_poses import SAMPLE, NoCommonPoseError, find_common_poses
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +62,10 @@ def test_the_contact_that_removes_most_remaining_poses_is_checked_next(grid):
     keeps = [x > 0.017, y < 0.009, x < 0.017]
     assert keeps[0].sum() < keeps[1].sum() < keeps[2].sum()
     T_base_sensor = sensors(4)
-    with pytest.raises(GridError, match=naming(4, keeps[0].sum(), 660)):
+    with pytest.raises(NoCommonPoseError, match=naming("touch 4", keeps[0].sum(), 660)) as caught:
         find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+    named = caught.value.name_touch(["a.npz", "b.npz", "c.npz", "d.npz"])
+    assert not missing(str(named), "touch 4 (d.npz)", 660)
 
 
 def test_no_possible_pose_gives_an_empty_result(grid):

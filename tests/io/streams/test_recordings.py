@@ -210,6 +210,13 @@ def test_a_file_that_is_not_a_recording_gives_a_one_sentence_error(tmp_path):
             Recording(tmp_path / name).read_contents()
 
 
+def test_a_recording_that_is_cut_off_before_its_first_message_is_called_damaged(recorded):
+    recorded.write_bytes(recorded.read_bytes()[:100])
+    with pytest.raises(RecordingError, match=naming(recorded, "damaged")) as caught:
+        Recording(recorded).read_contents()
+    assert ".bag" not in str(caught.value)
+
+
 def test_a_missing_topic_is_refused_with_the_existing_topics(recorded, tmp_path):
     contents = Recording(recorded).read_contents()
     with pytest.raises(RecordingError, match=naming("drive.mcap", "'/gel/image'") + r".*/gel/imag\b"):

@@ -43,7 +43,7 @@ def test_the_kinematic_fuser_excludes_the_same_poses_as_the_product(box):
 
 def test_a_missing_common_pose_and_unknown_sensor_poses_are_errors(box):
     touches = [line(box, [0, 1], [0, 0]), line(box, [30, 31], [0, 0], 1)]
-    with pytest.raises(GridError, match=naming("contact 2", "T_base_sensor")):
+    with pytest.raises(GridError, match=naming("touch 2", "T_base_sensor")):
         KinematicFuser().fuse(touches, T_BASE)
     with pytest.raises(ConfigError, match=naming("touch 2", "T_base_sensor")):
         KinematicFuser().fuse(touches, [np.eye(4), None])

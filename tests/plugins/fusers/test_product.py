@@ -204,7 +204,7 @@ def test_one_grid_seen_from_another_sensor_pose_is_looked_up(box):
 
 def test_no_common_pose_names_the_contact(box):
     touches = [toy(box, [0, 1, 2], [1.0] * 3), toy(box, [1, 2], [1.0] * 2, 1), toy(box, [0, 9, 11], [1.0] * 3, 2)]
-    with pytest.raises(GridError, match=naming("contact 3", 2, "T_base_sensor")):
+    with pytest.raises(GridError, match=naming("touch 3", 2, "T_base_sensor")):
         ProductFuser(ProductFuser.Options(reach=0.1)).fuse(touches, T_BASE)
 
 
