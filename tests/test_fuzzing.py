@@ -105,12 +105,14 @@ def test_a_dead_process_is_a_finding_and_fuzzing_continues(tmp_path, monkeypatch
     assert Record.open(tmp_path / "state.json", 4).counts == {}, "another seed starts a new record"
 
 
+@pytest.mark.slow
 def test_a_relative_output_folder_works_for_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert fuzz.main(["sensor", "--inputs", "0", "--commands", "1", "--out", "kept"]) == 0
     assert Record.open(tmp_path / "kept/state.json", 0).of("sensor")["commands"] == 1
 
 
+@pytest.mark.slow
 def test_no_names_mean_all_readers(tmp_path, capsys):
     assert fuzz.main(["--inputs", "0", "--commands", "0", "--out", str(tmp_path)]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(READERS)

@@ -61,6 +61,7 @@ def presses(tmp_path_factory) -> PressFolder:
     return read_presses(folder, FLAT)
 
 
+@pytest.mark.slow
 def test_balls_teach_the_surface_of_a_curved_gel(presses):
     relief_m = learn_relief(presses)
     off_m = relief_m - CURVED.relief_m

@@ -36,6 +36,7 @@ def calibrate(cli):
     return lambda *words: cli("calibrate", "--simulated", "--presses", 12, *words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", TINY)
 @pytest.mark.usefixtures("drawn_pictures")
 def test_the_sensor_is_calibrated_under_the_chosen_lamps(calibrate, estimator):
@@ -53,6 +54,7 @@ def test_the_sensor_is_calibrated_under_the_chosen_lamps(calibrate, estimator):
         assert min(picture.size) > 100
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_weights(calibrate):
     words = ["--sensor", "sensor.toml", *TINY["cnn"]]
     for out, seed in (("a", 1), ("b", 1), ("c", 2)):

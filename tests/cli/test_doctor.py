@@ -114,6 +114,7 @@ def test_a_library_that_prints_is_no_failure(module):
     assert attempt("import", module("print('chatter')")).failure == ""
 
 
+@pytest.mark.slow
 def test_a_hanging_library_is_stopped(module):
     assert attempt("import", module("import signal; signal.pause()"), timeout_s=2).failure.endswith("2 s")
 
@@ -129,6 +130,7 @@ def test_a_library_that_fails_to_load_names_the_system_package(cli, libraries, m
     assert done.exit_code == 1
 
 
+@pytest.mark.slow
 def test_missing_egl_names_the_packages_and_is_not_fatal(cli, libraries, monkeypatch):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "no-such-platform")
     libraries(*(library for library in FEW if library.module == "pyrender"))

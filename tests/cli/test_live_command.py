@@ -187,6 +187,7 @@ def test_a_killed_process_leaves_whole_lines(going, touches, tmp_path):
     assert 1 <= len(records(tmp_path / "found.jsonl")) <= 5
 
 
+@pytest.mark.slow
 def test_a_rerun_file_is_written_beside_the_lines(cli, touches):
     pytest.importorskip("rerun", reason="rerun is not installed")
     words = ["live", touches, *LOCATED, "--once", "--no-view"]

@@ -189,7 +189,8 @@ def test_run_reads_touch_mesh_and_sensor_files(cli, tmp_path):
     result = json.loads((tmp_path / "tactile-loc-result/result.json").read_text())
     assert result["touch"]["path"] == "touches/touch-0000.npz"
     assert result["touch"]["press_depth_m"] == pytest.approx(1e-3)
-    assert result["configuration"]["sensor"] == {"name": "file", "options": {"path": "sensor.toml"}}
+    assert result["configuration"]["sensor"]["name"] == "file"
+    assert result["configuration"]["sensor"]["options"]["path"] == "sensor.toml"
     assert re.search(r"\bframe\b.*\bsensor\b", done.stdout)
 
 

@@ -28,6 +28,7 @@ def rows(out: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_each_touch_has_a_line_and_its_results(cli, folder):
     done = cli("run", *PIN, "--touch", folder, "--out", "out", "--pictures")

@@ -47,6 +47,7 @@ def prior(kind: str = "gaussian", **keys: object) -> Path:
     return Path("prior.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_several_touches_are_fused(cli, listed):
     done = cli("run", *OBJECT, "--touch", "touches.toml", "--out", "both")
@@ -63,6 +64,7 @@ def test_several_touches_are_fused(cli, listed):
     assert Path("both/result.png").is_file()
 
 
+@pytest.mark.slow
 def test_touches_of_different_sensors_are_fused(cli, listed):
     size = ["-o", "sensor.image_size_px=[120, 120]"]
     assert cli("simulate", *OBJECT, *size, "--count", 1, "--seed", 9, "--out", "small").exit_code == 0

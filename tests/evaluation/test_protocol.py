@@ -98,6 +98,7 @@ def test_the_random_line_has_a_normalised_mean_of_one(evaluation):
     )
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_errors_and_other_seeds_give_other_errors(plain, localizer, tmp_path):
     again = evaluate(fresh(StageStore(tmp_path), refiner="none"), COUNT, SimulatedTouches("strong", 3))
     assert_same(plain, again)
@@ -120,6 +121,7 @@ def test_all_encoders_get_the_same_touches(plain, localizer):
     assert not (other.select_errors("best-1") == plain.select_errors("best-1")).all()
 
 
+@pytest.mark.slow
 def test_an_interrupted_evaluation_resumes_with_the_same_errors(plain, localizer, tmp_path, monkeypatch):
     monkeypatch.setattr(protocol, "SHARD", 2)
     store, measured = StageStore(tmp_path), []

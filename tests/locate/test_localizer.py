@@ -271,6 +271,7 @@ def test_a_touch_of_another_sensor_is_refused(pin, touches):
         pin.find_most_probable_pose(touch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", [10, 100])
 def test_an_encoder_may_have_more_cells_than_the_bank_has_pixels(store, cells):
     localizer = Localizer.create("pin", store=store, **COARSE, encoder={"name": "pixel", "cells": cells})

@@ -112,6 +112,7 @@ def test_equal_errors_add_no_evidence_and_independent_errors_add_all(alike, expo
     assert fit_fused_scaling(fused).exponent == pytest.approx(exponent, abs=0.12)
 
 
+@pytest.mark.slow
 def test_the_fit_finds_the_probability_of_elsewhere_from_the_best_score():
     """The probability that examples are found grows with their score: the fit recovers it."""
     rng = np.random.default_rng(8)

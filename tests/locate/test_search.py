@@ -63,6 +63,7 @@ def test_the_whole_object_is_searched_by_default():
     assert RunConfig(encoder={"name": "pixel", "cells": 9}).encoder.options == {"cells": 9}
 
 
+@pytest.mark.slow
 def test_the_search_finds_the_true_pose(localizer, search, examples):
     touches = [touch for example in examples for touch in example]
     nearest = [off_mm(localizer, search.score(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]

@@ -88,6 +88,7 @@ def test_an_environment_variable_excludes_or_includes_the_plugin(tactile_loc):
     assert "centroid" not in tactile_loc("plugins", "refiner", TACTILE_LOC_PLUGINS="another").stdout
 
 
+@pytest.mark.slow
 def test_a_misspelt_option_of_the_plugin_gives_a_one_sentence_error(tactile_loc):
     refused = tactile_loc(*RUN, "-o", "refiner.step=2")
     assert refused.returncode == 2

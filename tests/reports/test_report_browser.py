@@ -234,6 +234,7 @@ def test_the_page_of_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
     assert all("refiner: icp" in text for text in texts)
 
 
+@pytest.mark.slow
 def test_a_sweep_with_few_columns_is_drawn(show, tmp_path):
     rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": value} for name, value in (("a", 1), ("b", 2))]
     browser = show(write_sweep(tmp_path, rows))

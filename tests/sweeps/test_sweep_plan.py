@@ -83,7 +83,7 @@ def test_a_sensor_may_be_a_file_or_a_folder(tmp_path, flat_sensor, monkeypatch):
     monkeypatch.chdir(flat_sensor.parent)
     plan = Plan.from_values({"sensor": ["gelslim", flat_sensor.name, "./mine"]})
     assert names(plan, "sensor") == ["gelslim", "file", "calibrated"]
-    assert plan.slots["sensor"][1].options == {"path": str(flat_sensor)}
+    assert plan.slots["sensor"][1].options["path"] == str(flat_sensor)
 
 
 def test_the_description_of_a_plan_gives_the_same_plan():

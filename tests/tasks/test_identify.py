@@ -57,6 +57,7 @@ def library(models) -> Library:
     return Library(models)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(solids()))
 def test_touches_identify_their_object(library, touches, name):
     said = identify(touches[name], library, null=CLEAN)

@@ -71,6 +71,7 @@ def test_parametrize_makes_one_case_per_check():
     assert cases[0].id.startswith("DenseMatcher-check_")
 
 
+@pytest.mark.slow
 def test_an_import_needs_neither_pytest_nor_heavy_libraries():
     code = (
         "import sys; sys.modules['pytest'] = None; import tactile_loc.testing as t;"

@@ -130,6 +130,7 @@ def test_equal_seeds_learn_equal_weights_and_other_seeds_learn_others(problem, l
     assert not same(learned, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_at", [1, 2])
 def test_an_interrupted_training_ends_like_an_uninterrupted_one(problem, learned, tmp_path, stop_at):
     stopped = dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at))
