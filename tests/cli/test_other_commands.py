@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,7 @@ def test_the_help_names_the_defaults(cli):
 
 def stages(stdout: str) -> dict[str, str]:
     """Return "built" or "reused" for each stage."""
-    pairs = [line.split(": ") for line in stdout.splitlines() if ": " in line]
-    return {pair[0]: pair[1] for pair in pairs if pair[1] in ("built", "reused")}
+    return dict(re.findall(r"^(\w+) \(.*\): (built|reused)$", stdout, re.MULTILINE))
 
 
 @pytest.mark.slow
