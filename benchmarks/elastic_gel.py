@@ -38,6 +38,7 @@ from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
 MM = 1e3
+VERY_THICK_MM = 1e3  # acts as a half-space
 SIZES_PX = {"gelsight-mini": (160, 120), "gelslim": (160, 160)}  # at which ContactMechanics solves a touch in a second
 CASES = ("elastic, located as elastic", "elastic, taken for rigid", "rigid")
 POINTS = 2000  # of the surface, whose distances are averaged
@@ -145,7 +146,12 @@ def main() -> None:
         for name in arguments.objects:
             path, _, units = name.partition(":")
             sensor = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
-            layer = {**sensor, "gel": "layer", "gel_thickness_mm": arguments.thickness_mm, "poisson": arguments.poisson}
+            layer = {
+                **sensor,
+                "gel": "layer",
+                "gel_thickness_mm": min(arguments.thickness_mm, VERY_THICK_MM),
+                "poisson": arguments.poisson,
+            }
             elastic, rigid = (
                 Localizer.create(path, units=units or "auto", store=store, sensor=one) for one in (layer, sensor)
             )
@@ -154,7 +160,8 @@ def main() -> None:
                 source.draw_example(arguments.touches, np.random.default_rng([arguments.seed, number]))[0]
                 for number in range(arguments.examples)
             ]
-            soft = [[press_elastic(touch, source, gel) for touch in touches] for touches in drawn]
+            modelled = elastic.scene.geometry.gel  # the solver that draws a half-space knows no thickness
+            soft = [[_view_as(press_elastic(touch, source, gel), modelled) for touch in touches] for touches in drawn]
             taken = [[_view_as(touch, RIGID) for touch in touches] for touches in soft]
             for case, localizer, examples in zip(CASES, (elastic, rigid, rigid), (soft, taken, drawn), strict=True):
                 localize_together([(localizer, touch) for touch in examples[0]])  # builds what is stored

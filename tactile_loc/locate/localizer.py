@@ -119,7 +119,7 @@ class Localizer:
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(
-                f"{touch.name} was not taken by the sensor {self.config.sensor.name}: its camera, field or "
+                f"{touch.name} was not taken by the sensor {self.config.sensor.name}: its camera, field, gel or "
                 "maximal depth differs; make a Localizer for that sensor"
             )
 

@@ -22,7 +22,7 @@ class GelOptions(ComponentOptions):
     """The elasticity of the sensor's gel; None keeps what the sensor says."""
 
     gel: Literal["rigid", "layer"] | None = Field(None, description="the gel: rigid, or an elastic layer")
-    gel_thickness_mm: float | None = Field(None, gt=0, description="thickness of the layer, mm; inf for a half-space")
+    gel_thickness_mm: float | None = Field(None, gt=0, description="thickness of the elastic layer, mm")
     poisson: float | None = Field(None, ge=0, lt=0.5, description="Poisson's ratio of the elastic layer")
 
     def make_gel(self, gel: Gel) -> Gel:
