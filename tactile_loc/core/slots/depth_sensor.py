@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,30 +25,36 @@ class GelOptions(ComponentOptions):
     gel_thickness_mm: float | None = Field(None, gt=0, description="thickness of the elastic layer, mm")
     poisson: float | None = Field(None, ge=0, lt=0.5, description="Poisson's ratio of the elastic layer")
 
-    def make_gel(self, gel: Gel) -> Gel:
-        """Return a sensor's gel, changed as these options say. Raises SensorError if they contradict each other."""
+    def make_gel(self, gel: Gel, thickness_m: float = DEFAULT_THICKNESS_M) -> Gel:
+        """Return a sensor's gel, changed as these options say. Raises SensorError if they contradict each other.
+
+        A layer is `thickness_m` metres thick if neither the gel nor the options state a thickness.
+        """
         if self.gel == "rigid" and (self.gel_thickness_mm is not None or self.poisson is not None):
             raise SensorError("a rigid gel has no thickness and no Poisson's ratio; give gel=layer, or leave them out")
         if self.gel == "rigid" or (self.gel is None and not gel.is_elastic and self.gel_thickness_mm is None):
             return RIGID
-        thickness_m = gel.thickness_m or DEFAULT_THICKNESS_M
-        return Gel(
-            thickness_m if self.gel_thickness_mm is None else 1e-3 * self.gel_thickness_mm,
-            gel.poisson if self.poisson is None else self.poisson,
-        )
+        if self.gel_thickness_mm is not None:
+            chosen_m = 1e-3 * self.gel_thickness_mm
+        else:
+            chosen_m = gel.thickness_m or thickness_m
+        return Gel(chosen_m, gel.poisson if self.poisson is None else self.poisson)
 
 
 class DepthSensor(SensorModel):
     """Base class for sensors that take contact shapes and are not calibrated for images.
 
-    Raises SensorError if the geometry is not plausible.
+    `gel_thickness_m`, metres, is the thickness of the gel if it is elastic and its thickness is not given. Raises
+    SensorError if the geometry is not plausible.
     """
+
+    gel_thickness_m: ClassVar[float] = DEFAULT_THICKNESS_M
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
         self._geometry = self._make_geometry()
         if isinstance(self.options, GelOptions):
-            gel = self.options.make_gel(self._geometry.gel)
+            gel = self.options.make_gel(self._geometry.gel, self.gel_thickness_m)
             self._geometry = dataclasses.replace(self._geometry, gel=gel)
 
     @abstractmethod

@@ -46,7 +46,8 @@ class Preset(DepthSensor):
 class GelSlim(Preset):
     """GelSlim with the numbers of Bauza et al. (CoRL 2020): a pinhole camera that sees 40.3 x 40.7 mm of the surface.
 
-    The native image of 470 x 470 px is resized to 200 x 200 px. The maximal depth is 2 mm.
+    The native image of 470 x 470 px is resized to 200 x 200 px. The maximal depth is 2 mm. No thickness of the gel was
+    found in the publications on the GelSlim, so an elastic gel is 4 mm thick by default.
     """
 
     native = SensorGeometry(
@@ -59,10 +60,12 @@ class GelSightMini(Preset):
     """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), maximal depth 1 mm.
 
     The scale was measured for a public calibration set of 320 x 240 images with balls of 9.47 mm, in the repository
-    gs_sdk. The maximal depth is nominal.
+    gs_sdk. The maximal depth is nominal. The thickness of the gel, 4.25 mm, is that of the repository tactile-mnist, which
+    simulates the GelSight Mini (`tactile_mnist/constants.py`).
     """
 
     native = make_orthographic(320, 240, 0.0634e-3, 1e-3)
+    gel_thickness_m = 4.25e-3
 
 
 class Digit(Preset):
@@ -70,11 +73,12 @@ class Digit(Preset):
 
     None of these numbers was measured, and public numbers disagree. A DIGIT fork of the Taxim simulator uses 640 x 480
     px of 0.0266 mm (12.8 x 17.0 mm). The configuration of digit-depth states a measured gel of 18.35 x 24.6 mm. The
-    scale may be wrong by 20 %. The real gel is curved: choose digit-curved, or measure your sensor and write a sensor
-    file.
+    scale may be wrong by 20 %. The thickness of the gel, 4.6 mm, is that of the same configuration (`config/digit.yaml`).
+    The real gel is curved: choose digit-curved, or measure your sensor and write a sensor file.
     """
 
     native = make_orthographic(240, 320, 0.063e-3, 1e-3)
+    gel_thickness_m = 4.6e-3
 
 
 class CurvedDigit(Digit):

@@ -107,3 +107,20 @@ def test_images_are_refused(sensor: Preset) -> None:
 def test_images_of_other_sizes_are_refused(sensor: Preset) -> None:
     with pytest.raises(TouchError, match=naming("(10, 10)", sensor.geometry.shape)):
         sensor.contact_shape(np.zeros((10, 10)))
+
+
+THICKNESSES_MM = {"gelslim": 4.0, "gelsight-mini": 4.25, "digit": 4.6, "digit-curved": 4.6}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_layer_has_the_thickness_of_the_preset(name: str) -> None:
+    sensor = registry().create("sensor", name, {"gel": "layer"})
+    assert sensor.geometry.gel.thickness_m == pytest.approx(THICKNESSES_MM[name] * MM)
+    assert registry().create("sensor", name, {"poisson": 0.4}).geometry.gel.is_elastic is False
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_given_thickness_replaces_that_of_the_preset(name: str) -> None:
+    sensor = registry().create("sensor", name, {"gel_thickness_mm": 2.5})
+    assert sensor.geometry.gel.thickness_m == pytest.approx(2.5 * MM)
+    assert not NAMES[name]().geometry.gel.is_elastic
