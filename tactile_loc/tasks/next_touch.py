@@ -5,7 +5,7 @@ both give a number of nats of evidence against each mode j. This evidence determ
 is true. An approach is rated by the mean of this entropy over the modes (Lindley, 1956).
 
 The evidence of contacts is that of `imprints.py`, which also weighs hypotheses. It was fitted to touches with strong
-noise.
+noise. An elastic gel shows the object only where it touches it, so only this part of a contact gives evidence.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE
+from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel, mark_touching
+from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE, compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.renderer import Renderer
@@ -115,13 +116,16 @@ class NextTouch:
         return float(sum(p[list(group)].sum() - p[list(group)].max() for group in self.alike))
 
     def contacts(self, rated: RatedApproach) -> NDArray[np.float32]:
-        """Return the contact depths (K, H, W), metres, that each mode would make; the press depth means no contact."""
+        """Return the contact depths (K, H, W), metres, that the sensor would see of each mode.
+
+        The press depth means that the gel is not displaced.
+        """
         seen = foresee(self.scene, self.modes, [rated.approach])
         scene = self.scene.press(_find_press_m(rated.approach, self.modes))
         depths = np.full((len(self.modes.probabilities), *scene.geometry.shape), scene.geometry.max_depth_m, np.float32)
         met = seen.meets[0]
         if met.any():
-            depths[met] = scene.render_contact_depths(seen.T_sensor_object[0, met])
+            depths[met] = scene.render_gel_depths(seen.T_sensor_object[0, met])
         return depths
 
 
@@ -215,6 +219,24 @@ def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Boo
     return np.asarray(np.maximum(np.diag(evidence)[:, None] - evidence, 0.0))
 
 
+def compare_elastic_contacts(
+    depth_m: NDArray[np.float32], shown_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float
+) -> Float64:
+    """Return the evidence (K, K), nats, of each of K contacts with an elastic gel, as `compare_contacts` does.
+
+    `depth_m` (K, H, W), metres, are the contact depths in a rigid gel, and `shown_m` (K, H, W) those that the elastic
+    gel shows. The touch of mode i contradicts mode j only where the gel touches mode i, and where mode j pierces the
+    gel's surface.
+    """
+    press, nats = np.float32(press_m), np.empty((len(depth_m), len(depth_m)))
+    for i, (touching, shown) in enumerate(zip(mark_touching(depth_m, shown_m, press_m), shown_m, strict=True)):
+        seen = np.where(touching, depth_m[i], press)
+        made = np.where(touching | (depth_m < shown - np.float32(SLACK) * press), depth_m, press)
+        evidence = compare_imprints(made, seen, press_m, observed, pixel_pitch_m).evidence
+        nats[i] = evidence[i] - evidence
+    return np.maximum(nats, 0.0)
+
+
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
     """Return the groups of two or more of K items that are `alike` (K, K), the largest first.
 
@@ -251,10 +273,17 @@ def _compare_drawn(
         glance = dataclasses.replace(scene, geometry=geometry.subsample(step))
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
         for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
-            if len(rows):
+            if len(rows) and geometry.gel.is_elastic:
+                shown = deform_gel(depths, press_m, glance.geometry)
+                touching = mark_touching(depths, shown, press_m)
+                tells[k, rows] = _is_usable(np.where(touching, depths, np.float32(press_m)), glance.geometry)
+                told = compare_elastic_contacts(depths, shown, press_m, observed, pitch_m)
+            elif len(rows):
                 tells[k, rows] = _is_usable(depths, glance.geometry)
                 told = compare_contacts(depths, press_m, observed, pitch_m)
-                nats[k][np.ix_(rows, rows)] += modes.sharpness * told
+            else:
+                continue
+            nats[k][np.ix_(rows, rows)] += modes.sharpness * told
     return np.minimum(nats, MOST_NATS), modes.probabilities, tells
 
 

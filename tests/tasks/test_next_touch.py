@@ -12,12 +12,15 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, mark_touching
 from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.tasks.next_touch import (
     choose_next_touch,
     compare_contacts,
+    compare_elastic_contacts,
     compute_expected_entropy,
     find_groups,
     foresee,
@@ -186,3 +189,49 @@ def test_invalid_approaches_and_modes_are_refused(knobbed):
         choose_next_touch(modes, [towards([0, 0, 1], cost=0.0)])
     with pytest.raises(ConfigError, match=naming("approach 2", "20 mm")):
         choose_next_touch(modes, [towards([0, 0, 1]), towards([0, 0, 1], press_m=0.02)])
+
+
+SOFT = dataclasses.replace(GEL, gel=Gel(4e-3))
+
+
+def press_bumps(*gaps_m: float) -> np.ndarray:
+    """Return the contact depths in a rigid gel, (K, 60, 80), metres, of a ball beside one that is `gaps_m` higher."""
+    y, x = np.mgrid[:60, :80] / 4 - np.array([7.5, 10.0])[:, None, None]
+    balls = [(x**2 + y**2) / 8, (x - 1.5) ** 2 / 8 + y**2 / 8]
+    depths = [np.minimum(balls[0], balls[1] + 1e3 * gap_m) for gap_m in gaps_m]
+    return np.minimum(1e-3 * np.stack(depths), PRESS_M).astype(np.float32)
+
+
+def test_what_an_elastic_gel_does_not_touch_gives_no_evidence():
+    # beside a sphere, an elastic gel is displaced but touches nothing, so a lower bump there stays unseen
+    depths = press_bumps(2e-4, 4e-4)
+    pressed = SOFT.press(PRESS_M)
+    shown = deform_gel(depths, PRESS_M, pressed)
+    rigid = compare_contacts(depths, PRESS_M, np.ones((60, 80), bool), 2.5e-4)
+    elastic = compare_elastic_contacts(depths, shown, PRESS_M, np.ones((60, 80), bool), 2.5e-4)
+    assert np.diag(elastic) == pytest.approx([0.0, 0.0])
+    assert 0 <= elastic[1, 0] < rigid[1, 0]
+    same = compare_elastic_contacts(depths[[0, 0]], shown[[0, 0]], PRESS_M, np.ones((60, 80), bool), 2.5e-4)
+    assert same == pytest.approx(np.zeros((2, 2)))
+
+
+def test_the_marked_contact_is_the_one_that_the_gel_surface_shows():
+    depths = press_bumps(2e-4, 1e-2)
+    pressed = SOFT.press(PRESS_M)
+    shown = deform_gel(depths, PRESS_M, pressed, iterations=30)
+    for marked, surface, depth in zip(mark_touching(depths, shown, PRESS_M), shown, depths, strict=True):
+        found = find_touching(surface, PRESS_M, pressed)
+        assert np.count_nonzero(marked & found) > 0.8 * np.count_nonzero(marked | found)
+        assert np.count_nonzero(marked) < 0.8 * np.count_nonzero(depth < PRESS_M)
+
+
+def test_an_elastic_gel_is_predicted_with_its_surface(knobbed):
+    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
+    soft = dataclasses.replace(modes, geometry=SOFT)
+    approaches = [edge_of([-1, 0, 0], name="knob"), edge_of([0, 0, -1], name="top")]
+    found, rigid = choose_next_touch(soft, approaches), choose_next_touch(modes, approaches)
+    assert found.best.approach.name == "knob"
+    press = np.float32(PRESS_M)
+    shown, sharp = (chosen.contacts(chosen.best)[0] < press for chosen in (found, rigid))
+    assert shown[sharp].all()
+    assert np.count_nonzero(shown) > 1.2 * np.count_nonzero(sharp)

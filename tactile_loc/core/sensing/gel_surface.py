@@ -15,6 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 PITCH_M = 2e-4  # the contact is solved on pixels of about this size
 LEAST_SLACK_M, SLACK = 1.2e-5, 0.1  # by which a gel surface is lowered to find the contact: metres; share of the press
+LIFTED_M = 1e-6  # a gel that is farther than this from the object does not touch it
 MARGIN = 2.0  # thicknesses of the layer around a contact beyond which the gel does not move
 STEP_PX = 16  # windows grow by this much, so that few sizes occur
 
@@ -56,6 +57,15 @@ def find_touching(depth_m: Float32, indentation_m: float, geometry: SensorGeomet
     reach = np.where(pressed, reach, np.float32(-np.inf))
     pressure = window.solver.press(window.reduce(reach[None]), 3 * ITERATIONS).pressure
     return np.asarray(window.enlarge((pressure > 0).astype(np.float32))[0] > 0.5) & pressed
+
+
+def mark_touching(depth_m: Float32, shown_m: Float32, indentation_m: float) -> NDArray[np.bool_]:
+    """Mark the pixels (N, H, W) at which an elastic gel touches objects, whose shape is known.
+
+    `depth_m` (N, H, W), metres, are the contact depths in a rigid gel, and `shown_m` those that the elastic gel shows
+    (`deform_gel`).
+    """
+    return np.asarray((depth_m < np.float32(indentation_m)) & (shown_m > depth_m - np.float32(LIFTED_M)))
 
 
 @dataclass(frozen=True, eq=False)

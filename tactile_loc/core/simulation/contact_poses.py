@@ -10,6 +10,7 @@ import numpy as np
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, remove_equivalent
+from tactile_loc.core.sensing.gel_surface import deform_gel, mark_touching
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
@@ -58,6 +59,21 @@ def mark_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> 
     return touched.sum(axis=(1, 2)) >= max(1.0, percent / 100 * observed.sum())
 
 
+def mark_touches(contact_depths_m: Float32, scene: Scene, percent: float) -> np.ndarray:
+    """Return which objects (N,) touch at least `percent` of the observed pixels in a press to the maximal depth.
+
+    `contact_depths_m` (N, H, W), metres, are those in a rigid gel. An elastic gel touches objects in a smaller area.
+    """
+    enough = mark_contact(contact_depths_m, scene, percent)
+    geometry = scene.geometry
+    if not geometry.gel.is_elastic or not enough.any():
+        return enough
+    depths, press_m = contact_depths_m[enough], geometry.max_depth_m
+    touching = mark_touching(depths, deform_gel(depths, press_m, geometry), press_m)
+    enough[enough] = mark_contact(np.where(touching, depths, np.float32(press_m)), scene, percent)
+    return enough
+
+
 def draw_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
     """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
 
@@ -87,7 +103,7 @@ def draw_contacts(
             seen, touching = scene.bring_to_contact(misplace(poses))
             poses, seen = poses[touching], seen[touching]
         depths = scene.render_contact_depths(seen)
-        enough = mark_contact(depths, scene, sampler.options.min_contact_percent)
+        enough = mark_touches(depths, scene, sampler.options.min_contact_percent)
         poses, depths = poses[enough][: count - kept], depths[enough][: count - kept]
         tried, kept = tried + batch, kept + len(poses)
         yield poses, depths

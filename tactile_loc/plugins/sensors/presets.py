@@ -60,8 +60,8 @@ class GelSightMini(Preset):
     """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), maximal depth 1 mm.
 
     The scale was measured for a public calibration set of 320 x 240 images with balls of 9.47 mm, in the repository
-    gs_sdk. The maximal depth is nominal. The thickness of the gel, 4.25 mm, is that of the repository tactile-mnist, which
-    simulates the GelSight Mini (`tactile_mnist/constants.py`).
+    gs_sdk. The maximal depth is nominal. The thickness of the gel, 4.25 mm, is that of the repository tactile-mnist,
+    which simulates the GelSight Mini (`tactile_mnist/constants.py`).
     """
 
     native = make_orthographic(320, 240, 0.0634e-3, 1e-3)
@@ -73,8 +73,8 @@ class Digit(Preset):
 
     None of these numbers was measured, and public numbers disagree. A DIGIT fork of the Taxim simulator uses 640 x 480
     px of 0.0266 mm (12.8 x 17.0 mm). The configuration of digit-depth states a measured gel of 18.35 x 24.6 mm. The
-    scale may be wrong by 20 %. The thickness of the gel, 4.6 mm, is that of the same configuration (`config/digit.yaml`).
-    The real gel is curved: choose digit-curved, or measure your sensor and write a sensor file.
+    scale may be wrong by 20 %. The thickness of the gel, 4.6 mm, is that of the same configuration
+    (`config/digit.yaml`). The real gel is curved: choose digit-curved, or measure your sensor and write a sensor file.
     """
 
     native = make_orthographic(240, 320, 0.063e-3, 1e-3)

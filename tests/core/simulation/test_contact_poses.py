@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +11,14 @@ from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.sensing.contact import find_lowest_points
-from tactile_loc.core.simulation.contact_poses import draw_contact_poses, make_contact_grid, mark_contact
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.simulation.contact_poses import (
+    draw_contact_poses,
+    draw_contacts,
+    make_contact_grid,
+    mark_contact,
+    mark_touches,
+)
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 
@@ -153,6 +162,33 @@ def test_the_least_contact_is_a_share_of_the_observed_pixels(make_scene, flat_ca
     assert mark_contact(depths, scene, 0.0).tolist() == [False, True, True, True]
     assert mark_contact(depths, scene, 10.0).tolist() == [False, False, True, False]
     assert not mark_contact(depths, scene, 100.0).any()
+
+
+def test_the_least_contact_is_what_an_elastic_gel_touches(make_scene, flat_camera):
+    """A ball touches half as much of a half-space as a rigid gel would show, and less of an elastic layer."""
+    soft = dataclasses.replace(flat_camera, gel=Gel(1.0))
+    y, x = np.mgrid[: soft.height_px, : soft.width_px]
+    r2_m2 = ((x - soft.cx) / soft.fx) ** 2 + ((y - soft.cy) / soft.fy) ** 2
+    depths = np.minimum(r2_m2 / (2 * 3e-3), soft.max_depth_m)[None].astype(np.float32)
+    percent = 100 * np.count_nonzero(depths < np.float32(soft.max_depth_m)) / soft.observed_mask.sum()
+    rigid, elastic = (make_scene(load_object("pin"), geometry) for geometry in (flat_camera, soft))
+    for share, touches in ((0.9, False), (0.6, False), (0.4, True)):
+        assert mark_touches(depths, rigid, share * percent).all()
+        assert mark_touches(depths, elastic, share * percent).all() == touches
+    assert mark_touches(np.full_like(depths, soft.max_depth_m), elastic, 1.0).tolist() == [False]
+
+
+def test_random_poses_of_an_elastic_gel_touch_enough(make_scene, flat_camera):
+    soft = dataclasses.replace(flat_camera, gel=Gel(4e-3))
+    hook, sampler = load_object("hook"), face(4.0, "auto", min_contact_percent=10.0)
+    drawn = {}
+    for name, geometry in (("rigid", flat_camera), ("elastic", soft)):
+        scene = make_scene(hook, geometry)
+        batches = list(draw_contacts(sampler, scene, 20, np.random.default_rng(3)))
+        drawn[name] = np.concatenate([poses for poses, _ in batches])
+        depths = np.concatenate([depths for _, depths in batches])
+        assert mark_touches(depths, make_scene(hook, soft), 10.0).all() == (name == "elastic")
+    assert len(drawn["elastic"]) == len(drawn["rigid"]) == 20
 
 
 @pytest.mark.parametrize("count", [1, 40, 300])
