@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.calibration.estimator import GelEstimator, load_estimator, validate_estimator_options
 from tactile_loc.calibration.labels import Image
+from tactile_loc.calibration.markers import UntouchedGel
 from tactile_loc.calibration.reading import (
     Health,
     measure_health,
@@ -77,7 +78,13 @@ class Calibration:
     @cached_property
     def false_press_m(self) -> float:
         """The press depth that is falsely measured in the image of the untouched gel, metres."""
-        return max(0.0, measure_press_m(self.estimator.read(self.untouched)[0], self.geometry))
+        return max(0.0, measure_press_m(self.estimator.read(self.gel.clear)[0], self.geometry))
+
+    @cached_property
+    def gel(self) -> UntouchedGel:
+        """The untouched gel with its marker dots. Raises CalibrationError when they cover too much of the image."""
+        with name_source(self.folder):
+            return UntouchedGel.of(self.untouched)
 
     @property
     def camera_px(self) -> tuple[int, int]:
@@ -100,21 +107,23 @@ class Calibration:
         with name_source(self.folder / CALIBRATION):
             kind = load_estimator(self.record["estimator"])
             options = validate_estimator_options(kind, self.record["options"])
-        estimator = kind(self.geometry, self.background, options)
+        known = self.gel if self.untouched is self.background else UntouchedGel.of(self.background)
+        estimator = kind(self.geometry, known.clear, options)
         estimator.load(self.folder / WEIGHTS)
-        estimator.untouched = self.untouched
+        estimator.untouched = self.gel.clear
         return estimator
 
     def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """Return the indentation (H, W), metres, that an image shows.
 
-        The image (H, W, 3) has the size of the camera's images or of the sensor. Raises TouchError when the image is of
-        another sensor, or when the sensor has changed much. Logs a warning when it has changed less.
+        The image (H, W, 3) has the size of the camera's images or of the sensor. Marker dots are filled in. Raises
+        TouchError when the image is of another sensor, or when the sensor has changed much. Logs a warning when it has
+        changed less.
         """
-        image = require_image(image, self.untouched, self.camera_px)
+        image = self.gel.clear_image(require_image(image, self.untouched, self.camera_px))
         indentation, slopes = self.estimator.read(image)
         if self.usual_health is not None:
-            require_healthy(measure_health(image, self.untouched, slopes, self.geometry), self.usual_health)
+            require_healthy(measure_health(image, self.gel.clear, slopes, self.geometry), self.usual_health)
         return indentation
 
     @property

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, label_ball, label_mesh
+from tactile_loc.calibration.markers import UntouchedGel
 from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.core.geometry.rigid import make_transform
@@ -79,7 +80,8 @@ class PressFolder(LabelledPresses):
     """The presses of a table, with their images in memory.
 
     `images` have the size of `geometry`. `camera` is the geometry of the images as they were taken. The circles in the
-    table are in pixels of `camera`.
+    table are in pixels of `camera`. Marker dots are filled in, in the images and in the background; `gel` has the
+    background with its dots.
     """
 
     rows: tuple[Row, ...]
@@ -87,6 +89,7 @@ class PressFolder(LabelledPresses):
     background: Image
     geometry: SensorGeometry
     camera: SensorGeometry
+    gel: UntouchedGel | None = None
     _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -151,7 +154,8 @@ def read_presses(
 
     With `size_px` (width, height), images and sensor are reduced to that size. The background is the mean of the
     table's background images. With `median_background`, the background is the pixelwise median of all presses, of which
-    at least FOR_MEDIAN are needed. Raises CalibrationError, which names the faulty row, when the folder cannot be used.
+    at least FOR_MEDIAN are needed. Marker dots are filled in. Raises CalibrationError, which names the faulty row, when
+    the folder cannot be used.
     """
     table = folder / TABLE
     geometry = camera if size_px is None else _shrink_sensor(camera, size_px)
@@ -173,9 +177,9 @@ def read_presses(
         )
     stack = np.stack([images[row] for row in pressed] if median_background else unpressed)
     background = np.median(stack, axis=0) if median_background else stack.mean(axis=0)
-    presses = PressFolder(
-        pressed, tuple(images[row] for row in pressed), np.rint(background).astype(np.uint8), geometry, camera
-    )
+    gel = UntouchedGel.of(np.rint(background).astype(np.uint8))
+    clear = tuple(gel.clear_image(images[row]) for row in pressed)
+    presses = PressFolder(pressed, clear, gel.clear, geometry, camera, gel)
     for number in range(len(presses)):
         presses.label(number)  # reports faulty rows before the training
     return presses

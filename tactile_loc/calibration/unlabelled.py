@@ -2,6 +2,8 @@
 
 Most images must differ from the untouched gel by one imprint only. If no image shows the untouched gel, an image of the
 gel is composed from the other images, except their parts near imprints. The transitions between the parts are smooth.
+
+Marker dots on the gel are found in the median of the images, and filled in before imprints are looked for.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from tactile_loc.calibration.circles import (
 )
 from tactile_loc.calibration.frames import Frame
 from tactile_loc.calibration.labels import STEEPEST, Float32, Image, Mask
+from tactile_loc.calibration.markers import UntouchedGel
 from tactile_loc.calibration.presses import TABLE, write_table
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
@@ -99,7 +102,8 @@ def find_presses(
             f"there are only {len(frames)} images; give one of the untouched gel and at least five presses, better 30"
         )
     watcher = progress or Progress()
-    images = [frame.image for frame in frames]
+    gel = UntouchedGel.of(_take_median([frame.image for frame in frames]))
+    images = [gel.clear_image(frame.image) for frame in frames]
     with watcher.task("looking for the untouched gel", len(images)) as advance:
         reference = _choose_reference(images)
         imprints = [find_imprint(compare_colours(image, reference)) for image in images]
@@ -111,9 +115,9 @@ def find_presses(
     with watcher.task("looking for the ball", len(images)) as advance:
         for number, frame in enumerate(frames):
             if number not in quiet:
-                presses.append(_judge(frame, reference, ball_px))
+                presses.append(_judge(frame, images[number], reference, gel, ball_px))
             advance(1)
-    untouched = np.clip(np.rint(reference), 0, 255).astype(np.uint8)
+    untouched = np.clip(np.rint(gel.add_dots(reference)), 0, 255).astype(np.uint8)
     found = FoundPresses(untouched, tuple(frames[n].name for n in quiet), tuple(presses))
     _require_balls(found, ball_px)
     return found
@@ -160,6 +164,11 @@ def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: fl
             "--mm-per-px, both in mm"
         )
     return float(depths_mm.min()), float(depths_mm.max())
+
+
+def _take_median(images: Sequence[Image]) -> Image:
+    """Return the median (H, W, 3) of at most 40 of the images. It shows marker dots, which are mostly unmoved."""
+    return np.rint(np.median(np.stack(images[:: max(1, len(images) // 40)]), axis=0)).astype(np.uint8)
 
 
 def _choose_reference(images: Sequence[Image]) -> Float32:
@@ -253,14 +262,19 @@ def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
     return np.asarray(terms @ factors, np.float32)
 
 
-def _judge(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPress:
-    """Find the ball's circle in an image, or the reason why the image cannot be used."""
-    change = compare_colours(frame.image, reference)
+def _judge(frame: Frame, image: Image, reference: Float32, gel: UntouchedGel, ball_px: float | None) -> FoundPress:
+    """Find the ball's circle in an image, or the reason why the image cannot be used.
+
+    `image` (H, W, 3) is the frame's image without marker dots. The dots show whether the camera moved.
+    """
+    change = compare_colours(image, reference)
     imprint = find_imprint(change)
     around = None
     if imprint is not None:
         around = imprint.circle.measure_distance_px(change.shape[:2]) < APART * imprint.circle.radius_px
-    if (shift_px := _measure_shift(change, reference, around)) > MOVED_PX:
+    dotted = gel.add_dots(reference)
+    moved = change if gel.dots is None else compare_colours(frame.image, dotted)
+    if (shift_px := _measure_shift(moved, dotted, around)) > MOVED_PX:
         return FoundPress(frame, None, f"camera moved by {shift_px:.1f} px")
     if imprint is None or around is None or imprint.contrast < CONTRAST or imprint.likeness < BLURRED:
         return FoundPress(frame, None, "no ball found")
@@ -270,7 +284,7 @@ def _judge(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPres
     if imprint.likeness < LIKENESS:
         return FoundPress(frame, None, "no ball found")
     circle = find_rim(change, imprint.circle)
-    return FoundPress(frame, circle, _find_fault(frame.image, reference, circle, ball_px))
+    return FoundPress(frame, circle, _find_fault(image, reference, circle, ball_px))
 
 
 def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float | None) -> str:

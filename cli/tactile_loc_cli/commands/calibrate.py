@@ -20,7 +20,7 @@ from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
     from tactile_loc.calibration.estimator import GelEstimator
-    from tactile_loc.calibration.labels import LabelledPresses
+    from tactile_loc.calibration.labels import Image, LabelledPresses
     from tactile_loc.calibration.presses import PressFolder
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -192,8 +192,23 @@ def _calibrate(
     if curved:
         presses = _curve_gel(presses, seed)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), make_progress())
-    record = {**record, "camera_px": list(presses.camera.shape), **_measure_gel(made, presses)}
-    return _finish(presses, made, record, out)
+    dots, gel = _describe_dots(presses), _measure_gel(made, presses)
+    record = {**record, "camera_px": list(presses.camera.shape), **dots, **gel}
+    return _finish(presses, made, presses.background if presses.gel is None else presses.gel.image, record, out)
+
+
+def _describe_dots(presses: PressFolder) -> dict[str, Any]:
+    """Return the gel's marker dots as part of the record, and print how many there are."""
+    if presses.gel is None:
+        return {}
+    dots = presses.gel.record(presses.geometry.pixel_pitch_m)
+    if dots["count"]:
+        say(
+            f"the gel has {dots['count']} marker dots, {1e3 * dots['diameter_m']:.2f} mm wide and "
+            f"{1e3 * dots['spacing_m']:.2f} mm apart; they cover {100 * dots['covered']:.0f} % of the image and are "
+            "filled in"
+        )
+    return {"dots": dots}
 
 
 def _measure_gel(made: GelEstimator, presses: PressFolder) -> dict[str, Any]:
@@ -234,15 +249,17 @@ def _calibrate_simulated(
     )
     if (native := find_camera_px(sensor)) is not None:
         record["camera_px"] = native
-    return _finish(presses, made, record, out)
+    return _finish(presses, made, presses.background, record, out)
 
 
-def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any], out: Path) -> dict[str, Any]:
+def _finish(
+    presses: LabelledPresses, made: GelEstimator, background: Image, record: dict[str, Any], out: Path
+) -> dict[str, Any]:
     from tactile_loc.calibration.folder import PICTURE, write_calibration
     from tactile_loc.drawing.calibration import draw_held_out
     from tactile_loc.drawing.pictures import save_figure
 
-    write_calibration(out.absolute(), made.geometry, made.background, made, {"presses": len(presses), **record})
+    write_calibration(out.absolute(), made.geometry, background, made, {"presses": len(presses), **record})
     held_out = record["held_out"]
     title = f"{len(held_out['presses'])} of {len(presses)} presses were held out"
     picture = save_figure(out / PICTURE, draw_held_out(made, presses, held_out["presses"], title))
