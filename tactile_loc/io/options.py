@@ -20,6 +20,9 @@ class SearchOptions(_Options):
 
     candidates: int = Field(default=1000, ge=1, description="rotated places kept after matching one touch")
     candidates_together: int = Field(default=3000, ge=1, description="the same for each of several touches")
+    compared_again: int = Field(
+        default=20_000, ge=1, description="rotated places compared again with the surface of an elastic gel"
+    )
     pool: int = Field(default=30_000, ge=1, description="rotated places kept before a prior is applied")
     registered: int = Field(default=300, ge=1, description="poses in coarse registration to one touch")
     registered_together: int = Field(default=60, ge=1, description="poses in coarse registration to several touches")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from tactile_loc.locate.results.result_json import ResultRecord
 from tactile_loc.locate.results.verdict import LEAST_IOU
 
+NOT_EXPLAINED = 0.05  # imprint IoU below which a pose explains nothing of a touch
+
 
 def list_doubts(record: ResultRecord) -> list[str]:
     """Return the reasons why a result may be wrong, one sentence each; empty if there are none."""
@@ -12,13 +14,29 @@ def list_doubts(record: ResultRecord) -> list[str]:
 
 
 def _list_unexplained(record: ResultRecord) -> list[str]:
+    if record.other_touches:
+        return _list_touches_not_explained(record)
     best = record.hypotheses[0]
     refined = best.T_sensor_object != best.T_sensor_object_grid
-    if record.other_touches or not refined or best.imprint_iou >= LEAST_IOU:
+    if not refined or best.imprint_iou >= LEAST_IOU:
         return []
     return [
         f"the best pose of {record.touch.name} has an imprint IoU of {100 * best.imprint_iou:.0f} %, which is below "
         f"{100 * LEAST_IOU:.0f} %, and is probably wrong; check the object, the sensor, the unit and the prior"
+    ]
+
+
+def _list_touches_not_explained(record: ResultRecord) -> list[str]:
+    touches, ious = [record.touch, *record.other_touches], record.hypotheses[0].imprint_ious
+    unexplained = [
+        touch.name for touch, iou in zip(touches, ious, strict=False) if iou < NOT_EXPLAINED and not touch.outlier
+    ]
+    if not unexplained:
+        return []
+    names = ", ".join(unexplained)
+    return [
+        f"the best pose explains nothing of {names} (imprint IoU below {100 * NOT_EXPLAINED:.0f} %), and is "
+        "probably wrong; check T_base_sensor and the object of these touches, or locate the object without them"
     ]
 
 

@@ -21,6 +21,7 @@ from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.sensing.clouds import make_contact_cloud
+from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.common_poses import compute_prior_weights
@@ -38,6 +39,7 @@ from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 5
+MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
 
 
@@ -121,9 +123,15 @@ class PlaceSearch:
         matcher = self._banks.matcher(compared_m)
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.encoder, cut_m, self.yaws_rad)
-        scores = matcher.scores(*codes)
-        yaw, number = find_highest(scores, count)
-        return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores[yaw, number].astype(float)
+        similar = matcher.scores(*codes)
+        elastic = touch.geometry.gel.is_elastic
+        yaw, number = find_highest(similar, max(count, self.options.compared_again) if elastic else count)
+        scores = similar[yaw, number]
+        if elastic:
+            excess = measure_touch_excess(touch, self.places, number, yaw, self.yaws_rad)
+            best = np.argsort(excess, kind="stable")[:count]
+            yaw, number, scores = yaw[best], number[best], -excess[best]
+        return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores.astype(float)
 
 
 def encode_rotated(
@@ -140,6 +148,27 @@ def encode_rotated(
     depths_m, known = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad, touch.find_known(cut_m))
     cut_depths_m = np.minimum(depths_m, np.float32(cut_m))
     return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_depths_m, known, cut_m, CAMERA)
+
+
+def measure_touch_excess(
+    touch: Touch, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64], yaws_rad: NDArray[np.float64]
+) -> Scores:
+    """Return how badly rotated places explain what an elastic gel shows (K,), square metres: see `measure_excess`.
+
+    Pair k is the place `numbers[k]` at the yaw `yaws_rad[yaws[k]]`. Where the gel touches, the place must be at the
+    gel's surface. Elsewhere, it must be beyond the surface.
+    """
+    from tactile_loc.core.sensing.rotated_patches import find_anchor, measure_excess, rotate_patches
+
+    anchor_m, R_sensor_gel = find_anchor(touch)
+    surface_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
+    contact = touch.geometry.observed_mask & touch.touching_shape.contact
+    touching = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad, contact)[1]
+    far = np.float32(np.inf)
+    beyond_m = surface_m - np.float32(SLACK * touch.indentation_m)
+    low_m = np.where(touching, surface_m, np.where(seen, beyond_m, -far))
+    high_m = np.where(touching, surface_m, far)
+    return measure_excess(places, numbers, yaws, low_m, high_m, MOST_EXCESS * touch.indentation_m)
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:

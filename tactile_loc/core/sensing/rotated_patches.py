@@ -1,4 +1,4 @@
-"""A touch's patch, rotated back by many yaws, for comparison with the patches of places; compiled with numba.
+"""A touch's patch, rotated back by many yaws, and its comparison with the patches of places; compiled with numba.
 
 On a curved gel, the patch is seen along the gel's normal at the contact, like the patches of places.
 """
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.geometry.rigid import align_to_z
-from tactile_loc.core.sensing.places import PATCH_PX, PITCH_M, Float32
+from tactile_loc.core.sensing.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Float32, Places
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 
@@ -99,3 +99,47 @@ def _fill_patches(first, last, depth, press, observed, camera, deepest, at, R, y
                     h += (deepest[row, column] + min(depth[row, column], press) - z) / R[2, 2]
                 seen[k, r, c] = known
                 patches[k, r, c] = min(max(h, 0.0), press) if known and touched else press
+
+
+def measure_excess(
+    places: Places,
+    numbers: NDArray[np.int64],
+    yaws: NDArray[np.int64],
+    low_m: Float32,
+    high_m: Float32,
+    most_m: float,
+) -> Float32:
+    """Return how far places leave the bounds of a touch, squared and summed over the patch (K,), square metres.
+
+    Pair k is the place `numbers[k]`, compared at the yaw `yaws[k]`. The surface of a place must lie between `low_m` and
+    `high_m` (M, PATCH_PX, PATCH_PX), metres from the anchor, for each of M yaws. A pixel counts at most `most_m`
+    metres. Unbounded pixels have infinite bounds.
+    """
+    low, high = (np.asarray(bound_m / np.float32(STEP_M) + BELOW, np.float32) for bound_m in (low_m, high_m))
+    excess = np.empty(len(numbers), np.float32)
+    run_in_threads(
+        _fill_excess, len(numbers), places.patches, numbers, yaws, low, high, np.float32(most_m / STEP_M), excess
+    )
+    return excess * np.float32(STEP_M**2)
+
+
+@njit(fast=True)
+def _fill_excess(first, last, patches, numbers, yaws, low, high, most, excess):
+    """Fill `excess` (K,) for the pairs from first to last. Heights are in the steps of the patches (N, S, S)."""
+    side, zero = patches.shape[1], np.float32(0)
+    columns = np.empty(side, np.float32)  # one sum for each column, so that the compiler handles several at once
+    for k in range(first, last):
+        n, m = numbers[k], yaws[k]
+        columns[:] = zero
+        for r in range(side):
+            for c in range(side):
+                height = np.float32(patches[n, r, c])
+                under, over = low[m, r, c] - height, height - high[m, r, c]
+                out = under if under > over else over
+                out = out if out > zero else zero
+                out = out if out < most else most
+                columns[c] += out * out
+        total = zero
+        for c in range(side):
+            total += columns[c]
+        excess[k] = total

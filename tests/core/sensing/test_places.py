@@ -6,7 +6,7 @@ import pytest
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import BELOW, CAMERA, FAR, HIGHEST_M, PATCH_PX, STEP_M, Places, make_patches
-from tactile_loc.core.sensing.rotated_patches import rotate_patches
+from tactile_loc.core.sensing.rotated_patches import measure_excess, rotate_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 from tactile_loc.plugins.grids.whole import WholeGrid
@@ -56,6 +56,21 @@ def test_the_unrotated_patch_of_a_touch_equals_that_of_its_place(places, camera)
         alike = np.abs(found[0] - wanted[k])[seen[0]] < 1e-4
         assert seen.mean() > 0.5
         assert alike.mean() > 0.93, k
+
+
+def test_places_within_the_bounds_have_no_excess_and_others_the_sum_of_squares(places):
+    rng, numbers, yaws = np.random.default_rng(0), np.array([0, 3, 5, 3]), np.array([0, 1, 1, 0])
+    heights_m = (places.patches.astype(float) - BELOW) * STEP_M
+    low_m = rng.uniform(0, 5e-4, (2, PATCH_PX, PATCH_PX)).astype(np.float32)
+    high_m = np.where(rng.random(low_m.shape) < 0.5, low_m, np.float32(np.inf))
+    low_m[:, :5] = -np.inf
+    high_m[:, :5] = np.inf
+    most_m = 2e-4
+    out_m = np.maximum(low_m[yaws] - heights_m[numbers], heights_m[numbers] - high_m[yaws])
+    wanted = np.square(np.clip(out_m, 0, most_m)).sum(axis=(1, 2))
+    assert measure_excess(places, numbers, yaws, low_m, high_m, most_m) == pytest.approx(wanted, rel=1e-4)
+    own_m = heights_m[numbers].astype(np.float32)
+    assert measure_excess(places, numbers, np.arange(4), own_m, own_m, most_m) == pytest.approx(0, abs=1e-14)
 
 
 def test_unobserved_pixels_are_not_seen_in_rotated_patches(places):

@@ -126,6 +126,35 @@ def test_an_unrefined_pose_causes_no_doubt(record):
     assert list_doubts(explained_by(record, 0.1, T_sensor_object=grid_pose)) == []
 
 
+def test_touches_that_the_first_pose_explains_not_at_all_are_named(record):
+    said = list_doubts(explain_several(record, (0.9, 0.0, 0.8, 0.04)))
+    assert len(said) == 1
+    assert "touch-1, touch-3" in said[0]
+    assert all(name not in said[0] for name in ("touch-0", "touch-2"))
+
+
+def test_touches_that_are_named_already_or_explained_a_little_cause_no_second_doubt(record):
+    assert list_doubts(explain_several(record, (0.9, 0.06, 0.8))) == []
+    (said,) = list_doubts(explain_several(record, (0.9, 0.0, 0.8), outliers=(1,)))
+    assert "2 of 3 touches agree" in said
+
+
+def explain_several(record, ious, outliers=()):
+    touches = [
+        record.touch.model_copy(update={"name": f"touch-{k}", "outlier": k in outliers, "best_imprint_iou": 0.9})
+        for k in range(len(ious))
+    ]
+    best = record.hypotheses[0].model_copy(update={"imprint_ious": list(ious), "imprint_iou": float(np.mean(ious))})
+    return record.model_copy(
+        update={
+            "touch": touches[0],
+            "other_touches": touches[1:],
+            "hypotheses": [best],
+            "contradictory": bool(outliers),
+        }
+    )
+
+
 def explained_by(record, iou, **changes):
     best = record.hypotheses[0].model_copy(update={"imprint_iou": iou, **changes})
     return record.model_copy(update={"hypotheses": [best]})
