@@ -183,7 +183,7 @@ def _enlarge(values: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np
 
 
 def compare_circles(plain: PressFolder, dotted: Path, gel: NDArray[np.uint8]) -> str:
-    """Find circles without labels in dotted images. Return the numbers of presses, and the distances from the labels."""
+    """Find circles without labels in dotted images. Return the number of presses, and the distances from labels."""
     frames = [Frame(row.image.name, load_image(dotted / row.image.name, "RGB")[1]) for row in plain.rows]
     found = find_presses([Frame("untouched", gel), *frames])
     labels = {row.image.name: row for row in plain.rows}

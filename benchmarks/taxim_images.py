@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.folder import Calibration, read_calibration
 from tactile_loc.calibration.presses import TABLE
-from tactile_loc.calibration.reading import find_contact_shape, find_gel_surface, measure_press_m, reduce_image
+from tactile_loc.calibration.reading import find_contact_shape, find_gel_surface, measure_press_m
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -148,7 +148,8 @@ def report_calibration(
         rows = [row for row in csv.DictReader(file) if row["kind"] == "ball"]
     for row in rows:
         x_mm, y_mm, press_mm = balls[int(row["image"][6:9]) - 1]
-        off_px.append(np.hypot(float(row["center_x_px"]) - x_mm / pitch_mm, float(row["center_y_px"]) - y_mm / pitch_mm))
+        x_px, y_px = float(row["center_x_px"]), float(row["center_y_px"])
+        off_px.append(np.hypot(x_px - x_mm / pitch_mm, y_px - y_mm / pitch_mm))
         radii.append(float(row["radius_px"]) * pitch_mm / np.sqrt(2 * BALL_MM * press_mm - press_mm**2))
         height_mm = shape_tip("ball", *find_distances_mm(sensor.geometry, x_mm, y_mm), 0.0)
         surface_m, image = sensor.press((height_mm / MM).astype(np.float32), press_mm / MM)
@@ -241,7 +242,7 @@ class Tally:
         """Return a row of the table."""
         cells = []
         for n in COUNTS:
-            first, listed = (MM * NEAR_M > np.array(values[n]) for values in (self.first_mm, self.listed_mm))
+            first, listed = (np.array(values[n]) < MM * NEAR_M for values in (self.first_mm, self.listed_mm))
             cells += [f"{first.mean():.0%}".replace("%", " %"), f"{listed.mean():.0%}".replace("%", " %")]
         times = np.median(self.times_ms[3]) if self.times_ms[3] else np.nan
         return f"| {' | '.join(names)} | {' | '.join(cells)} | {self.refused} of {self.readings} | {times:.0f} |"
@@ -284,7 +285,8 @@ def locate(localizer: Localizer, touches: list[Touch], metric: PoseMetric) -> tu
 
 
 CASES = (
-    ("exact shape", "rigid"), ("gel surface", "rigid"), ("gel surface", "layer"), ("image", "rigid"), ("image", "layer"),
+    ("exact shape", "rigid"), ("gel surface", "rigid"), ("gel surface", "layer"),
+    ("image", "rigid"), ("image", "layer"),
 )  # fmt: skip
 
 
