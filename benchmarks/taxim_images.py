@@ -6,11 +6,12 @@ layer: it follows the object where the object reaches deeper than 40 % of the pr
 pyramids elsewhere. The sensor is calibrated with `tactile-loc calibrate` on images of a pressed ball, without labels.
 Parts are pressed from any direction, by 30 to 90 % of the deepest press, and drawn by ray casting.
 
-The first table has the errors of the found circles and of the read surfaces, the second the press depths that are read
-for sharp tips. The last table has the located touches. Touches are read from exact shapes, from Taxim's gel surfaces
-and from its images, and located with a gel that is rigid or an elastic layer of the calibrated thickness. `first` and
-`listed` are the shares of examples in which the first pose, or any listed pose, is within 1 mm (root mean square over
-the surface, modulo symmetry). An example that ends in an error counts as not located.
+The first table has the errors of the found circles and of the read surfaces. The second has the press depths that are
+read for sharp tips by contact mechanics, from Taxim's gel surfaces and from its images. The last table has the located
+touches. Touches are read from exact shapes, from Taxim's gel surfaces and from its images, and located with a gel that
+is rigid or the calibrated elastic layer. `first` and `listed` are the shares of examples in which the first pose, or
+any listed pose, is within 1 mm (root mean square over the surface, modulo symmetry). An example that ends in an error
+counts as not located.
 
 Taxim needs its own environment: `make bench-taxim`. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
@@ -35,7 +36,13 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.folder import Calibration, read_calibration
 from tactile_loc.calibration.presses import TABLE
-from tactile_loc.calibration.reading import find_contact_shape, find_gel_surface, measure_press_m
+from tactile_loc.calibration.reading import (
+    find_contact_shape,
+    find_gel_surface,
+    measure_press_m,
+    recover_indentation,
+)
+from tactile_loc.calibration.surface import differentiate
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -163,6 +170,7 @@ def report_calibration(
     yield f"| read surface off within the imprint, mm (median) | {np.median(errors_mm):.3f} |"
     yield f"| read / true press of the surface (median) | {np.median(steepest):.2f} |"
     yield f"| effective thickness, mm | {MM * gel.get('thickness_m', np.nan):.1f} |"
+    yield f"| coating, mm | {MM * gel.get('coating_m', np.nan):.2f} |"
 
 
 def reduce_surface(surface_m: Float32, geometry: SensorGeometry) -> Float32:
@@ -183,7 +191,9 @@ def report_tips(known: Calibration, sensor: TaximSensor, rng: np.random.Generato
                 x_mm, y_mm = sides_mm * rng.uniform(0.3, 0.7, 2)
                 height_mm = shape_tip(name, *find_distances_mm(geometry, x_mm, y_mm), rng.uniform(0, 2 * np.pi))
                 surface_m, image = sensor.press((height_mm / MM).astype(np.float32), press_mm / MM)
-                found = reduce_surface(surface_m, known.geometry), known.read_indentation(image)
+                seen_m = reduce_surface(surface_m, known.geometry)
+                slopes = differentiate(seen_m, known.geometry)
+                found = recover_indentation(seen_m, slopes, known.geometry), known.read_indentation(image)
                 for values, indentation_m in zip((exact, read), found, strict=True):
                     values.append(MM * measure_press_m(indentation_m, known.geometry) / press_mm)
         cells = (f"{np.median(v):.2f} | {np.min(v):.2f} to {np.max(v):.2f}" for v in (exact, read))
@@ -216,8 +226,11 @@ def read_shape(one: Pressed, what: str, localizer: Localizer, known: Calibration
         return one.touch.contact_shape
     if what == "image":
         return localizer.sensor.contact_shape(one.image)
-    read = find_gel_surface if geometry.gel.is_elastic else find_contact_shape
-    return read(reduce_surface(one.surface_m, geometry), geometry, known.noise_m)
+    surface_m = reduce_surface(one.surface_m, geometry)
+    if not geometry.gel.is_elastic:
+        return find_contact_shape(surface_m, geometry, known.noise_m)
+    recovered_m = recover_indentation(surface_m, differentiate(surface_m, geometry), geometry)
+    return find_gel_surface(recovered_m, geometry, known.noise_m)
 
 
 @dataclasses.dataclass
@@ -295,10 +308,7 @@ def locate_objects(
 ) -> None:
     """Locate objects in all cases, and report the rows of the last table."""
     raycast = registry().create("renderer", "raycast", {})
-    thickness_mm = MM * float(known.record["gel"]["thickness_m"])
-    sensors: dict[str, dict[str, Any]] = {
-        "rigid": {}, "layer": {"gel": "layer", "gel_thickness_mm": round(thickness_mm, 2)},
-    }  # fmt: skip
+    sensors: dict[str, dict[str, Any]] = {"rigid": {"gel": "rigid"}, "layer": {}}
     store = StageStore(arguments.store)
     total = {case: Tally() for case in CASES}
     for name in names:

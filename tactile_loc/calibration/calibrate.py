@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from tactile_loc.calibration.estimator import (
 from tactile_loc.calibration.folder import WEIGHTS
 from tactile_loc.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.calibration.presses import TABLE, PressFolder
-from tactile_loc.calibration.reading import Health, find_worst, measure_health
+from tactile_loc.calibration.reading import Health, find_worst, measure_health, read_gel
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -30,7 +30,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
-STAGE_VERSION, RECORD = 4, "held-out"
+STAGE_VERSION, RECORD = 5, "held-out"
 LOOKED_AT = 60  # largest number of presses for which the health is measured
 
 
@@ -122,7 +122,7 @@ def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 def measure_press(estimator: GelEstimator, image: Image, label: PressLabel) -> PressErrors:
     """Return the errors of an estimator for one press."""
-    indentation, slopes = estimator.read(image)
+    indentation, slopes = read_gel(estimator, image, estimator.geometry.gel)
     off = indentation - label.indentation_m
     inside = off[label.contact]
     shape_m = _rms(inside - inside.mean()) if inside.size else np.nan
@@ -151,7 +151,7 @@ def calibrate_stage(
         "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
         "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
         "background": hash_arrays(image=presses.background), "geometry": presses.geometry.describe(),
-        "camera": presses.camera.describe(),
+        "camera": presses.camera.describe(), "fit": None if presses.fit is None else asdict(presses.fit),
     }  # fmt: skip
     return learn_stage(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
 

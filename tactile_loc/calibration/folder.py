@@ -20,11 +20,13 @@ from tactile_loc.calibration.reading import (
     Health,
     measure_health,
     measure_press_m,
+    read_gel,
     read_zero,
     require_healthy,
     require_image,
 )
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, name_source
+from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
@@ -113,15 +115,15 @@ class Calibration:
         estimator.untouched = self.gel.clear
         return estimator
 
-    def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
+    def read_indentation(self, image: NDArray[Any], gel: Gel | None = None) -> NDArray[np.float32]:
         """Return the indentation (H, W), metres, that an image shows.
 
-        The image (H, W, 3) has the size of the camera's images or of the sensor. Marker dots are filled in. Raises
-        TouchError when the image is of another sensor, or when the sensor has changed much. Logs a warning when it has
-        changed less.
+        The image (H, W, 3) has the size of the camera's images or of the sensor. Marker dots are filled in. `gel`
+        replaces the elasticity of the calibration's gel. Raises TouchError when the image is of another sensor, or when
+        the sensor has changed much. Logs a warning when it has changed less.
         """
         image = self.gel.clear_image(require_image(image, self.untouched, self.camera_px))
-        indentation, slopes = self.estimator.read(image)
+        indentation, slopes = read_gel(self.estimator, image, gel or self.geometry.gel)
         if self.usual_health is not None:
             require_healthy(measure_health(image, self.gel.clear, slopes, self.geometry), self.usual_health)
         return indentation

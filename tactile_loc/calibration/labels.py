@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.calibration.pressed_balls import PressedBalls
 from tactile_loc.calibration.surface import differentiate
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -33,9 +34,9 @@ SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouch
 class PressLabel:
     """The label of one press: `indentation_m` (H, W) and `slope` (H, W, 2), float32, and `contact` (H, W), bool.
 
-    `known` (H, W) marks the pixels at which the label holds. The skirt between contact and untouched gel is unknown.
-    `absolute` is False for a ball, because the depth of a ball's visible circle is unknown. The true indentation in the
-    contact is then larger than the label by an unknown constant.
+    `known` (H, W) marks the pixels at which the label holds. On a gel of unknown elasticity, the skirt between contact
+    and untouched gel is unknown. `absolute` is False for a ball on such a gel, because the depth of its visible circle
+    is unknown. The true indentation in the contact is then larger than the label by an unknown constant.
     """
 
     indentation_m: Float32
@@ -89,6 +90,27 @@ def label_ball(
     indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
     slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
     return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
+
+
+def label_elastic_ball(
+    geometry: SensorGeometry, centre_px: tuple[float, float], contact_m: float, ball: PressedBalls
+) -> PressLabel:
+    """Return the label of a ball on an elastic gel, which touches the gel within `contact_m` metres from its axis.
+
+    The indentation is that of the gel's surface, and the slope is what the camera sees through the coating. The label
+    is known everywhere. `centre_px` (x, y) is the axis in the image, pixels.
+    """
+    height, width = geometry.shape
+    sx, sy = geometry.scale_at_surface
+    x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
+    y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
+    away, pressed = np.hypot(x, y), ball.find_depth(contact_m)
+    indentation = np.interp(away, ball.away_m, ball.surface_m[pressed], right=0.0)
+    lean = np.interp(away, ball.away_m, ball.slope[pressed], right=0.0)
+    slope = -np.stack([x * lean, y * lean], axis=-1) / np.maximum(away, 1e-9)[..., None]
+    contact = away < ball.contact_m[pressed]
+    known = np.ones(geometry.shape, bool)
+    return PressLabel(indentation.astype(np.float32), slope.astype(np.float32), contact, known)
 
 
 def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:

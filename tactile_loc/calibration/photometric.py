@@ -34,6 +34,7 @@ OUTLIER_RAD = 0.1  # error of the angle above which the loss is linear
 STEPS_A_PRESS, MOST_STEPS = 100, 5000
 PIXELS_AT_ONCE = 1 << 16
 REPORT_EVERY = 50  # steps
+LEAST_SLOPE = 0.02  # of the gel beside a contact; flatter pixels count as untouched
 
 
 class SlopeNetwork(nn.Module):
@@ -123,14 +124,15 @@ class PhotometricEstimator(GelEstimator):
     def _collect_samples(self, problem: CalibrationProblem) -> tuple[torch.Tensor, torch.Tensor]:
         """Return features (P, FEATURES) and slopes (P, 2) of the training pixels.
 
-        These are all pixels in contact with a known label, and some untouched pixels.
+        These are all pixels with a known label that are in contact or slope, and some other pixels.
         """
         rng = np.random.default_rng(self.options.seed)
         features, slopes, touched = [], [], 0
         for image, label in problem.presses.read_presses():
-            inside = label.contact & label.known
-            touched += int(inside.sum())
-            outside = np.flatnonzero(label.known & ~label.contact)
+            slopes_visibly = np.hypot(label.slope[..., 0], label.slope[..., 1]) > LEAST_SLOPE
+            inside = label.known & (label.contact | slopes_visibly)
+            touched += int((label.known & label.contact).sum())
+            outside = np.flatnonzero(label.known & ~inside)
             wanted = int(self.options.untouched * max(int(inside.sum()), 1000))
             chosen = inside.ravel()
             chosen[rng.permutation(outside)[:wanted]] = True

@@ -9,17 +9,29 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_loc.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, label_ball, label_mesh
+from tactile_loc.calibration.circles import Circle
+from tactile_loc.calibration.gel_fit import BallImage, GelFit, fit_gel
+from tactile_loc.calibration.labels import (
+    STEEPEST,
+    Image,
+    LabelledPresses,
+    PressLabel,
+    label_ball,
+    label_elastic_ball,
+    label_mesh,
+)
 from tactile_loc.calibration.markers import UntouchedGel
+from tactile_loc.calibration.pressed_balls import press_balls
 from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
@@ -81,7 +93,7 @@ class PressFolder(LabelledPresses):
 
     `images` have the size of `geometry`. `camera` is the geometry of the images as they were taken. The circles in the
     table are in pixels of `camera`. Marker dots are filled in, in the images and in the background; `gel` has the
-    background with its dots.
+    background with its dots. `fit` is the gel's elasticity, if it is known; the balls' labels follow from it.
     """
 
     rows: tuple[Row, ...]
@@ -90,6 +102,7 @@ class PressFolder(LabelledPresses):
     geometry: SensorGeometry
     camera: SensorGeometry
     gel: UntouchedGel | None = None
+    fit: GelFit | None = None
     _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -108,12 +121,36 @@ class PressFolder(LabelledPresses):
         row = self.rows[number]
         try:
             if row.kind == "ball":
-                return label_ball(self.geometry, *self._scale_circle(row))
+                return self._label_ball(*self._scale_circle(row))
             return self._label_mesh(row)
         except TactileLocError as error:
             if str(error).startswith(row.where):
                 raise
             raise CalibrationError(f"{row.where}: {error}") from error
+
+    def measure_gel(self, thickness_m: float | None = None, progress: Progress | None = None) -> PressFolder:
+        """Return the presses with the gel's elasticity, if it can be fitted to the presses of balls.
+
+        With `thickness_m`, metres, the gel's thickness is known. Curved gels are not fitted.
+        """
+        circles = [
+            (image, self._scale_circle(row))
+            for image, row in zip(self.images, self.rows, strict=True)
+            if row.kind == "ball"
+        ]
+        pitch_m = self.geometry.pixel_pitch_m
+        balls = [BallImage(image, Circle(*at, radius), ball_m, pitch_m) for image, (at, radius, ball_m) in circles]
+        fit = None if self.geometry.is_curved else fit_gel(balls, self.background, thickness_m, progress)
+        if fit is None or not fit.is_elastic:
+            return replace(self, fit=fit)
+        return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel))
+
+    def _label_ball(self, centre_px: tuple[float, float], radius_px: float, ball_m: float) -> PressLabel:
+        label = label_ball(self.geometry, centre_px, radius_px, ball_m)
+        if self.fit is None or not self.fit.is_elastic:
+            return label
+        contact_m = self.fit.contact * radius_px * self.geometry.pixel_pitch_m
+        return label_elastic_ball(self.geometry, centre_px, contact_m, press_balls(self.fit.gel, ball_m))
 
     def place_circle(self, number: int) -> tuple[tuple[float, float], float, float]:
         """Return the centre (x, y) and radius of a ball's circle on the surface, and the ball's radius; all in m."""

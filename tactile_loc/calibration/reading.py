@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,14 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.calibration.surface import differentiate, integrate
 from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.gel_inverse import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import read_colour_image
+
+if TYPE_CHECKING:
+    from tactile_loc.calibration.estimator import GelEstimator
 
 logger = logging.getLogger(__name__)
 
@@ -34,6 +39,7 @@ LEAST_M = 5e-5  # no sensor distinguishes a lighter press from no contact
 ABOVE_NOISE = 4.0  # least press depth, in standard deviations of the noise
 ABOVE_FALSE = 1.5  # least press depth, as a multiple of the false press of the untouched gel
 MOST_FALSE_M = 1e-4  # largest threshold that follows from a false press; a larger one means an unreliable image
+TOUCHING = 0.2  # least integrated indentation where the gel may touch the object, share of the press depth
 BLACK, WHITE = 8, 253  # largest count of a black pixel, and least count of a saturated pixel, of 255
 STRANGE = 22  # largest median difference from the untouched gel, counts; presses have 2 to 19
 
@@ -136,6 +142,28 @@ def find_contact_shape(
     cut = np.float32(press - level)
     depth = np.clip(np.float32(press) - indentation_m, 0, np.nextafter(cut, np.float32(0)))
     return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut), press)
+
+
+def read_gel(estimator: GelEstimator, image: Image, gel: Gel) -> tuple[Float32, Float32 | None]:
+    """Return the indentation (H, W), metres, of a gel's surface in an image (H, W, 3), and the slopes (H, W, 2).
+
+    The indentation of an elastic gel is recovered from the slopes by contact mechanics. The slopes are None if the
+    estimator does not use slopes; then the indentation is what the estimator says.
+    """
+    indentation, slopes = estimator.read(image)
+    if slopes is None or not gel.is_elastic:
+        return indentation, slopes
+    return recover_indentation(indentation, slopes, replace(estimator.geometry, gel=gel)), slopes
+
+
+def recover_indentation(indentation_m: Float32, slopes: Float32, geometry: SensorGeometry) -> Float32:
+    """Return the indentation (H, W), metres, of an elastic gel with slopes (H, W, 2).
+
+    Only pixels at which the integrated `indentation_m` (H, W), metres, is large enough can touch the object.
+    """
+    press_m = measure_press_m(indentation_m, geometry)
+    touching = indentation_m > max(TOUCHING * press_m, 0.0)
+    return recover_contact(slopes, touching, geometry).displacement_m if touching.any() else indentation_m
 
 
 def find_gel_surface(

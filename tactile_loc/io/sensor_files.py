@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError, SensorError
-from tactile_loc.core.sensing.gel import RIGID
+from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.core.slots.depth_sensor import GelOptions
 from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
@@ -49,6 +49,9 @@ class _SensorFile(BaseModel):
     gel_thickness_mm: Positive | None = Field(None, description="a positive number (mm), by default 4")
     poisson: Annotated[float, Field(ge=0, lt=0.5)] | None = Field(
         None, description="a number from 0 to 0.5, by default 0.48"
+    )
+    gel_coating_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
+        None, description="a number of at least 0 (mm), by default 0"
     )
 
 
@@ -104,8 +107,15 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
         rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
         observed=None if keys.mask is None else _read_mask(folder / keys.mask),
         relief_m=None if keys.surface is None else _read_surface(folder / keys.surface),
-        gel=GelOptions(gel=keys.gel, gel_thickness_mm=keys.gel_thickness_mm, poisson=keys.poisson).make_gel(RIGID),
+        gel=_build_gel(keys),
     )  # fmt: skip
+
+
+def _build_gel(keys: _SensorFile) -> Gel:
+    options = GelOptions(
+        gel=keys.gel, gel_thickness_mm=keys.gel_thickness_mm, poisson=keys.poisson, gel_coating_mm=keys.gel_coating_mm
+    )
+    return options.make_gel(RIGID)
 
 
 def _check_view(geometry: SensorGeometry) -> SensorGeometry:
@@ -171,6 +181,7 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
         write_image(path.with_name(values["mask"]), geometry.observed.astype(np.uint8) * 255)
     if geometry.gel.thickness_m is not None:
         values |= {"gel": "layer", "gel_thickness_mm": mm * geometry.gel.thickness_m, "poisson": geometry.gel.poisson}
+        values |= {"gel_coating_mm": mm * geometry.gel.coating_m}
     if geometry.relief_m is not None:
         values |= {"surface": f"{path.stem}_surface.npy"}
         np.save(path.with_name(values["surface"]), geometry.relief_m)

@@ -191,8 +191,10 @@ def _calibrate(
     presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
     if curved:
         presses = _curve_gel(presses, seed)
+    presses = presses.measure_gel(progress=make_progress())
+    gel = _describe_gel(presses)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), make_progress())
-    dots, gel = _describe_dots(presses), _measure_gel(made, presses)
+    dots = _describe_dots(presses)
     record = {**record, "camera_px": list(presses.camera.shape), **dots, **gel}
     return _finish(presses, made, presses.background if presses.gel is None else presses.gel.image, record, out)
 
@@ -211,19 +213,20 @@ def _describe_dots(presses: PressFolder) -> dict[str, Any]:
     return {"dots": dots}
 
 
-def _measure_gel(made: GelEstimator, presses: PressFolder) -> dict[str, Any]:
-    """Return the gel's effective thickness as part of the record; nothing if the presses do not determine it."""
-    from tactile_loc.calibration.gel_thickness import estimate_gel
-
-    fit = estimate_gel(made, presses, progress=make_progress()) if made.sees_skirt else None
+def _describe_gel(presses: PressFolder) -> dict[str, Any]:
+    """Return the gel's elasticity as part of the record, and print it; nothing if the presses do not determine it."""
+    fit, mm = presses.fit, 1e3
     if fit is None:
         return {}
-    mm, um = 1e3, 1e6
-    say(
-        f"the gel's effective thickness is {mm * fit.thickness_m:.1f} mm, standard deviation {mm * fit.std_m:.1f} mm: "
-        f"its surface is off by {um * fit.rms_m:.0f} um, that of a rigid gel by {um * fit.rigid_rms_m:.0f} um"
-    )
-    return {"gel": dataclasses.asdict(fit)}
+    shares = f"{100 * fit.rms:.0f} % of the colour profiles unexplained, a rigid gel {100 * fit.rigid_rms:.0f} %"
+    if fit.is_elastic:
+        say(
+            f"the gel is elastic: effective thickness {mm * fit.thickness_m:.1f} mm (standard deviation "
+            f"{mm * fit.std_m:.1f} mm), coating {mm * fit.coating_m:.2f} mm; it leaves {shares}"
+        )
+    else:
+        say(f"the gel is taken for rigid: an elastic gel leaves {shares}")
+    return {"gel": fit.record()}
 
 
 def _curve_gel(presses: PressFolder, seed: int) -> PressFolder:

@@ -36,12 +36,14 @@ ITERATIONS = 3  # leave a few micrometres for a press of 0.6 mm: see docs/method
 class Gel:
     """The gel's elasticity: a layer of `thickness_m` metres (inf: a half-space) with Poisson's ratio `poisson`.
 
-    A rigid gel (thickness None) shows the object where it would penetrate the undeformed surface. Raises SensorError
-    for impossible values.
+    A rigid gel (thickness None) shows the object where it would penetrate the undeformed surface. The camera sees the
+    underside of a coating, `coating_m` metres below the gel's surface, at which the displacement is smoother. Raises
+    SensorError for impossible values.
     """
 
     thickness_m: float | None = None
     poisson: float = 0.48
+    coating_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.thickness_m is not None and not THINNEST_M <= self.thickness_m <= math.inf:
@@ -51,6 +53,11 @@ class Gel:
             )
         if not 0 <= self.poisson < 0.5:
             raise SensorError(f"the gel's Poisson's ratio is {self.poisson:g}; give at least 0 and less than 0.5")
+        if not 0 <= self.coating_m < (self.thickness_m or math.inf):
+            raise SensorError(
+                f"the gel's coating is {self.coating_m * 1e3:g} mm thick; give at least 0 mm and less than the gel's "
+                "own thickness"
+            )
 
     @property
     def is_elastic(self) -> bool:
@@ -72,14 +79,15 @@ class Gel:
     def describe(self) -> dict[str, Any]:
         """Return what identifies the gel, as JSON values."""
         thickness_m = "inf" if self.thickness_m == math.inf else self.thickness_m
-        return {"thickness_m": thickness_m, "poisson": self.poisson if self.is_elastic else None}
+        coating = {"coating_m": self.coating_m} if self.coating_m else {}
+        return {"thickness_m": thickness_m, "poisson": self.poisson if self.is_elastic else None, **coating}
 
     @classmethod
     def of_description(cls, described: dict[str, Any]) -> Gel:
         """Return the gel that `describe` describes."""
         if described["thickness_m"] is None:
             return RIGID
-        return cls(float(described["thickness_m"]), described["poisson"])
+        return cls(float(described["thickness_m"]), described["poisson"], described.get("coating_m", 0.0))
 
 
 RIGID = Gel()
@@ -97,7 +105,11 @@ class Contact(NamedTuple):
 
 
 class GelSolver:
-    """Solves contacts on a window of `shape` (H, W) pixels with `pitch_m` (x, y) metres; make it with `make_solver`."""
+    """Solves contacts on a window of `shape` (H, W) pixels with `pitch_m` (x, y) metres; make it with `make_solver`.
+
+    The window is `padded` to twice its size (rows, columns), because the Fourier transform repeats it. `compliance` is
+    the transform of the displacements under a unit pressure at one pixel, metres.
+    """
 
     def __init__(self, gel: Gel, shape: tuple[int, int], pitch_m: tuple[float, float]) -> None:
         from scipy import fft
@@ -105,20 +117,19 @@ class GelSolver:
         if gel.thickness_m is None:
             raise SensorError("a rigid gel has no elastic contact; give the sensor's gel a thickness")
         self.shape = shape
-        # the window is repeated by the Fourier transform, so it is padded to twice its size
         self.padded = (fft.next_fast_len(2 * shape[0], real=True), fft.next_fast_len(2 * shape[1], real=True))
         if math.isinf(gel.thickness_m):
             compliance = _transform_point_loads(self.padded, pitch_m, gel.poisson)
         else:
-            compliance = compute_compliance(_list_wave_numbers(self.padded, pitch_m), gel)
-        self._compliance = compliance.astype(np.float32)
+            compliance = compute_compliance(np.hypot(*list_wave_numbers(self.padded, pitch_m)), gel)
+        self.compliance = compliance.astype(np.float32)
 
     def displace(self, pressure: Float32) -> Float32:
         """Return the displacements (N, H, W), metres, under pressures (N, H, W), unitless."""
         from scipy import fft
 
         spectrum = fft.rfft2(pressure, self.padded, axes=(-2, -1))
-        spectrum *= self._compliance
+        spectrum *= self.compliance
         moved: Float32 = fft.irfft2(spectrum, self.padded, axes=(-2, -1))
         return moved[..., : self.shape[0], : self.shape[1]]
 
@@ -169,9 +180,19 @@ def compute_compliance(q: Floats, gel: Gel) -> Floats:
     return np.asarray(np.where(k > LEAST_K, (1 - nu) / np.where(q > 0, q, 1.0) * above / below, uniform))
 
 
-def _list_wave_numbers(shape: tuple[int, int], pitch_m: tuple[float, float]) -> Floats:
+def compute_smoothing(q: Floats, gel: Gel) -> Floats:
+    """Return the displacement below the coating as a share of the surface's, at wave numbers `q`, rad/m.
+
+    It is that in a half-space under normal pressure: Johnson, Contact Mechanics (1985), section 3.2, transformed.
+    """
+    k = q * gel.coating_m
+    return np.asarray((1 + k / (2 * (1 - gel.poisson))) * np.exp(-k))
+
+
+def list_wave_numbers(shape: tuple[int, int], pitch_m: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Return the wave numbers along x (1, W / 2 + 1) and y (H, 1), rad/m, of a real transform of `shape` (H, W)."""
     qx, qy = np.fft.rfftfreq(shape[1], pitch_m[0]), np.fft.fftfreq(shape[0], pitch_m[1])
-    return np.asarray(2 * np.pi * np.hypot(qx[None], qy[:, None]), float)
+    return np.asarray(2 * np.pi * qx[None], float), np.asarray(2 * np.pi * qy[:, None], float)
 
 
 def _transform_point_loads(shape: tuple[int, int], pitch_m: tuple[float, float], poisson: float) -> Floats:

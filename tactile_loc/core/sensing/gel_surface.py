@@ -35,7 +35,7 @@ def deform_gel(
     press = np.asarray(indentation_m, np.float32).reshape(-1, 1, 1)
     pressed = np.asarray((depth_m < press) & geometry.on_rectangle)
     reach = np.where(pressed, press - depth_m, np.float32(-np.inf))
-    window = _Window.around(np.asarray(pressed.any(axis=0)), geometry, MARGIN * float(geometry.gel.thickness_m or 0))
+    window = Window.around(np.asarray(pressed.any(axis=0)), geometry, MARGIN * float(geometry.gel.thickness_m or 0))
     contact = window.solver.press(window.reduce(reach), iterations)
     # where the gel touches the object, it has the object's shape at the full resolution
     touching = window.enlarge((contact.pressure > 0).astype(np.float32)) == 1
@@ -53,7 +53,7 @@ def find_touching(depth_m: Float32, indentation_m: float, geometry: SensorGeomet
     """
     reach = np.float32(indentation_m - max(LEAST_SLACK_M, SLACK * indentation_m)) - depth_m
     pressed = (reach > 0) & geometry.on_rectangle
-    window = _Window.around(pressed, geometry, 0.0)
+    window = Window.around(pressed, geometry, 0.0)
     reach = np.where(pressed, reach, np.float32(-np.inf))
     pressure = window.solver.press(window.reduce(reach[None]), 3 * ITERATIONS).pressure
     return np.asarray(window.enlarge((pressure > 0).astype(np.float32))[0] > 0.5) & pressed
@@ -69,7 +69,7 @@ def mark_touching(depth_m: Float32, shown_m: Float32, indentation_m: float) -> N
 
 
 @dataclass(frozen=True, eq=False)
-class _Window:
+class Window:
     """The part of a sensor's image in which a contact is solved: every `step`-th pixel of `rows` and `columns`."""
 
     geometry: SensorGeometry
@@ -78,7 +78,7 @@ class _Window:
     step: int
 
     @classmethod
-    def around(cls, pressed: NDArray[np.bool_], geometry: SensorGeometry, margin_m: float) -> _Window:
+    def around(cls, pressed: NDArray[np.bool_], geometry: SensorGeometry, margin_m: float) -> Window:
         """Return the window around pixels (H, W), with a margin in metres."""
         step = max(1, round(PITCH_M / geometry.pixel_pitch_m))
         spans = []
@@ -100,10 +100,16 @@ class _Window:
         return (self.step - 1) // 2
 
     @cached_property
-    def solver(self) -> GelSolver:
+    def solved(self) -> tuple[tuple[int, int], tuple[float, float]]:
+        """The shape (h, w) of the solved pixels, and their pitch (x, y), metres."""
         height, width = (len(range(self._first, side, self.step)) for side in self._shape)
         x, y = (self.step / scale for scale in self.geometry.scale_at_surface)
-        return make_solver(self.geometry.gel, (height, width), (x, y))
+        return (height, width), (x, y)
+
+    @cached_property
+    def solver(self) -> GelSolver:
+        """The solver of the window's contacts."""
+        return make_solver(self.geometry.gel, *self.solved)
 
     def reduce(self, images: Float32) -> Float32:
         """Return the solved pixels (N, h, w) of images (N, H, W)."""

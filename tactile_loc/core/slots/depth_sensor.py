@@ -24,21 +24,26 @@ class GelOptions(ComponentOptions):
     gel: Literal["rigid", "layer"] | None = Field(None, description="the gel: rigid, or an elastic layer")
     gel_thickness_mm: float | None = Field(None, gt=0, description="thickness of the elastic layer, mm")
     poisson: float | None = Field(None, ge=0, lt=0.5, description="Poisson's ratio of the elastic layer")
+    gel_coating_mm: float | None = Field(None, ge=0, description="depth of the visible interface in the layer, mm")
 
     def make_gel(self, gel: Gel, thickness_m: float = DEFAULT_THICKNESS_M) -> Gel:
         """Return a sensor's gel, changed as these options say. Raises SensorError if they contradict each other.
 
         A layer is `thickness_m` metres thick if neither the gel nor the options state a thickness.
         """
-        if self.gel == "rigid" and (self.gel_thickness_mm is not None or self.poisson is not None):
-            raise SensorError("a rigid gel has no thickness and no Poisson's ratio; give gel=layer, or leave them out")
+        elastic = (self.gel_thickness_mm, self.poisson, self.gel_coating_mm)
+        if self.gel == "rigid" and any(value is not None for value in elastic):
+            raise SensorError(
+                "a rigid gel has no thickness, no Poisson's ratio and no coating; give gel=layer, or leave them out"
+            )
         if self.gel == "rigid" or (self.gel is None and not gel.is_elastic and self.gel_thickness_mm is None):
             return RIGID
         if self.gel_thickness_mm is not None:
             chosen_m = 1e-3 * self.gel_thickness_mm
         else:
             chosen_m = gel.thickness_m or thickness_m
-        return Gel(chosen_m, gel.poisson if self.poisson is None else self.poisson)
+        coating_m = gel.coating_m if self.gel_coating_mm is None else 1e-3 * self.gel_coating_mm
+        return Gel(chosen_m, gel.poisson if self.poisson is None else self.poisson, coating_m)
 
 
 class DepthSensor(SensorModel):

@@ -37,9 +37,9 @@ class CalibratedSensor(DepthSensor):
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
         known = self.calibration
-        seen = known.read_indentation(image)
+        seen = known.read_indentation(image, self.geometry.gel)
         sees_skirt = known.estimator.sees_skirt
-        if self.geometry.gel.is_elastic and sees_skirt:
+        if self.geometry.gel.is_elastic and (sees_skirt or known.geometry.gel.is_elastic):
             return find_gel_surface(seen, self.geometry, known.noise_m, known.false_press_m)
         return find_contact_shape(seen, self.geometry, known.noise_m, sees_skirt, known.false_press_m)
 
