@@ -35,6 +35,7 @@ STEEP = 0.25  # least slope of the skirt, share of the steepest slope
 HANGING_M = 1 / 600  # least ratio of slope to curvature in the skirt; on a ball it is half the distance from the tip
 SMOOTHING_M = 1e-4  # standard deviation of the smoothing of slope and curvature
 TIP_M = 3e-4  # the press depth is the least indentation in the deepest area of TIP_M x TIP_M
+WIDER, TOWARDS_TIP = 4.0, 0.7  # for extrapolating to a sharp tip: see `extrapolate_press_m`
 LEAST_M = 5e-5  # no sensor distinguishes a lighter press from no contact
 ABOVE_NOISE = 4.0  # least press depth, in standard deviations of the noise
 ABOVE_FALSE = 1.5  # least press depth, as a multiple of the false press of the untouched gel
@@ -101,14 +102,26 @@ def read_zero(path: Path) -> Image:
     return image
 
 
-def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> float:
+def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry, areas: float = 1.0) -> float:
     """Return the press depth, metres, of an indentation (H, W), metres.
 
-    It is the least indentation of the deepest pixels that together cover an area of TIP_M x TIP_M.
+    It is the least indentation of the deepest pixels that together cover `areas` areas of TIP_M x TIP_M.
     """
-    pixels = max(1, round((TIP_M / geometry.pixel_pitch_m) ** 2))
+    pixels = max(1, round(areas * (TIP_M / geometry.pixel_pitch_m) ** 2))
     observed = np.sort(indentation_m[geometry.observed_mask])
     return float(observed[-min(pixels, len(observed))])
+
+
+def extrapolate_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> tuple[float, float]:
+    """Return the press depth of a gel surface (H, W), metres, and the standard deviation of its error, metres.
+
+    A sharp tip is narrower than the area that `measure_press_m` considers. The indentation is therefore extrapolated
+    from this area and from one that is WIDER times as large. Between a cone, whose indentation falls with the square
+    root of the area, and a ridge, whose indentation falls with the area, the step is TOWARDS_TIP of the difference.
+    """
+    near_m, far_m = (measure_press_m(indentation_m, geometry, area) for area in (1.0, WIDER))
+    step_m = TOWARDS_TIP * max(near_m - far_m, 0.0)
+    return near_m + step_m, step_m
 
 
 def find_contact_shape(
@@ -172,12 +185,15 @@ def find_gel_surface(
     """Return the contact shape of an elastic gel, given the indentation (H, W), metres, that an image shows.
 
     The shape is the whole surface above the noise; `Touch.touching_shape` is the part that touches the object.
-    `noise_m` and `false_press_m` are as for `find_contact_shape`, which raises the same error.
+    `noise_m` and `false_press_m` are as for `find_contact_shape`, which raises the same error. The press depth is
+    extrapolated to sharp tips.
     """
-    press, _ = _require_press(indentation_m, geometry, noise_m, false_press_m)
+    _require_press(indentation_m, geometry, noise_m, false_press_m)
+    press, std_m = extrapolate_press_m(indentation_m, geometry)
+    press = min(press, geometry.max_depth_m)
     shown = geometry.observed_mask & (indentation_m > noise_m)
     depth = np.maximum(np.float32(press) - indentation_m, 0)
-    return ContactShape(np.where(shown, depth, press).astype(np.float32), press)
+    return ContactShape(np.where(shown, depth, press).astype(np.float32), press, indentation_std_m=std_m)
 
 
 def _require_press(

@@ -16,7 +16,9 @@ from tactile_loc.calibration.reading import (
     MOST_SKIRT,
     SKIRT,
     TIP_M,
+    extrapolate_press_m,
     find_contact_shape,
+    find_gel_surface,
     measure_press_m,
     require_image,
 )
@@ -224,3 +226,24 @@ def test_a_saturated_background_permits_saturated_images():
 def test_another_sensors_image_is_refused():
     refused(render_background(GEOMETRY, OPTICS["digit"]), "sensor", "calibrate")
     refused(np.random.default_rng(0).integers(0, 250, GEL.shape).astype(np.uint8), "sensor", "calibrate")
+
+
+TIPS = {  # heights over the deepest point, metres, and the largest error of the extrapolated press, share of the press
+    "ball": (lambda x, y: (x**2 + y**2) / 6e-3, 0.03),
+    "cone": (lambda x, y: 0.5 * np.hypot(x, y), 0.12),
+    "ridge": (lambda x, y: np.maximum(0.5 * np.abs(x), 10 * (np.abs(y) - 2.5e-3)), 0.08),
+    "flat": (lambda x, y: np.maximum(np.hypot(x, y) - 1e-3, 0), 0.0),
+}
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_the_press_is_extrapolated_to_sharp_tips(name):
+    """A sharp tip is measured as too light; the extrapolation removes most of this error, and states the rest."""
+    shape, most = TIPS[name]
+    surface = np.maximum(PRESS_M - shape(*places(GEOMETRY)), 0).astype(np.float32)
+    measured_m = measure_press_m(surface, GEOMETRY)
+    press_m, std_m = extrapolate_press_m(surface, GEOMETRY)
+    assert abs(press_m - PRESS_M) <= max(most * PRESS_M, 1e-9)
+    assert abs(press_m - PRESS_M) <= max(2 * std_m, 1e-9)
+    assert measured_m <= press_m
+    assert find_gel_surface(surface, GEOMETRY, 1e-6).indentation_std_m == std_m

@@ -129,7 +129,7 @@ class JointRegistration:
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         seen = [Seen.of(view.touch, options.image_px) for view in views]
         observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
-        press_mm = [max(options.press_error * view.touch.indentation_m, 1e-6) * MILLI for view in views]
+        press_mm = [_press_std_m(view, options.press_error) * MILLI for view in views]
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
         registration = Registration(
             observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
@@ -140,6 +140,12 @@ class JointRegistration:
         )  # fmt: skip
         found = registration.register(_scale(T, MILLI), scales_mm, finely)
         return found._replace(T=_scale(found.T, 1 / MILLI), T_each=_scale(found.T_each, 1 / MILLI))
+
+
+def _press_std_m(view: View, press_error: float) -> float:
+    """Return the standard deviation of a touch's press depth, metres, at least the share `press_error` of it."""
+    shape = view.touch.contact_shape
+    return max(press_error * shape.deepest_m, shape.indentation_std_m, 1e-6)
 
 
 def _scale(T: Floats, unit: float) -> Floats:

@@ -23,7 +23,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 STEPS = 20  # of each of the two searches for the pressure
 CONTINUED = 4  # steps after which the slopes beyond the image are predicted anew
 LEAST = 0.5  # pressure at the contact's border, as a share of the contact's median pressure
-RIDGE = 0.005  # weight of the squared pressure, as a share of the steepest response; it damps ringing at edges
+RIDGE = 0.01  # weight of the squared pressure, as a share of the steepest response; it damps ringing at edges
 SMOOTHING_PX = 1.0  # standard deviation of the smoothing of the pressure before the contact's border is sought
 
 Mask = NDArray[np.bool_]

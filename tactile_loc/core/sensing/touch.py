@@ -26,11 +26,13 @@ class ContactShape:
     `depth_m` (H, W), float32, is in metres, from 0 to `press_depth_m`. A pixel at `press_depth_m` is not in contact.
     Before you compare two contact shapes, cut both at the same press depth with `press_to`. `indentation_m` is the
     object's true indentation, metres, if the shape was cut at less. None means that it equals `press_depth_m`.
+    `indentation_std_m` is the standard deviation of the indentation's error, metres, if the sensor knows it.
     """
 
     depth_m: Depth
     press_depth_m: float
     indentation_m: float | None = None
+    indentation_std_m: float = 0.0
 
     @property
     def contact(self) -> NDArray[np.bool_]:
@@ -49,7 +51,8 @@ class ContactShape:
     def press_to(self, press_depth_m: float) -> ContactShape:
         """Return the shape cut at `press_depth_m` metres from full penetration. The indentation does not change."""
         cut_m = min(press_depth_m, self.press_depth_m)
-        return ContactShape(np.minimum(self.depth_m, np.float32(cut_m)), cut_m, self.deepest_m)
+        depth_m = np.minimum(self.depth_m, np.float32(cut_m))
+        return ContactShape(depth_m, cut_m, self.deepest_m, self.indentation_std_m)
 
     @property
     def deepest_m(self) -> float:

@@ -31,12 +31,11 @@ class GelOptions(ComponentOptions):
 
         A layer is `thickness_m` metres thick if neither the gel nor the options state a thickness.
         """
-        elastic = (self.gel_thickness_mm, self.poisson, self.gel_coating_mm)
-        if self.gel == "rigid" and any(value is not None for value in elastic):
-            raise SensorError(
-                "a rigid gel has no thickness, no Poisson's ratio and no coating; give gel=layer, or leave them out"
-            )
+        if self.gel == "rigid" and (self.gel_thickness_mm is not None or self.poisson is not None):
+            raise SensorError("a rigid gel has no thickness and no Poisson's ratio; give gel=layer, or leave them out")
         if self.gel == "rigid" or (self.gel is None and not gel.is_elastic and self.gel_thickness_mm is None):
+            if self.gel_coating_mm is not None:
+                raise SensorError("a rigid gel has no coating; give gel=layer, or leave gel_coating_mm out")
             return RIGID
         if self.gel_thickness_mm is not None:
             chosen_m = 1e-3 * self.gel_thickness_mm

@@ -117,6 +117,8 @@ def test_a_layer_has_the_thickness_of_the_preset(name: str) -> None:
     sensor = registry().create("sensor", name, {"gel": "layer"})
     assert sensor.geometry.gel.thickness_m == pytest.approx(THICKNESSES_MM[name] * MM)
     assert registry().create("sensor", name, {"poisson": 0.4}).geometry.gel.is_elastic is False
+    with pytest.raises(SensorError):
+        registry().create("sensor", name, {"gel_coating_mm": 0.3})
 
 
 @pytest.mark.parametrize("name", NAMES)
