@@ -161,8 +161,8 @@ def main() -> None:
                 for number in range(arguments.examples)
             ]
             modelled = elastic.scene.geometry.gel  # the solver that draws a half-space knows no thickness
-            soft = [[_view_as(press_elastic(touch, source, gel), modelled) for touch in touches] for touches in drawn]
-            taken = [[_view_as(touch, RIGID) for touch in touches] for touches in soft]
+            soft = [[view_as(press_elastic(touch, source, gel), modelled) for touch in touches] for touches in drawn]
+            taken = [[view_as(touch, RIGID) for touch in touches] for touches in soft]
             for case, localizer, examples in zip(CASES, (elastic, rigid, rigid), (soft, taken, drawn), strict=True):
                 localize_together([(localizer, touch) for touch in examples[0]])  # builds what is stored
                 found = measure(localizer, examples)
@@ -173,7 +173,7 @@ def main() -> None:
         print(write_row("all", case, tuple(total[case])))  # type: ignore[arg-type]
 
 
-def _view_as(touch: Touch, gel: Gel) -> Touch:
+def view_as(touch: Touch, gel: Gel) -> Touch:
     """Return a touch as a sensor with another gel sees it."""
     return dataclasses.replace(touch, geometry=dataclasses.replace(touch.geometry, gel=gel))
 
