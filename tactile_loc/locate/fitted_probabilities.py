@@ -15,6 +15,7 @@ from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.locate import conformal, probabilities
@@ -31,7 +32,7 @@ EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
 EACH_LEVEL = 10_000  # step between the seeds of two noise levels
 UNKNOWN = 1e3  # nats: the entropy of an example without a posterior
 
-Simulate = Callable[[int, int, str], list[Touch]]  # takes a count, a seed and a noise level
+Simulate = Callable[[int, int, TouchNoise], list[Touch]]  # takes a count, a seed and the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,9 @@ class FittedProbabilities:
         for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):
             posterior = None if example.fused is None else example.fused.temper(power)
             if posterior is not None and self.source.searched and touches > 1:
-                posterior = dataclasses.replace(posterior, elsewhere=self.fused_scaling.elsewhere(example.best))
+                posterior = dataclasses.replace(
+                    posterior, elsewhere=self.fused_scaling.elsewhere(example.best, touches)
+                )
             found = posterior is not None and example.truth >= 0
             scores.append(posterior.credible_level(example.truth) if posterior and found else conformal.NOT_FOUND)
             entropies.append(UNKNOWN if posterior is None else posterior.entropy)
@@ -145,7 +148,7 @@ class FittedProbabilities:
         }  # fmt: skip
 
     def _examples(
-        self, touches: int, count: int, seed: int, noise: str = probabilities.TOUCH_NOISE
+        self, touches: int, count: int, seed: int, noise: TouchNoise = probabilities.TOUCH_NOISE
     ) -> Iterator[Example]:
         """Yield `count` examples, each of different simulated touches of the object at rest."""
         at_once = max(1, EXAMPLE_TOUCHES // touches)

@@ -17,8 +17,12 @@ from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
+from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.results.localization import Hypothesis
 
+# A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
+# temperature is 1 / (N SHARPNESS_OF_ONE).
+LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 SHARPNESS = 30.0  # an error of a sensor pose that costs 1 nat lowers the imprint IoU by 1 / SHARPNESS
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 AT_ONCE = 500  # poses compared with the chosen ones at once
@@ -33,8 +37,8 @@ def find_hypotheses(
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Refine modes in the first touch's sensor frame, weigh them, and merge those within `radius_m` metres.
 
-    `weigh` computes the probabilities of the refined poses. Views whose numbers are in `outliers` affect neither the
-    refinement nor the probabilities.
+    `weigh` computes the probabilities of the refined poses from their imprint IoUs (`compute_nats`). Views whose
+    numbers are in `outliers` affect neither the refinement nor the probabilities.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
@@ -43,7 +47,7 @@ def find_hypotheses(
     with times.stage("choose"):
         T = np.stack([pose.T_sensor_object for pose in refined])
         seen = None if len(views) == 1 else _find_seen_poses(views, refined, refine, trusted)
-        ious, evidence = compare_where_seen(views, T, seen)
+        ious, _ = compare_where_seen(views, T, seen)
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -52,7 +56,8 @@ def find_hypotheses(
             for mode, pose, each in zip(modes, refined, ious, strict=True)
         ]  # fmt: skip
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        return merge_hypotheses(weigh(hypotheses, evidence[:, trusted].sum(axis=1), log_prior), metric, radius_m)
+        nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), len(trusted))
+        return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -72,17 +77,28 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
     return tuple(dataclasses.replace(h, probability=min(1.0, share * h.probability)) for h in merged)
 
 
+def compute_nats(imprint_ious: NDArray[np.float64], touches: int) -> NDArray[np.float64]:
+    """Return the log-weights (K,), nats, of poses with mean imprint IoUs (K,), 0 to 1, with this number of touches.
+
+    A pose that explains the touches better never has a smaller weight. The smaller the share of the imprints that
+    remains unexplained, the more a difference of it counts. So clean touches distinguish poses that noisy touches do
+    not.
+    """
+    scaling = TemperatureScaling(1 / (touches * SHARPNESS_OF_ONE), TAIL)
+    return scaling.log_p(-np.log(1 - imprint_ious + LEAST_UNEXPLAINED))
+
+
 def weigh(
-    hypotheses: Sequence[Hypothesis], evidence: NDArray[np.float64], log_prior: NDArray[np.float64] | None = None
+    hypotheses: Sequence[Hypothesis], nats: NDArray[np.float64], log_prior: NDArray[np.float64] | None = None
 ) -> tuple[Hypothesis, ...]:
-    """Return hypotheses with probabilities from the evidence of their refined poses, the most probable first.
+    """Return hypotheses with probabilities from the log-weights of their refined poses, the most probable first.
 
     Refined poses distinguish explanations better than the grid, whose poses are all slightly wrong and whose shapes are
-    coarse. `evidence` (K,), nats, is the sum over all touches; `log_prior` (K,) is added. The total probability of the
+    coarse. `nats` (K,) are the log-weights given all touches; `log_prior` (K,) is added. The total probability of the
     given hypotheses is kept.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
-    worth = evidence + known
+    worth = nats + known
     weights = np.exp(worth - worth.max())
     weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()
     order = np.lexsort((np.arange(len(hypotheses)), -worth))

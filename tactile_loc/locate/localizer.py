@@ -21,7 +21,7 @@ from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import make_noise
+from tactile_loc.core.simulation.noise import TouchNoise, make_noise
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.common_poses import NoCommonPoseError, require_sensor_poses
 from tactile_loc.core.slots.compatibility import require_compatible
@@ -170,10 +170,12 @@ class Localizer:
         exact = self._create("matcher").capabilities.top_k_only
         source = self._make_source(ExactMatcher) if exact else self.source
         return FittedProbabilities(
-            source, self.scene, self.fuser, lambda count, seed, noise: self.simulate(count, seed, noise=noise),
-            self.describe_scores, {"sampler": self.sampler.describe()}, self.config.temperature, self.store,
-            self.progress,
+            source, self.scene, self.fuser, self._simulate_to_fit, self.describe_scores,
+            {"sampler": self.sampler.describe()}, self.config.temperature, self.store, self.progress,
         )  # fmt: skip
+
+    def _simulate_to_fit(self, count: int, seed: int, noise: TouchNoise) -> list[Touch]:
+        return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
 
     def describe_scores(self) -> dict[str, Any]:
         """Return all inputs of the scores except the touch, as JSON values; trains the encoder if necessary.
@@ -365,7 +367,8 @@ class _Query:
                               "them the grid whole, or none")  # fmt: skip
         found = search_together(self.views, together, self.times, self.prior)
         scalings = [localizer.probabilities.temperature_scaling for localizer, _ in self.observations]
-        return found.posteriors(self.views, scalings, self.first.probabilities.fused_scaling.elsewhere(found.best))
+        elsewhere = self.first.probabilities.fused_scaling.elsewhere(found.best, len(self.views))
+        return found.posteriors(self.views, scalings, elsewhere)
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
         """Fuse the touches' posteriors and the prior over the first touch's grid.

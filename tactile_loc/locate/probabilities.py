@@ -11,7 +11,7 @@ increasingly with the number of touches; `FusedScaling` corrects this.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.simulation.noise import make_noise
+from tactile_loc.core.simulation.noise import TouchNoise, make_noise
 
-STAGE, STAGE_VERSION = "temperature", 2
+STAGE, STAGE_VERSION = "temperature", 3
 TOUCHES, BATCH = 150, 25  # simulated touches in total, and at once
-TOUCH_NOISE = "strong"  # real touches differ from renders at least as much
+TOUCH_NOISE = make_noise("strong")  # real touches differ from renders at least as much
 SEED = 0x5EED  # differs from the seeds of evaluations, which must not use the same touches
 
 TAIL_HEAT = 4.0
@@ -33,13 +33,14 @@ STEPS_PER_E = 6  # temperatures tried per factor of e
 REACH = 12  # factors of e tried below the highest temperature
 LEAST = 1e-12  # least probability of a true pose in the fit, so that no single touch decides
 
-FUSED_STAGE, FUSED_VERSION = "fused-temperature", 2
+FUSED_STAGE, FUSED_VERSION = "fused-temperature", 3
 FUSED_TOUCHES = (2, 3, 5, 7)  # touches per example
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # for each number of touches
 SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # fewer touches to fit searches, which take longer
-SEARCHED_NOISE = ("none", "mild", "strong")  # used in turn, so that the fit covers touches explained well and badly
+# The noise levels are used in turn, so that the fit covers touches explained well and badly. So do the presses.
+SEARCHED_NOISE = tuple(replace(make_noise(level), press_share=(0.3, 1.0)) for level in ("none", "mild", "strong"))
 MOST_ELSEWHERE = 0.999
-AS_KNOWN = 3  # invented touches with score 0, and as many with score 1
+AS_KNOWN = 3  # invented touches with score 0, and as many that are explained fully
 EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
@@ -47,12 +48,12 @@ EXPONENTS = np.linspace(0.0, 1.0, 41)
 class FitPlan:
     """The simulated touches of a fit.
 
-    There are `touches` single touches, shared equally among the `noise` levels. For each number in `fused_touches`,
+    There are `touches` single touches, shared equally among the levels of `noise`. For each number in `fused_touches`,
     there are `fused_examples` examples of that many touches.
     """
 
     touches: int
-    noise: tuple[str, ...]
+    noise: tuple[TouchNoise, ...]
     fused_touches: tuple[int, ...]
     fused_examples: int
 
@@ -136,7 +137,8 @@ class FusedScaling:
     """Tempering of a product of N touches' posteriors: the product is raised to the power N**-exponent.
 
     Exponent 0 keeps the product, as if the touches' errors were independent. Exponent 1 gives the geometric mean. For
-    searches of a whole object, `found` is as in TemperatureScaling, with the best pose's mean imprint IoU as the score.
+    searches of a whole object, `found` is as in TemperatureScaling, with the sum of the best pose's imprint IoUs as the
+    score. So the more touches a pose explains, the less well it has to explain each.
     """
 
     exponent: float = 0.0
@@ -146,9 +148,9 @@ class FusedScaling:
         """Return the power, above 0 and at most 1, to which a product of this many touches' posteriors is raised."""
         return float(max(1, touches) ** -self.exponent)
 
-    def elsewhere(self, best: float) -> float:
+    def elsewhere(self, best: float, touches: int) -> float:
         """Return the probability that the true pose is near no pose found; `best` is the best mean imprint IoU."""
-        return _elsewhere(self.found, best)
+        return _elsewhere(self.found, touches * best)
 
 
 class FusedExample(NamedTuple):
@@ -170,7 +172,10 @@ def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> 
     With `searched`, the probability that the search misses the true pose is fitted, too.
     """
     known = np.array([example.truth >= 0 for example in fused], bool)
-    found = _fit_found(np.array([example.best for example in fused]), known) if searched else None
+    found = None
+    if searched:
+        explained = np.array([example.touches * example.best for example in fused])
+        found = _fit_found(explained, known, min((example.touches for example in fused), default=1))
     losses = np.zeros(len(EXPONENTS))
     for touches, log_p, truth, _ in (example for example in fused if example.truth >= 0):
         known = log_p[np.isfinite(log_p)]
@@ -182,7 +187,7 @@ def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> 
     return FusedScaling(float(EXPONENTS[np.argmin(losses)]), found)
 
 
-def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str]]:
+def batches(touches: int, levels: Sequence[TouchNoise]) -> Iterator[tuple[int, int, TouchNoise]]:
     """Yield the seed, the number of touches and the noise level of each batch to fit to.
 
     All noise levels have equally many touches.
@@ -193,9 +198,9 @@ def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str
             yield SEED + number * share + start, min(BATCH, share - start), level
 
 
-def describe_touches(touches: int = TOUCHES, levels: Sequence[str] = (TOUCH_NOISE,)) -> dict[str, Any]:
+def describe_touches(touches: int, levels: Sequence[TouchNoise]) -> dict[str, Any]:
     """Return all inputs of a fit's touches except the sampler, as JSON values."""
-    noise = [make_noise(level).describe() for level in levels]
+    noise = [level.describe() for level in levels]
     return {"noise": noise, "touches": touches, "batch": BATCH, "seed": SEED}
 
 
@@ -215,15 +220,15 @@ def _elsewhere(found: tuple[float, float] | None, best: float) -> float:
     return float(min(1 / (1 + np.exp(offset + slope * best)), MOST_ELSEWHERE))
 
 
-def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
-    """Fit the log odds of `found` (T,) by a line (offset, slope) over the best scores (T,), 0 to 1.
+def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_], perfect: float = 1.0) -> tuple[float, float]:
+    """Fit the log odds of `found` (T,) by a line (offset, slope) over the best scores (T,).
 
-    AS_KNOWN invented touches with score 0 count as not found. As many invented touches with score 1 count as found.
-    Without these touches, the slope would be unreliable if almost all or almost no real touches were found.
+    AS_KNOWN invented touches with score 0 count as not found. As many with the score `perfect` count as found. Without
+    these touches, the slope would be unreliable if almost all or almost no real touches were found.
     """
     from scipy.optimize import minimize
 
-    best = np.concatenate([best, np.repeat([0.0, 1.0], AS_KNOWN)])
+    best = np.concatenate([best, np.repeat([0.0, perfect], AS_KNOWN)])
     found = np.concatenate([found, np.repeat([False, True], AS_KNOWN)])
     right, wrong = int(found.sum()), int((~found).sum())
     wanted = np.where(found, (right + 1) / (right + 2), 1 / (wrong + 2))

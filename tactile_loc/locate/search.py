@@ -40,6 +40,7 @@ from tactile_loc.store.workspace import Workspace
 STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 5
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
+FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
 
 
@@ -71,7 +72,7 @@ class PlaceSearch:
         )
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
         # the least distance between starts, and the largest distance at which the true pose counts as found
-        self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m
+        self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
 

@@ -4,8 +4,8 @@ For each approach and mode, the sensor's travel up to contact and the contact it
 both give a number of nats of evidence against each mode j. This evidence determines the entropy that remains if mode i
 is true. An approach is rated by the mean of this entropy over the modes (Lindley, 1956).
 
-The evidence of contacts is that of `imprints.py`, which also weighs hypotheses. It was fitted to touches with strong
-noise. An elastic gel shows the object only where it touches it, so only this part of a contact gives evidence.
+The evidence of contacts is that of `imprints.py`. It was fitted to touches with strong noise. An elastic gel shows the
+object only where it touches it, so only this part of a contact gives evidence.
 """
 
 from __future__ import annotations

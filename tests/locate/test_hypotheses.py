@@ -9,11 +9,20 @@ from tactile_loc.core.geometry.rigid import make_translation, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.refiner import RefinedPose
+from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import View
-from tactile_loc.locate.hypotheses import SHARPNESS, choose_best_apart, compare_where_seen, merge_hypotheses, weigh
+from tactile_loc.locate.hypotheses import (
+    SHARPNESS,
+    choose_best_apart,
+    compare_where_seen,
+    compute_nats,
+    find_hypotheses,
+    merge_hypotheses,
+    weigh,
+)
 from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.testing.problems import make_box
 
@@ -61,6 +70,33 @@ def test_the_pose_that_explains_the_touch_best_comes_first():
     np.testing.assert_allclose(np.log(p[:-1] / p[1:]), [0.5, 2.5])
     alike = weigh([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2))
     assert [h.probability for h in alike] == pytest.approx([0.45, 0.45])
+
+
+def test_no_pose_comes_before_a_pose_that_explains_the_touches_better(make_box, make_scene, flat_camera, metric):
+    """The wide pose has more contact in common with the touch, but most of its imprint is elsewhere."""
+    scene = make_scene(make_box(0.012, 0.008, 0.006), flat_camera)
+    left = scene.press(1e-3).bring_to_contact(make_translation([-0.008, 0, 0])[None])[0][0]
+    depth_m = scene.contact_shape(left, 1e-3).depth_m.copy()
+    depth_m[:, flat_camera.width_px // 6 :] = 1e-3
+    touch = Touch(ContactShape(depth_m, 1e-3), flat_camera)
+    views = [View(touch, scene.match_touch(touch)) for _ in range(5)]
+    poses = np.stack([left, make_translation([-0.0078, 0, 0]) @ left])
+    modes = [Mode(k, 0.5, T, np.array([k])) for k, T in enumerate(poses)]
+    found = find_hypotheses(views, modes, refine_nothing, metric, 1e-4, None, StageTimes())
+    assert found[0].imprint_iou > found[1].imprint_iou + 0.05
+    assert found[0].probability > found[1].probability
+    evidence = views[0].compare_imprints(poses).evidence
+    assert evidence[0] > evidence[1]
+
+
+def refine_nothing(views: list[View], candidates: list[Candidate]) -> list[RefinedPose]:
+    return [RefinedPose(one.T_sensor_object, 1.0, True, 0) for one in candidates]
+
+
+def test_small_differences_count_more_if_little_is_unexplained():
+    for touches in (1, 3):
+        clean, noisy = (compute_nats(np.array([iou, iou - 0.02]), touches) for iou in (0.99, 0.4))
+        assert clean[0] - clean[1] > 5 * (noisy[0] - noisy[1]) > 0
 
 
 def test_a_strong_prior_outweighs_a_better_explanation():

@@ -135,7 +135,7 @@ def test_a_prior_that_excludes_everything_is_refused(pin, touches):
 
 
 def test_a_prior_on_the_truth_decides_between_similar_poses(pin):
-    touches = pin.simulate(30, seed=5)
+    touches = pin.simulate(30, seed=5, noise="strong")
     doubtful = [t for t in touches if pin.localize(t).best.probability < 0.95]
     assert doubtful
     for touch in doubtful[:5]:

@@ -126,7 +126,7 @@ def together(localizer: Localizer, some: list[Touch]) -> list[PosePosterior]:
     views = [View(t, localizer.scene.match_touch(t), T) for t, T in zip(some, seen_from, strict=True)]
     found = search_together(views, [localizer.search] * len(some), StageTimes())
     fitted = localizer.probabilities
-    elsewhere = fitted.fused_scaling.elsewhere(found.best)
+    elsewhere = fitted.fused_scaling.elsewhere(found.best, len(some))
     return found.posteriors(views, [fitted.temperature_scaling] * len(some), elsewhere)
 
 
