@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.folder import Calibration, read_calibration
 from tactile_loc.calibration.presses import TABLE
 from tactile_loc.calibration.reading import (
+    extrapolate_press_m,
     find_contact_shape,
     find_gel_surface,
     measure_press_m,
@@ -69,6 +70,10 @@ NEAR_M = 1e-3
 TIPS = ("cone, 45°", "cone, 30°", "corner of a cube", "ridge, 90°", "ridge, 60°", "ball, 3 mm")
 TIP_MM = (0.3, 0.6, 0.9)
 TIP_PLACES = 4
+COVERED, NEARLY = (
+    2.0,
+    0.05,
+)  # errors of a press that its uncertainty covers, standard deviations; share that is no error
 
 
 class TaximSensor:
@@ -181,11 +186,11 @@ def reduce_surface(surface_m: Float32, geometry: SensorGeometry) -> Float32:
 
 
 def report_tips(known: Calibration, sensor: TaximSensor, rng: np.random.Generator) -> Iterator[str]:
-    """Yield the rows of the second table: shares of the true press that are read."""
+    """Yield the rows of the second table: shares of the true press that are read, and that their uncertainty covers."""
     geometry = sensor.geometry
     sides_mm = MM * geometry.pixel_pitch_m * np.array([geometry.width_px, geometry.height_px])
     for name in TIPS:
-        exact, read = [], []
+        exact, read = ([], []), ([], [])  # shares of the press, and whether the uncertainty covers their error
         for press_mm in TIP_MM:
             for _ in range(TIP_PLACES):
                 x_mm, y_mm = sides_mm * rng.uniform(0.3, 0.7, 2)
@@ -194,9 +199,14 @@ def report_tips(known: Calibration, sensor: TaximSensor, rng: np.random.Generato
                 seen_m = reduce_surface(surface_m, known.geometry)
                 slopes = differentiate(seen_m, known.geometry)
                 found = recover_indentation(seen_m, slopes, known.geometry), known.read_indentation(image)
-                for values, indentation_m in zip((exact, read), found, strict=True):
-                    values.append(MM * measure_press_m(indentation_m, known.geometry) / press_mm)
-        cells = (f"{np.median(v):.2f} | {np.min(v):.2f} to {np.max(v):.2f}" for v in (exact, read))
+                for (shares, covered), indentation_m in zip((exact, read), found, strict=True):
+                    press_m, std_m = extrapolate_press_m(indentation_m, known.geometry)
+                    shares.append(MM * press_m / press_mm)
+                    covered.append(abs(MM * press_m - press_mm) < max(COVERED * MM * std_m, NEARLY * press_mm))
+        cells = (
+            f"{np.median(v):.2f} | {np.min(v):.2f} to {np.max(v):.2f} | {100 * np.mean(c):.0f} %"
+            for v, c in (exact, read)
+        )
         yield f"| {name} | {' | '.join(cells)} |"
 
 
@@ -355,7 +365,7 @@ def main() -> None:
         known = calibrate(folder / "presses", folder / "sensor", MM * mini.pixel_pitch_m)
         print("| calibration | |\n|---|---|")
         print("\n".join(report_calibration(known, sensor, folder / "presses", balls)), flush=True)
-        print("\n| tip | gel surface | range | image | range |\n|---|---|---|---|---|")
+        print("\n| tip | gel surface | range | covered | image | range | covered |\n|---|---|---|---|---|---|---|")
         print("\n".join(report_tips(known, sensor, np.random.default_rng([arguments.seed, 1, 0]))), flush=True)
         heads = " | ".join(f"{n}: first | listed" for n in COUNTS)
         print(f"\n| object | touches from | gel | {heads} | refused | three, ms |")
