@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.circles import compare_colours
 from tactile_loc.calibration.estimator import GelEstimator
 from tactile_loc.calibration.labels import LabelledPresses
+from tactile_loc.calibration.reading import read_gel
 from tactile_loc.calibration.unlabelled import FoundPress, FoundPresses
 from tactile_loc.drawing.pictures import add_panels, compute_extent_mm, make_figure
 
@@ -39,7 +40,8 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     extent = compute_extent_mm(estimator.geometry)
     for row, number in zip(rows, shown, strict=True):
         image, label = presses.read_press(number)
-        found_mm, known_mm = 1e3 * estimator.read_indentation(image), 1e3 * label.indentation_m
+        found_mm = 1e3 * read_gel(estimator, image, estimator.geometry.gel)[0]
+        known_mm = 1e3 * label.indentation_m
         if not label.absolute:  # its depth has an unknown offset: take the offset from the estimate
             known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
         deepest = float(max(found_mm.max(), known_mm.max()))
