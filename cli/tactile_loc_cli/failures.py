@@ -21,7 +21,7 @@ from tactile_loc.core.errors import TactileLocError, quote
 from tactile_loc.core.slots.registry import explain_allowed, registry
 from tactile_loc_cli.console import complain, is_shown, say_json
 
-UNEXPECTED, USAGE_ERROR, INTERRUPTED = 1, 2, 130
+UNEXPECTED, USAGE_ERROR, NOT_AS_REQUIRED, INTERRUPTED = 1, 2, 3, 130
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 UsageError: Any = typer.BadParameter.__mro__[1]  # from typer, because typer may have its own copy of click
 TO_BE_RESUMED = "finished parts are kept; run the same command again to resume"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm
+from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm, format_percent
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc_cli.console import format_count, say, say_table
 
@@ -24,15 +24,22 @@ POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
 def make_title(record: ResultRecord) -> str:
-    """Return the picture's title: object, sensor, normalised entropy, and error if it is known."""
-    text = f"{record.object.name} on {record.sensor_name}: normalised entropy {record.normalised_entropy:.2f}"
+    """Return the picture's title: verdict, object, sensor, probability of the first pose, and error if it is known."""
+    from tactile_loc.locate.results.verdict import name_verdict
+
+    probability = format_percent(record.hypotheses[0].probability)
+    text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}, probability {probability}"
     return text if record.errors is None else f"{text}, error {format_millimetres(record.errors.best_m)}"
 
 
 def say_result(record: ResultRecord) -> None:
-    """Write a table of the hypotheses, with the object's pose in the sensor frame, and a summary below it."""
+    """Write the verdict, a table of the hypotheses with the object's pose in the sensor frame, and a summary."""
+    from tactile_loc.locate.results.verdict import explain_verdict
+
     touch = "simulated touch" if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
+    if record.verdict is not None:
+        say(f"{record.verdict}: {explain_verdict(record.verdict)}")
     say(f"{record.object.name} in the frame of {record.sensor_name}, {touch}")
     say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)
     for line in _summarise(record):
@@ -41,10 +48,6 @@ def say_result(record: ResultRecord) -> None:
 
 def _summarise(record: ResultRecord) -> Iterator[str]:
     """Yield the lines below the table."""
-    from tactile_loc.locate.results.verdict import explain_verdict
-
-    if record.verdict is not None:
-        yield f"verdict: {record.verdict} ({explain_verdict(record.verdict)})"
     yield (
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
         f"{record.searched}"

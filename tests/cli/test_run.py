@@ -55,12 +55,22 @@ def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(result, capsys):
-    assert f"verdict: {result['verdict']} ({explain_verdict(Verdict(result['verdict']))})" in result["stdout"]
+    assert result["stdout"].startswith(f"{result['verdict']}: {explain_verdict(Verdict(result['verdict']))}")
     record = read_record(result["folder"] / "result.json")
     for listed, shown in ((0.5, True), (0.895, False)):
         first = record.hypotheses[0].model_copy(update={"probability": listed})
         say_result(record.model_copy(update={"hypotheses": [first], "elsewhere": 0.1}))
         assert ("40 % of the probability" in capsys.readouterr().out) == shown
+
+
+def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result):
+    """The same run, whose verdict is not certain, is written and reported, but ends with exit code 3."""
+    assert result["verdict"] != "certain"
+    done = cli("run", *TINY, "--out", "required", "--require", "certain", "--json")
+    assert done.exit_code == 3
+    assert json.loads(done.stdout)["verdict"] == result["verdict"]
+    assert Path("required/result.json").is_file()
+    assert cli("run", *TINY, "--out", "required", "--require", "maybe").exit_code == 2
 
 
 def test_run_without_a_touch_locates_a_simulated_one(result):

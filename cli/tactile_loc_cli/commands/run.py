@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,7 @@ from tactile_loc.store.files import lock_folder, require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
 from tactile_loc_cli.console import format_count, make_progress, say, say_written
+from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -46,6 +48,11 @@ Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json,
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: also draw a result.png for each.")
 ]
+Required = StrEnum("Required", "CERTAIN")
+Require = Annotated[
+    Required | None,
+    typer.Option("--require", help="End with exit code 3 if the verdict is another one. The result is written."),
+]
 Report = Annotated[
     bool, typer.Option("--report", help="Also write report.html: the result as one self-contained page.")
 ]
@@ -57,6 +64,7 @@ def run(
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
     report: Report = False,
+    require: Require = None,
     rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
@@ -76,8 +84,14 @@ def run(
     localizer = options.open_localizer(settings, store)
     if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
         _require_none(prior, report, rerun)
-        return _locate_each(localizer, Path(settings.touch.path), out, pictures)
-    return _locate_together(localizer, prior, out, report, rerun)
+        result = _locate_each(localizer, Path(settings.touch.path), out, pictures)
+        verdicts = [touch["verdict"] for touch in result["touches"]]
+    else:
+        result = _locate_together(localizer, prior, out, report, rerun)
+        verdicts = [result["verdict"]]
+    if require is not None and any(verdict != require for verdict in verdicts):
+        raise Finding(NOT_AS_REQUIRED, result)
+    return result
 
 
 def _locate_together(

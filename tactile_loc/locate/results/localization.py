@@ -9,13 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.results.verdict import Verdict, judge
+from tactile_loc.locate.results.verdict import Verdict, explain_verdict, judge
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,21 @@ class Localization:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
         return judge(self.best.probability, iou, self.posterior.elsewhere)
+
+    def summary(self) -> str:
+        """Return the result in words: the verdict and its meaning, and the first pose in mm and degrees."""
+        x, y, z, angle_deg, axis = format_pose(self.best.T_sensor_object)
+        listed, best = len(self.hypotheses), self.best
+        return (
+            f"{self.verdict}: {explain_verdict(self.verdict)}\n"
+            f"first of {listed} {'pose' if listed == 1 else 'poses'}: x {x}, y {y}, z {z} mm, rotated {angle_deg} "
+            f"degrees about {axis}, in the sensor's frame\n"
+            f"probability {format_percent(best.probability)}, imprint IoU {format_percent(best.imprint_iou)}, "
+            f"not among the poses found: {format_percent(self.posterior.elsewhere)}"
+        )
+
+    def __str__(self) -> str:
+        return self.summary()
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
         """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that pose is unknown."""

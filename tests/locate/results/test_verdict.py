@@ -69,6 +69,17 @@ def test_a_result_is_judged_by_its_first_hypothesis(localization):
     assert elsewhere.verdict is Verdict.NOT_FOUND
 
 
+def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localization):
+    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
+    lines = one.summary().splitlines()
+    assert lines[0] == f"certain: {MEANINGS[Verdict.CERTAIN]}"
+    for value_m in one.best.T_sensor_object[:3, 3]:
+        assert f"{1e3 * value_m:.2f}" in lines[1]
+    assert "95 %" in lines[2]
+    assert str(one) == one.summary()
+    assert str(replace(one, hypotheses=one.hypotheses[:1])).splitlines()[1].startswith("first of 1 pose: ")
+
+
 def test_the_imprint_of_an_unrefined_pose_does_not_change_the_verdict(localization):
     grid_pose = RefinedPose(localization.best.T_sensor_object_grid, 1.0, True, 0)
     one = changed(localization, probability=0.95, imprint_iou=0.3, refined=grid_pose)
