@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -181,3 +182,8 @@ def write_table(folder: Path, rows: Iterable[dict[str, object]], columns: Iterab
         writer.writeheader()
         writer.writerows(rows)
     return folder / "presses.csv"
+
+
+def is_same_camera(sensor: SensorGeometry, other: SensorGeometry) -> bool:
+    """Whether two sensors are the same, except for the elasticity of their gels, which a calibration measures."""
+    return dataclasses.replace(sensor, gel=other.gel).is_same_sensor(other)

@@ -172,11 +172,13 @@ def read_gel(estimator: GelEstimator, image: Image, gel: Gel) -> tuple[Float32, 
 def recover_indentation(indentation_m: Float32, slopes: Float32, geometry: SensorGeometry) -> Float32:
     """Return the indentation (H, W), metres, of an elastic gel with slopes (H, W, 2).
 
-    Only pixels at which the integrated `indentation_m` (H, W), metres, is large enough can touch the object.
+    Only pixels at which the integrated `indentation_m` (H, W), metres, is large enough can touch the object. If it
+    shows no contact, it is returned unchanged: the noise of untouched gel has no pressure.
     """
     press_m = measure_press_m(indentation_m, geometry)
-    touching = indentation_m > max(TOUCHING * press_m, 0.0)
-    return recover_contact(slopes, touching, geometry).displacement_m if touching.any() else indentation_m
+    if press_m < LEAST_M:
+        return indentation_m
+    return recover_contact(slopes, indentation_m > TOUCHING * press_m, geometry).displacement_m
 
 
 def find_gel_surface(

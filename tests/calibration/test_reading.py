@@ -20,9 +20,12 @@ from tactile_loc.calibration.reading import (
     find_contact_shape,
     find_gel_surface,
     measure_press_m,
+    recover_indentation,
     require_image,
 )
+from tactile_loc.calibration.surface import find_indentation
 from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import render_background
@@ -247,3 +250,14 @@ def test_the_press_is_extrapolated_to_sharp_tips(name):
     assert abs(press_m - PRESS_M) <= max(2 * std_m, 0.05 * PRESS_M)
     assert measured_m <= press_m
     assert find_gel_surface(surface, fine, 1e-6).indentation_std_m == std_m
+
+
+def test_noise_of_an_untouched_elastic_gel_is_no_contact():
+    """Slopes of noise add up to a false pressure, unless the integrated surface shows a contact."""
+    elastic = dataclasses.replace(GEOMETRY, gel=Gel(5e-3, coating_m=3e-4))
+    slopes = gaussian_filter(np.random.default_rng(0).standard_normal((*GEOMETRY.shape, 2)), (2, 2, 0))
+    slopes = (0.02 * slopes / slopes.std()).astype(np.float32)
+    integrated = find_indentation(slopes, elastic)
+    found = recover_indentation(integrated, slopes, elastic)
+    with pytest.raises(NoContactError):
+        find_gel_surface(found, elastic, 5e-6)

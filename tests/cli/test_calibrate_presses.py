@@ -15,7 +15,7 @@ from PIL import Image
 
 torch = pytest.importorskip("torch")
 
-from press_sets import MM, ball_set, magnified, sensor, write_image, write_table  # noqa: E402
+from press_sets import MM, ball_set, is_same_camera, magnified, sensor, write_image, write_table  # noqa: E402
 
 from tactile_loc.calibration.calibrate import split  # noqa: E402
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
@@ -75,7 +75,8 @@ def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
     assert re.search(r"angle.*\d", done.stdout)
     assert "--sensor mine --touch IMAGE" in done.stdout
     calibration = read_calibration(Path("mine"))
-    assert calibration.geometry.is_same_sensor(BALLS.geometry)
+    assert is_same_camera(calibration.geometry, BALLS.geometry)
+    assert calibration.geometry.gel.is_elastic
     assert calibration.record["presses"] == 16
     assert calibration.record["held_out"]["mean"]["slope_deg"] < 2
     assert calibration.noise_m < 2e-5
@@ -117,7 +118,7 @@ def test_image_size_sets_the_size_of_the_calibrated_images(cli, presses):
         assert done.exit_code == 0, done.stderr
     sensors = [CalibratedSensor(CalibratedSensor.Options(path=name)) for name in ("mine", "reduced")]
     assert sensors[1].calibration.camera_px == (160, 160)
-    assert sensors[1].geometry.is_same_sensor(BALLS.geometry)
+    assert is_same_camera(sensors[1].geometry, BALLS.geometry)
     of_small, of_large = (
         s.calibration.read_indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True)
     )

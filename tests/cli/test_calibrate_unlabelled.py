@@ -14,7 +14,7 @@ from PIL import Image
 
 torch = pytest.importorskip("torch")
 
-from press_sets import BALL_M, MM, ball_set, write_image  # noqa: E402
+from press_sets import BALL_M, MM, ball_set, is_same_camera, write_image  # noqa: E402
 
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
 
@@ -49,7 +49,7 @@ def test_unlabelled_photos_give_a_sensor_and_an_editable_table(cli, photos):
     labels = json.loads(done.stdout)["labels"]
     assert labels["used"] == 7
     assert list(labels["dropped"]) == ["two.png"]
-    assert read_calibration(Path("mine")).geometry.is_same_sensor(BALLS.geometry)
+    assert is_same_camera(read_calibration(Path("mine")).geometry, BALLS.geometry)
     with Image.open(photos / "labels.png") as sheet:
         assert min(sheet.size) > 300
     rows = table(photos)
