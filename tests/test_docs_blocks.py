@@ -45,6 +45,7 @@ ELSEWHERE = {
     "sweeps-cluster.md": "test_docs_sweeps.py",
     "sweeps-results.md": "test_docs_sweeps.py",
     "reports.md": "test_docs_reports.py",
+    "programs.md": "test_docs_programs.py",
     "tuning.md": "test_docs_tuning.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)

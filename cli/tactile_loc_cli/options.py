@@ -28,6 +28,7 @@ logger = logging.getLogger(__name__)
 Units = StrEnum("Units", "AUTO M MM CM INCH")  # of a mesh file
 TouchUnit = StrEnum("TouchUnit", "M MM UM")
 Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
+TOUCHED = "Mesh file (STL, OBJ, PLY, ...) or demo object that was touched."  # help of --object where it has no default
 READ_FROM = {  # advice for sensors that are chosen by their path
     "file": "give the file itself: --sensor my_sensor.toml",
     "calibrated": "give the calibration folder itself: --sensor FOLDER",
@@ -208,6 +209,12 @@ def make_config(given: RunOptions) -> RunConfig:
     RunConfig.from_dict(own, COMMAND_LINE)  # raises errors that name the flag, not the file
     settings |= plain | chosen | _drop_none({"drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, COMMAND_LINE if given.config is None else str(given.config))
+
+
+def require_object(settings: RunConfig, touched: str) -> None:
+    """Raise ConfigError if touches are given, but not their object. `touched` names the touches: "--touch FILE"."""
+    if "path" not in settings.object.model_fields_set:
+        raise ConfigError(f"{touched} does not state which object was touched; give --object FILE or a demo object")
 
 
 def _check_component(slot: str, merged: Mapping[str, Any], overrides: Mapping[str, Any], source: Path) -> None:

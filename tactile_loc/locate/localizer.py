@@ -49,7 +49,11 @@ from tactile_loc.store.store import StageStore
 
 @keep_old_names(most_probable_pose="find_most_probable_pose")
 class Localizer:
-    """Locates one object with one sensor. Build it once, then use it for any number of touches."""
+    """Locates one object with one sensor. Build it once, then use it for any number of touches.
+
+    Several threads may use one localizer. A localizer can be pickled, for instance for other processes. The copy loads
+    what is in the store, so the store's folder must exist there.
+    """
 
     def __init__(
         self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None
@@ -82,6 +86,10 @@ class Localizer:
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
         store = store if isinstance(store, StageStore) else StageStore(store)
         return cls(config, load_stored_object(object, units, symmetry, store), store, progress)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle only what the localizer was made from. The copy makes its components and loads the rest, if stored."""
+        return type(self), (self.config, self.object, self.store, self.progress)
 
     def _create(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)

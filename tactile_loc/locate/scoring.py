@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ class GridScores:
         self.follow = follow or encoder.capabilities.follows_press_depth
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
         self._matchers: dict[float, Matcher] = {}
+        self._choosing = Lock()
 
     def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
         """Return the similarity (N,) of each touch to each pose of the grid, unitless; higher is more similar.
@@ -56,10 +58,11 @@ class GridScores:
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
-        matcher = self._matchers.pop(press_m, None) or self._index(press_m)
-        self._matchers[press_m] = matcher  # the last used comes last
-        while len(self._matchers) > MOST_MATCHERS:
-            del self._matchers[next(iter(self._matchers))]
+        with self._choosing:
+            matcher = self._matchers.pop(press_m, None) or self._index(press_m)
+            self._matchers[press_m] = matcher  # the last used comes last
+            while len(self._matchers) > MOST_MATCHERS:
+                del self._matchers[next(iter(self._matchers))]
         return matcher
 
     def bank_press_m(self, press_depth_m: float) -> float:

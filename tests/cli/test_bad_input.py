@@ -9,6 +9,7 @@ import pytest
 from cli_helpers import TINY, Cli, assert_refused, touch_depths, write_box
 
 OUT = Path("out")
+HOOK = ["--object", "hook"]
 
 
 @pytest.fixture
@@ -69,28 +70,53 @@ def test_a_wrong_symmetry_is_refused(refused):
     refused("--symmetry", "round", mentions=("round",))
 
 
+@pytest.mark.parametrize(
+    ("words", "given"),
+    [
+        (["run", "--touch", "touch.npz"], "--touch touch.npz"),
+        (["run", "--touch", "touches.toml"], "--touch touches.toml"),
+        (["run", "--config", "run.toml"], "--touch in-file.npz"),
+        (["mount", "--touch", "presses.toml"], "--touch presses.toml"),
+        (["replay", "drive.mcap"], "drive.mcap"),
+        (["live", "--camera", "0", "--no-view"], "camera 0"),
+        (["live", ".", "--once", "--no-view"], "folder ."),
+    ],
+)
+def test_touches_without_their_object_are_refused(cli, words, given):
+    """A default object would be located in touches of another object."""
+    Path("run.toml").write_text('[object]\nunits = "mm"\n[touch]\npath = "in-file.npz"\n')
+    assert_refused(cli(*words), given, "--object")
+    assert [path.name for path in Path().iterdir()] == ["run.toml"]
+
+
+def test_the_object_of_touches_may_be_in_the_configuration(cli):
+    """Also if it is the default object."""
+    Path("run.toml").write_text('object.path = "hook"\ntouch.path = "none.npz"\n')
+    assert_refused(cli("run", "--config", "run.toml"), "no file none.npz")
+
+
 def test_a_missing_touch_file_is_refused(refused):
-    refused("--touch", "none.npz", mentions=("none.npz",))
+    refused(*HOOK, "--touch", "none.npz", mentions=("none.npz",))
 
 
 def test_a_touch_of_the_wrong_size_is_refused(refused):
     np.save("touch.npy", touch_depths((64, 48)))
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("64 x 48", "200 x 200"))
+    refused(*HOOK, "--touch", "touch.npy", "--touch-unit", "m", mentions=("64 x 48", "200 x 200"))
 
 
 def test_a_touch_of_the_wrong_type_is_refused(refused):
     np.save("touch.npy", touch_depths().astype(str))
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy",))
+    refused(*HOOK, "--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy",))
 
 
 def test_a_damaged_touch_file_is_refused(refused):
     Path("touch.npz").write_text("nothing")
-    refused("--touch", "touch.npz", mentions=("touch.npz",))
+    refused(*HOOK, "--touch", "touch.npz", mentions=("touch.npz",))
 
 
 def test_a_touch_without_a_unit_is_refused(refused):
     np.save("touch.npy", touch_depths())
-    refused("--touch", "touch.npy", mentions=("--touch-unit",))
+    refused(*HOOK, "--touch", "touch.npy", mentions=("--touch-unit",))
 
 
 def test_a_touch_in_the_wrong_unit_is_refused(refused):
@@ -98,17 +124,17 @@ def test_a_touch_in_the_wrong_unit_is_refused(refused):
     depths[depths > 1.9] = 1.5
     depths[0] = 900.0
     np.save("touch.npy", depths)
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("unit",))
+    refused(*HOOK, "--touch", "touch.npy", "--touch-unit", "m", mentions=("unit",))
 
 
 def test_a_touch_without_contact_is_refused(refused):
     np.save("touch.npy", np.full((200, 200), 0.002))
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", " mm"))
+    refused(*HOOK, "--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", " mm"))
 
 
 def test_a_touch_of_flat_contact_everywhere_is_refused(refused):
     np.save("touch.npy", np.zeros((200, 200)))
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", "flat"))
+    refused(*HOOK, "--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", "flat"))
 
 
 def test_a_press_depth_beyond_the_sensor_is_refused(refused, cli):

@@ -138,7 +138,7 @@ def test_store_reports_entries_and_bytes(document, tmp_path):
 @pytest.mark.parametrize(
     ("words", "kind", "code"),
     [
-        (["run", *TINY, "--touch", "none.npz"], "TouchError", 2),
+        (["run", *PIN, "--touch", "none.npz"], "TouchError", 2),
         (["build", "--object", "pinn"], "ObjectError", 2),
         (["run", "--refiner", "ipc"], "UnknownPluginError", 2),
         (["run", "--objct", "pin"], "UsageError", 2),

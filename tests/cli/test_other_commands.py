@@ -82,7 +82,7 @@ def test_simulate_writes_touches_that_run_reads(cli):
             assert touch["T_sensor_object"].tolist() == record["T_sensor_object"][name]
     with Image.open("out/touches.png") as picture:
         picture.load()
-    run = cli("run", *TINY, "--touch", "out/touch-0002.npz", "--out", "result")
+    run = cli("run", "--object", "hook", *TINY, "--touch", "out/touch-0002.npz", "--out", "result")
     assert run.exit_code == 0, run.stderr
     result = json.loads(Path("result/result.json").read_text())
     assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]
@@ -102,7 +102,7 @@ def test_simulate_with_noise_follows_the_seed(cli):
             assert np.array_equal(a["depth"], b["depth"])
             presses.add(float(a["press_depth"]))
     assert len(presses) == 3
-    run = cli("run", *TINY, "--touch", "a/touch-0000.npz", "--out", "result")
+    run = cli("run", "--object", "hook", *TINY, "--touch", "a/touch-0000.npz", "--out", "result")
     assert run.exit_code == 0, run.stderr
 
 

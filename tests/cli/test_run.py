@@ -206,7 +206,7 @@ def test_run_reads_touch_mesh_and_sensor_files(cli, tmp_path):
 
 def test_no_error_is_reported_without_the_true_pose(cli, tmp_path):
     np.save("touch.npy", touch_depths() * 1e3)
-    done = cli("run", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--out", "out")
+    done = cli("run", "--object", "hook", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--out", "out")
     assert done.exit_code == 0, done.stderr
     result = json.loads((tmp_path / "out/result.json").read_text())
     assert result["errors"] is None
@@ -233,7 +233,7 @@ def test_the_result_records_the_noise_of_a_simulated_touch(cli, result, tmp_path
 
 def test_noise_for_a_touch_file_is_refused(cli, tmp_path):
     np.save("touch.npy", touch_depths())
-    touch = ["--touch", "touch.npy", "--touch-unit", "m"]
+    touch = ["--object", "hook", "--touch", "touch.npy", "--touch-unit", "m"]
     for level in ("none", "mild"):
         assert_refused(cli("run", *TINY, *touch, "--noise", level), "--noise", "touch.npy")
     Path("run.toml").write_text('[touch]\nnoise = "strong"\n')
@@ -266,4 +266,4 @@ def test_a_rerun_file_is_written_beside_the_result(cli):
     (place,) = read(Path("out/result.rrd"))["base/sensor/object"]["Transform3D:translation"][0]
     np.testing.assert_allclose(place, np.array(best)[:3, 3], atol=1e-6)
     Path("many").mkdir()
-    assert_refused(cli("run", "--touch", "many", "--rerun", "a.rrd"), "--rerun")
+    assert_refused(cli("run", "--object", "pin", "--touch", "many", "--rerun", "a.rrd"), "--rerun")

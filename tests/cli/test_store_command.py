@@ -114,12 +114,21 @@ def test_the_list_names_the_object(cli):
 
 def test_the_printed_list_has_one_row_per_entry(ask):
     lines = ask("list").stdout.splitlines()
-    (row,) = [line for line in lines if line.startswith("shapes")]
-    assert row.split() == ["shapes", SHAPES.short, *row.split()[2:4], "20", "d", "complete", "mesh", "ab12cd34",
-                           "(z2),", "raycast,", "face"]  # fmt: skip
-    (left,) = [line for line in lines if line.startswith("encoder")]
+    (row,) = [line for line in lines if "shapes" in line]
+    assert row.split() == ["shapes", SHAPES.short, *row.split()[2:4], "20", "d", "complete", "raycast,", "face"]
+    (left,) = [line for line in lines if "encoder" in line]
     assert left.endswith("500 B 30 d interrupted")
     assert lines[-1].startswith("5 entries, ")
+
+
+def test_the_printed_list_is_grouped_by_object(ask, place):
+    """The object of the newest entry comes last, and so does the newest entry of each object."""
+    build = StageStore(place).build
+    other = build(StageKey("grid", 1, {"object": OBJECT}, "pin"), lambda work: work.save_json("made", 1))
+    age(other.path / "manifest.json", 35)
+    lines = [line.split() for line in ask("list").stdout.splitlines()]
+    assert [line[0] for line in lines[1:7]] == ["pin", "unknown", "mesh", "shapes", "bank", "bank"]
+    assert [line[:4] for line in lines[3:4]] == [["mesh", "ab12cd34", "(z2)", "grid"]]
 
 
 def test_a_damaged_manifest_is_listed_as_damaged(ask, place):

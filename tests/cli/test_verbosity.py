@@ -148,7 +148,7 @@ def test_vv_shows_the_traceback_of_any_error(cli, broken):
     assert last.startswith("error: ")
     assert not missing(last, "KeyError", "refiner 'none'")
     assert missing(last, "-vv"), "the message advises -vv although it was given"
-    expected = cli("run", "--touch", "none.npz", "-vv")
+    expected = cli("run", *PIN, "--touch", "none.npz", "-vv")
     assert "Traceback" in expected.stderr
     assert expected.stderr.splitlines()[-1].startswith("error: ")
     assert expected.exit_code == 2

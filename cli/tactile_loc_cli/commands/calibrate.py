@@ -121,7 +121,7 @@ def calibrate(
 
     The command learns from presses of a ball, or of any mesh at a known pose. With --simulated, it learns from
     simulated presses. Without a table, it detects the ball in the images: check labels.png. A fifth of the presses is
-    held out to measure the errors. Use the result with: run --sensor FOLDER --touch photo.png
+    held out to measure the errors. Use the result with: run --object FILE --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
 
@@ -270,7 +270,7 @@ def _finish(
     for line in _list_errors(held_out["mean"]):
         say(line)
     say(f"written: {out} (look at {picture})")
-    say(f"use it with: tactile-loc run --sensor {out} --touch IMAGE")
+    say(f"use it with: tactile-loc run --object FILE --sensor {out} --touch IMAGE")
     held_out = {"presses": len(held_out["presses"]), "mean_errors": _convert_to_si(held_out["mean"])}
     return {"folder": str(out), "picture": str(picture), "presses": len(presses), "held_out": held_out}
 

@@ -68,7 +68,7 @@ Given = Annotated[
     RunOptions,
     options.Takes(
         "object", "units", "symmetry", "touch_unit", "press_depth", "sensor", "zero", "grid", "renderer", "encoder",
-        "matcher", "refiner", "option", "config", "seed",
+        "matcher", "refiner", "option", "config", "seed", object=options.TOUCHED,
     ),
 ]  # fmt: skip
 
@@ -98,6 +98,7 @@ def live(
 
     settings = options.make_config(given)
     opened = open_source(source, camera, once)
+    options.require_object(settings, opened.about)
     _require_outputs(out, rerun)
     localizer = options.open_localizer(settings, store)
     tracker = Tracker(localizer) if track else None

@@ -28,7 +28,12 @@ Nominal = Annotated[
     ),
 ]  # fmt: skip
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of mount.toml and mount.png.")]
-Given = Annotated[RunOptions, options.Takes("object", "units", "symmetry", "touch_unit", "sensor", "option", "config")]
+Given = Annotated[
+    RunOptions,
+    options.Takes(
+        "object", "units", "symmetry", "touch_unit", "sensor", "option", "config", object=options.TOUCHED
+    ),
+]  # fmt: skip
 
 
 def mount(
@@ -47,6 +52,7 @@ def mount(
     from tactile_loc_cli.results import say_mount
 
     settings = options.make_config(replace(given, touch=touch))
+    options.require_object(settings, f"--touch {touch}")
     require_writable(out)
     expected = None if nominal is None else read_mount(nominal)
     localizer = options.open_localizer(settings, store)

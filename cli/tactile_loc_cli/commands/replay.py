@@ -51,7 +51,7 @@ Given = Annotated[
     RunOptions,
     options.Takes(
         "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "matcher", "refiner",
-        "option", "config", "seed",
+        "option", "config", "seed", object=options.TOUCHED,
     ),
 ]  # fmt: skip
 
@@ -80,6 +80,7 @@ def replay(
     from tactile_loc.tasks.replay_files import replay_to
 
     settings = options.make_config(given)
+    options.require_object(settings, str(recording))
     options.require_rerun(rerun)
     out = _choose_out(recording, out)
     recorded = Recording(recording)

@@ -33,8 +33,9 @@ DRAWN = 8  # number of simulated touches; the touch with the most contact is use
 Given = Annotated[
     RunOptions,
     options.Takes(
+        object="Mesh file (STL, OBJ, PLY, ...) or demo object. Default: hook, if no touch is given.",
         press_depth="Press depth of the touch in mm. Default: that in its file, or an estimate; simulated touches have "
-        "the maximal depth."
+        "the maximal depth.",
     ),
 ]
 PriorFile = Annotated[
@@ -77,6 +78,8 @@ def run(
     from tactile_loc.locate.touch_files import is_folder
 
     settings = options.make_config(given)
+    if settings.touch.path is not None:
+        options.require_object(settings, f"--touch {settings.touch.path}")
     _require_one_source(settings, given.noise)
     _require_several(settings)
     require_writable(out)

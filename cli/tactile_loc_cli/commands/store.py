@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import chain, repeat
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,27 +24,45 @@ if TYPE_CHECKING:
 
 UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhdw])")
+UNKNOWN = "unknown"  # object of interrupted and damaged entries
 LABEL = "label"  # key under which a stage's label is added to its inputs
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def list_store(store: Store = None) -> dict[str, Any]:
-    """List the stages in the store, the newest last.
+    """List the stages in the store by object, the newest last.
 
-    Each line shows the stage's digest, size, age, state, and the object and components that it was made from.
+    Each line shows the stage's digest, size, age, state, and the components that it was made from.
     """
     place = _open(store)
     entries = sorted(place.entries(), key=lambda entry: entry.created)
     origins = Origins(entries)
     rows = [_describe(place, entry, origins) for entry in entries]
     if rows:
-        shown = [
-            [r["stage"], r["digest"], format_bytes(r["bytes"]), write_age(r["age_s"]), r["state"],
-             ", ".join(r["made_from"].values())] for r in rows
-        ]  # fmt: skip
-        say_table([["stage", "digest", "size", "age", "state", "made from"], *shown], left=(0, 1, 4, 5))
+        shown = [line for name, group in group_by_object(rows).items() for line in _write_group(name, group)]
+        say_table([["object", "stage", "digest", "size", "age", "state", "made from"], *shown], left=(0, 1, 2, 5, 6))
     say(f"{_summarise(entries)} in {place.root}")
     return {"store": str(place.root), "entries": rows, "bytes": _sum_bytes(entries)}
+
+
+def group_by_object(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Return rows grouped by object, in their order. The object whose last row comes last is the last group."""
+    names = [row["made_from"].get("object", UNKNOWN) for row in rows]
+    last = {name: place for place, name in enumerate(names)}
+    return {
+        name: [row for row, of in zip(rows, names, strict=True) if of == name]
+        for name in sorted(last, key=lambda name: last[name])
+    }
+
+
+def _write_group(name: str, rows: Sequence[dict[str, Any]]) -> Iterator[list[str]]:
+    """Yield the table's line of each entry of an object. Only the first line names the object."""
+    for first, r in zip(chain([name], repeat("")), rows, strict=False):
+        components = [made for part, made in r["made_from"].items() if part != "object"]
+        yield [
+            first, r["stage"], r["digest"], format_bytes(r["bytes"]), write_age(r["age_s"]), r["state"],
+            ", ".join(components),
+        ]  # fmt: skip
 
 
 def size(store: Store = None) -> dict[str, Any]:

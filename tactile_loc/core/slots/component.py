@@ -68,6 +68,8 @@ class Capabilities:
 class Component(ABC):
     """Base class for all components.
 
+    Several threads may call a component at once.
+
     `version` is part of the store's keys. Raise it when the component's output changes. If a component was written for
     an earlier interface, `outdated` states the changes that the component needs. The registry sets `outdated`.
     """

@@ -66,12 +66,11 @@ class RaycastRenderer(Renderer):
 
     def _prepare_scene(self, mesh: TriangleMesh) -> tuple[Any, _Surface]:
         """Return the mesh's ray casting scene and edges, built at first use. The last used meshes are kept."""
-        if mesh.digest not in self._meshes:
-            self._meshes[mesh.digest] = _build_scene(mesh), _Surface(mesh)
-        self._meshes.move_to_end(mesh.digest)
+        prepared = self._meshes.pop(mesh.digest, None) or (_build_scene(mesh), _Surface(mesh))
+        self._meshes[mesh.digest] = prepared  # the last used comes last
         while len(self._meshes) > self.options.cached_meshes:
             self._meshes.popitem(last=False)
-        return self._meshes[mesh.digest]
+        return prepared
 
 
 def _build_scene(mesh: TriangleMesh) -> Any:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import os
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    Float32,
+    Poses,
+    Renderer,
+    RenderError,
+    SensorGeometry,
+    TriangleMesh,
+)
 
 if TYPE_CHECKING:
     from tactile_loc.plugins.renderers.pyrender.gl import DepthScene, Offscreen
@@ -16,13 +26,18 @@ if TYPE_CHECKING:
 class PyrenderRenderer(Renderer):
     """Draws every pose with OpenGL. Depths may differ by nanometres between graphics drivers.
 
-    The OpenGL context is made for the first picture and lives until `close` or the end of the renderer.
+    The OpenGL context is made for the first picture and lives until `close` or the end of the renderer. Only one thread
+    at a time can draw with a context, so other threads wait.
     """
 
     capabilities = Capabilities(exact_undercuts=True)
 
     _offscreen: Offscreen | None = None
     _scene: DepthScene | None = None
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        super().__init__(options)
+        self._drawing = Lock()
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depths z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
@@ -31,11 +46,12 @@ class PyrenderRenderer(Renderer):
         surfaces nearer to the camera than a tenth of the standoff are inf, too. Raises RenderError when no OpenGL
         context can be made.
         """
-        offscreen, scene = self._prepare_context(geometry), self._prepare_scene(mesh, geometry)
         depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
-        with offscreen.current():
-            for picture, T in zip(depth, T_sensor_object, strict=True):
-                picture[:] = scene.draw(offscreen, T)
+        with self._drawing:
+            offscreen, scene = self._prepare_context(geometry), self._prepare_scene(mesh, geometry)
+            with offscreen.current():
+                for picture, T in zip(depth, T_sensor_object, strict=True):
+                    picture[:] = scene.draw(offscreen, T)
         return depth
 
     def _prepare_context(self, geometry: SensorGeometry) -> Offscreen:
