@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
-from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.gel import RIGID
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import (
     FROM_DEPTH,
     ContactShape,
@@ -166,9 +167,7 @@ def read_touch(
             raise TouchError(f"{path}: {error}") from error
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path)
-    if (contents.kind or kind or "distance") != "distance":
-        contents = dataclasses.replace(contents, depth=blank_unobserved(contents.depth, geometry))
-    shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m, kind, geometry.gel)
+    shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m, kind, geometry)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
 
 
@@ -212,7 +211,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
 
 def _build_shape(
     contents: FileContents, path: Path, max_depth_m: float, unit: str | None, press_depth_m: float | None,
-    kind: str | None, gel: Gel = RIGID,
+    kind: str | None, geometry: SensorGeometry | None = None,
 ) -> ContactShape:  # fmt: skip
     raw = contents.depth
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
@@ -221,10 +220,13 @@ def _build_shape(
     depth = raw.astype(np.float64) * scale
     if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
         depth[raw == NO_CONTACT_U16] = np.nan
+    known = _find_kind(contents, path, kind)
+    if geometry is not None and known != "distance":
+        depth = blank_unobserved(depth, geometry)
     press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
     shape = contact_shape_from_array(
-        depth, max_depth_m, press_m, str(path), contents.unit is not None, _find_kind(contents, path, kind), gel,
-        None if contents.kind is not None else KIND_OPTION,
+        depth, max_depth_m, press_m, str(path), contents.unit is not None, known,
+        RIGID if geometry is None else geometry.gel, KIND_OPTION if contents.kind is None else None,
     )  # fmt: skip
     if contents.press_depth is None:
         return shape

@@ -28,7 +28,9 @@ Nominal = Annotated[
     ),
 ]  # fmt: skip
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of mount.toml and mount.png.")]
-Given = Annotated[RunOptions, options.Takes("object", "units", "symmetry", "touch_unit", "sensor", "option", "config")]
+Given = Annotated[
+    RunOptions, options.Takes("object", "units", "symmetry", "touch_unit", "touch_kind", "sensor", "option", "config")
+]
 
 
 def mount(

@@ -287,9 +287,7 @@ def _make_from_distance(
         depth = np.where(np.isnan(values), np.inf, values).astype(np.float32)
     if (depth < -1e-6).any():
         others = "" if option is None else f", or {option.format('height')} if the untouched gel has the value 0"
-        raise TouchError(
-            f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration{others}"
-        )
+        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration{others}")
     finite = depth[np.isfinite(depth)]
     _require_plausible(float(finite.max(initial=0.0)), max_depth_m, name, states_unit)
     if press_depth_m is None:
