@@ -30,7 +30,7 @@ from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 logger = logging.getLogger(__name__)
 
 FROM_DEPTH = 'Touch.from_depth(..., kind="{}")'  # how to state the kind of an array that is read without one
-NEARLY = 0.95  # share of the press depth that the largest depth exceeds if it is no contact
+MOST_DIMPLE = 0.5  # depth, share of a given press depth, of a dimple in a flat face that fills the image
 TINY_M = 2e-6  # smallest plausible range of a touch's depths
 
 
@@ -345,9 +345,9 @@ def _refuse_opposite(
 ) -> None:  # fmt: skip
     """Raise TouchError if the depths of a shape have the opposite meaning; log a warning if they may have it.
 
-    A shape whose largest depth is less than the given press depth is in contact everywhere, so its depths are right.
+    If the largest depth is much less than the given press depth, the shape is in contact everywhere, so it is right.
     """
-    if press_depth_m is not None and shape.depth_m.max() < NEARLY * press_depth_m:
+    if press_depth_m is not None and shape.depth_m.max() < MOST_DIMPLE * press_depth_m:
         return
     if not is_deepest_around(shape.depth_m):
         return
