@@ -18,7 +18,7 @@ OPPOSITE: dict[DepthKind, DepthKind] = {"distance": "indentation", "indentation"
 
 LEVEL = 0.05  # depths within this share of the range count as equal to the least depth
 MOST_DEEPEST, MOST_BORDER = 0.3, 0.5  # shares of the image and of its border that a real touch presses in deepest
-TOP, FLAT_TOP = 0.02, 0.2  # the largest depths, share of the range; least share of a hole's pixels at its bottom
+TOP, FLAT_TOP = 0.01, 0.2  # the largest depths, share of the range; least share of such depths in a hole's lower half
 
 
 def require_kind(kind: str, name: str) -> None:
@@ -45,19 +45,16 @@ def is_deepest_around(depth_m: NDArray[np.float32]) -> bool:
     This is so in maps with the opposite meaning, whose untouched gel has this level. It is also so if a flat face
     fills the image except for a hole.
     """
-    deepest = _find_deepest(depth_m)
+    deepest = depth_m <= depth_m.min() + LEVEL * np.ptp(depth_m)
     border = np.concatenate([deepest[0], deepest[-1], deepest[1:-1, 0], deepest[1:-1, -1]])
     return bool(np.ptp(depth_m) > 0 and deepest.mean() > MOST_DEEPEST and border.mean() > MOST_BORDER)
 
 
 def has_flat_top(depth_m: NDArray[np.float32]) -> bool:
-    """Return whether many of the pixels above the deepest level of (H, W) contact depths have the largest depth.
+    """Return whether many of the pixels in the upper half of (H, W) contact depths have the largest depth.
 
     This is so if they show the bottom of a hole, and if they show a flat tip in a map with the opposite meaning.
     """
-    top = depth_m >= depth_m.max() - TOP * np.ptp(depth_m)
-    return bool(top.sum() >= FLAT_TOP * (~_find_deepest(depth_m)).sum())
-
-
-def _find_deepest(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    return np.asarray(depth_m <= depth_m.min() + LEVEL * np.ptp(depth_m))
+    below_m = depth_m.max() - depth_m
+    top, upper = (np.count_nonzero(below_m <= share * np.ptp(depth_m)) for share in (TOP, 0.5))
+    return top >= FLAT_TOP * upper
