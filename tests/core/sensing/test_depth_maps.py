@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from message_helpers import naming
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import NoContactError, TouchError
-from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT
+from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, OPPOSITE, DepthKind, DepthUnit
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -43,9 +44,11 @@ def press_ball(geometry: SensorGeometry, x_m: float = 0.0, y_m: float = 0.0, rad
 
 @pytest.mark.parametrize("geometry", [FLAT, ELASTIC], ids=["rigid", "elastic"])
 @pytest.mark.parametrize("unit", METRES_PER_UNIT)
-def test_all_kinds_of_one_map_give_the_same_touch(geometry: SensorGeometry, unit: str) -> None:
+def test_all_kinds_of_one_map_give_the_same_touch(geometry: SensorGeometry, unit: DepthUnit) -> None:
     depth_m = press_ball(geometry)
-    maps = {"distance": depth_m, "indentation": PRESS_M - depth_m, "height": depth_m - PRESS_M}
+    maps: dict[DepthKind, NDArray[np.float64]] = {
+        "distance": depth_m, "indentation": PRESS_M - depth_m, "height": depth_m - PRESS_M,
+    }  # fmt: skip
     for kind, values in maps.items():
         given_m = PRESS_M if kind == "distance" else None
         touch = Touch.from_depth(
@@ -74,7 +77,7 @@ def test_a_sensor_model_or_its_geometry_may_be_given() -> None:
 
 
 @pytest.mark.parametrize("kind", ["indentation", "height"])
-def test_nan_and_noise_around_zero_are_no_contact(kind: str) -> None:
+def test_nan_and_noise_around_zero_are_no_contact(kind: DepthKind) -> None:
     indentation = PRESS_M - press_ball(FLAT)
     noise = np.random.default_rng(3).uniform(-1e-5, 1e-5, indentation.shape)
     noisy = np.where(indentation > 1e-9, indentation, noise)
@@ -122,7 +125,7 @@ def test_a_given_press_depth_is_that_of_a_tip_between_pixels_or_cuts_the_shape()
         (press_ball(FLAT).astype(bool), {"kind": "height"}, ("bool",)),
     ],
 )
-def test_bad_maps_are_refused(values: NDArray, words: dict[str, str], wrong: tuple[str, ...]) -> None:
+def test_bad_maps_are_refused(values: NDArray, words: dict[str, Any], wrong: tuple[str, ...]) -> None:
     with pytest.raises(TouchError, match=naming(*wrong)) as caught:
         Touch.from_depth(values, sensor=FLAT, **words)
     assert "--" not in str(caught.value)
@@ -140,9 +143,9 @@ def test_maps_with_the_opposite_meaning_are_refused(
     geometry: SensorGeometry, place: tuple[float, float], press_depth_m: float | None
 ) -> None:
     depth_m = press_ball(geometry, *place)
-    for kind, values in (("distance", PRESS_M - depth_m), ("indentation", depth_m)):
-        other = {"distance": "indentation", "indentation": "distance"}[kind]
-        with pytest.raises(TouchError, match=naming(f'use kind="{other}"')):
+    maps: dict[DepthKind, NDArray[np.float64]] = {"distance": PRESS_M - depth_m, "indentation": depth_m}
+    for kind, values in maps.items():
+        with pytest.raises(TouchError, match=naming(f'use kind="{OPPOSITE[kind]}"')):
             Touch.from_depth(values, kind=kind, sensor=geometry, press_depth_m=press_depth_m)
 
 
