@@ -27,6 +27,7 @@ logger = logging.getLogger(__name__)
 
 Units = StrEnum("Units", "AUTO M MM CM INCH")  # of a mesh file
 TouchUnit = StrEnum("TouchUnit", "M MM UM")
+TouchKind = StrEnum("TouchKind", "DISTANCE INDENTATION HEIGHT")
 Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
 TOUCHED = "Mesh file (STL, OBJ, PLY, ...) or demo object that was touched."  # help of --object where it has no default
 READ_FROM = {  # advice for sensors that are chosen by their path
@@ -77,6 +78,14 @@ class RunOptions:
     touch_unit: Annotated[
         TouchUnit | None, declare("--touch-unit", None, "Unit of the touch's depths, if its file does not state it.")
     ] = None
+    touch_kind: Annotated[
+        TouchKind | None,
+        declare(
+            "--touch-kind", None,
+            "Meaning of the touch's depths, if its file does not state it: distance from full penetration, indentation "
+            "(0 = no contact), or height above the untouched gel. Default: distance.",
+        ),
+    ] = None  # fmt: skip
     press_depth: Annotated[
         float | None,
         declare(
@@ -182,8 +191,8 @@ def make_config(given: RunOptions) -> RunConfig:
     settings = {} if given.config is None else read_toml(given.config)
     tables: dict[str, dict[str, Any]] = {
         "object": {"path": given.object, "units": given.units, "symmetry": given.symmetry},
-        "touch": {"path": given.touch, "unit": given.touch_unit, "press_depth_mm": given.press_depth,
-                  "noise": given.noise},
+        "touch": {"path": given.touch, "unit": given.touch_unit, "kind": given.touch_kind,
+                  "press_depth_mm": given.press_depth, "noise": given.noise},
     }  # fmt: skip
     for name, table in tables.items():
         settings[name] = {**_require_table(settings.get(name, {}), name, given.config), **_drop_none(table)}
@@ -312,7 +321,7 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
     if is_list(path):
         return read_observations(localizer, path)
     asked = localizer.config.touch
-    return [(localizer, localizer.read_touch(path, asked.unit, asked.press_depth_m))]
+    return [(localizer, localizer.read_touch(path, asked.unit, asked.press_depth_m, asked.kind))]
 
 
 def require_slot(slot: str) -> None:

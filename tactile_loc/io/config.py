@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
@@ -54,13 +55,14 @@ class ObjectConfig(_Strict):
 
 
 class TouchConfig(_Strict):
-    """The touch: a file, and the unit and the press depth (mm) of its depths if the file does not state them.
+    """The touch: a file, and the unit, the kind and the press depth (mm) of its depths if the file does not state them.
 
     Without a file, a touch is simulated with `noise`.
     """
 
     path: str | None = None
-    unit: Literal["m", "mm", "um"] | None = None
+    unit: DepthUnit | None = None
+    kind: DepthKind | None = None
     press_depth_mm: float | None = None
     noise: NoiseLevel = "none"
 

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 AGAIN = "export it again as a surface mesh"
 
 Units = Literal["m", "mm", "cm", "inch", "auto"]
-METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
+METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
 
 ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused, because archives could inflate without end
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor
 from tactile_loc.io.toml import (
@@ -28,7 +29,7 @@ from tactile_loc.io.toml import (
     read_toml,
     scale,
 )
-from tactile_loc.io.touches import TouchUnit, read_contents
+from tactile_loc.io.touches import read_contents
 
 Pose = NDArray[np.float64]
 
@@ -37,7 +38,8 @@ Pose = NDArray[np.float64]
 class ListedTouch:
     """One touch of a list: its file and its other entries. Missing entries are None.
 
-    `sensor` is a name, or the path of a .toml file or of a calibration folder. `unit` is the unit of the depths.
+    `sensor` is a name, or the path of a .toml file or of a calibration folder. `unit` is the unit of the depths,
+    and `kind` their meaning.
     `T_base_sensor` (4, 4), metres, comes from the list, or from the flange's pose `T_base_flange` (4, 4) and `mount`,
     or from the touch's file. `T_base_sensor_std_m` and `T_base_sensor_std_rad` are the standard deviations of the
     pose's error, without the error of the mount.
@@ -45,19 +47,21 @@ class ListedTouch:
 
     path: Path
     sensor: str | None = None
-    unit: TouchUnit | None = None
+    unit: DepthUnit | None = None
     press_depth_m: float | None = None
     T_base_sensor: Pose | None = None
     T_base_sensor_std_m: float | None = None
     T_base_sensor_std_rad: float | None = None
     T_base_flange: Pose | None = None
     mount: Mount | None = None
+    kind: DepthKind | None = None
 
 
 class _TouchTable(PoseKeys):
     path: str = Field(min_length=1, description="the touch's file, relative to the list, in quotes")
     sensor: str | None = Field(None, min_length=1, description="a sensor's name, folder or .toml file, in quotes")
-    unit: TouchUnit | None = Field(None, description="'m', 'mm' or 'um'")
+    unit: DepthUnit | None = Field(None, description="'m', 'mm' or 'um'")
+    kind: DepthKind | None = Field(None, description="'distance', 'indentation' or 'height'")
     press_depth_mm: Positive | None = Field(None, description=POSITIVE_MM)
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
     T_base_flange: Matrix | None = Field(None, description=MATRIX)
@@ -111,7 +115,7 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
         T = read_contents(file).T_base_sensor
     return ListedTouch(
         file, _find_sensor(keys.sensor, folder), keys.unit, scale(keys.press_depth_mm), T,
-        scale(keys.T_base_sensor_std_mm), scale(keys.T_base_sensor_std_deg, math.pi / 180), F, used,
+        scale(keys.T_base_sensor_std_mm), scale(keys.T_base_sensor_std_deg, math.pi / 180), F, used, keys.kind,
     )  # fmt: skip
 
 

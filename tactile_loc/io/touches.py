@@ -9,14 +9,23 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc.core.geometry.rigid import require_rigid
-from tactile_loc.core.sensing.touch import ContactShape, Touch, contact_shape_from_array
+from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
+from tactile_loc.core.sensing.gel import RIGID
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import (
+    FROM_DEPTH,
+    ContactShape,
+    Touch,
+    blank_unobserved,
+    contact_shape_from_array,
+)
 from tactile_loc.io.images import (
     FORMATS,
     IMAGE_SUFFIXES,
@@ -28,7 +37,6 @@ from tactile_loc.io.images import (
     read_colour_image,
     require_file,
 )
-from tactile_loc.io.meshes import METRES_PER_UNIT
 from tactile_loc.store.files import replace_file
 
 if TYPE_CHECKING:
@@ -41,7 +49,8 @@ LARGEST_INDENTATION_M = 0.05
 class FileContents:
     """The contents of a touch file. A value that the file does not give is None.
 
-    `depth` (H, W), `press_depth` and `indentation` are in `unit`. The poses (4, 4) are in metres.
+    `depth` (H, W), `press_depth` and `indentation` are in `unit`. `kind` is the meaning of `depth`, as in
+    `Touch.from_depth`. The poses (4, 4) are in metres.
     """
 
     depth: NDArray[Any]
@@ -50,6 +59,7 @@ class FileContents:
     T_sensor_object: NDArray[np.float64] | None = None
     T_base_sensor: NDArray[np.float64] | None = None
     indentation: float | None = None
+    kind: str | None = None
 
 
 def read_contents(path: Path) -> FileContents:
@@ -75,11 +85,11 @@ def _explain_image(path: Path) -> str:
 
 def _read_npz(path: Path) -> FileContents:
     arrays = load_npz(path)
-    unit = str(arrays["unit"]) if "unit" in arrays else None
+    unit, kind = (str(arrays[name]) if name in arrays else None for name in ("unit", "kind"))
     return FileContents(
         _find_depth(arrays, path), unit, _find_number(arrays, "press_depth", path),
         _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
-        _find_number(arrays, "indentation", path),
+        _find_number(arrays, "indentation", path), kind,
     )  # fmt: skip
 
 
@@ -116,28 +126,32 @@ def _read_png(path: Path) -> FileContents:
     return FileContents(values.astype(np.uint16))
 
 
-TouchUnit = Literal["m", "mm", "um"]
-UNITS = get_args(TouchUnit)
+UNITS = tuple(METRES_PER_UNIT)
+KIND_OPTION = "--touch-kind {}"
 NO_CONTACT_U16 = 65535
 
 
 def read_contact_shape(
-    path: str | Path, max_depth_m: float, unit: str | None = None, press_depth_m: float | None = None
-) -> ContactShape:
-    """Read a contact shape (H, W) from an .npz, .npy or 16-bit .png file.
+    path: str | Path, max_depth_m: float, unit: str | None = None, press_depth_m: float | None = None,
+    kind: str | None = None,
+) -> ContactShape:  # fmt: skip
+    """Read a contact shape (H, W) of a rigid gel from an .npz, .npy or 16-bit .png file.
 
     `max_depth_m` is the sensor's maximal depth, metres. `unit` ("m", "mm" or "um") is needed if the file states no
-    unit. If the file states no press depth, `press_depth_m`, metres, is the press depth. By default, it is taken from
-    the shape (see `contact_shape_from_array`). If the file states a press depth, the shape is cut at `press_depth_m`,
-    which must be smaller. Raises TouchError when the file holds no contact shape.
+    unit. `kind` is the meaning of the depths if the file does not state it: see `Touch.from_depth`. The default is
+    "distance". If the file states no press depth, `press_depth_m`, metres, is the press depth. By default, it is taken
+    from the shape (see `contact_shape_from_array`). If the file states a press depth, the shape is cut at
+    `press_depth_m`, which must be smaller. Raises TouchError when the file holds no contact shape, or when its depths
+    have the opposite meaning.
     """
     path = Path(path)
-    return _build_shape(read_contents(path), path, max_depth_m, unit, press_depth_m)
+    return _build_shape(read_contents(path), path, max_depth_m, unit, press_depth_m, kind)
 
 
 def read_touch(
-    path: str | Path, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None
-) -> Touch:
+    path: str | Path, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None,
+    kind: str | None = None,
+) -> Touch:  # fmt: skip
     """Read a touch of `sensor` from a file with a contact shape (see `read_contact_shape`) or a colour image.
 
     A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. Raises
@@ -153,7 +167,7 @@ def read_touch(
             raise TouchError(f"{path}: {error}") from error
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path)
-    shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
+    shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m, kind, geometry)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
 
 
@@ -167,7 +181,7 @@ def touch_from_image(
     TouchError when the sensor cannot read the image.
     """
     if image.ndim == 2 and image.dtype.kind == "f" and press_depth_m is not None:
-        shape = contact_shape_from_array(image, sensor.geometry.max_depth_m, press_depth_m, name)
+        shape = contact_shape_from_array(image, sensor.geometry.max_depth_m, press_depth_m, name, option=FROM_DEPTH)
         return Touch(shape, sensor.geometry, name)
     shape = _cut(sensor.contact_shape(image), name, press_depth_m)
     return Touch(shape, sensor.geometry, name, image=image if image.ndim == 3 else None)
@@ -182,6 +196,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
     arrays = {
         "depth": touch.contact_shape.depth_m.astype(np.float32),
         "unit": np.array("m"),
+        "kind": np.array("distance"),
         "press_depth": np.array(touch.press_depth_m, np.float64),
         "indentation": np.array(touch.indentation_m, np.float64),
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
@@ -195,8 +210,9 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
 
 
 def _build_shape(
-    contents: FileContents, path: Path, max_depth_m: float, unit: str | None, press_depth_m: float | None
-) -> ContactShape:
+    contents: FileContents, path: Path, max_depth_m: float, unit: str | None, press_depth_m: float | None,
+    kind: str | None, geometry: SensorGeometry | None = None,
+) -> ContactShape:  # fmt: skip
     raw = contents.depth
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
         raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape must be numbers (H, W)")
@@ -204,10 +220,16 @@ def _build_shape(
     depth = raw.astype(np.float64) * scale
     if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
         depth[raw == NO_CONTACT_U16] = np.nan
+    known = _find_kind(contents, path, kind)
+    if geometry is not None and known != "distance":
+        depth = blank_unobserved(depth, geometry)
+    press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
+    shape = contact_shape_from_array(
+        depth, max_depth_m, press_m, str(path), contents.unit is not None, known,
+        RIGID if geometry is None else geometry.gel, KIND_OPTION if contents.kind is None else None,
+    )  # fmt: skip
     if contents.press_depth is None:
-        return contact_shape_from_array(depth, max_depth_m, press_depth_m, str(path), contents.unit is not None)
-    press_m = contents.press_depth * scale
-    shape = contact_shape_from_array(depth, max_depth_m, press_m, str(path), contents.unit is not None)
+        return shape
     if contents.indentation is not None:
         shape = dataclasses.replace(shape, indentation_m=_check_depth_m(contents.indentation * scale, shape, path))
     return _cut(shape, str(path), press_depth_m)
@@ -235,6 +257,16 @@ def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> Contact
     return shape.press_to(press_depth_m)
 
 
+def _find_kind(contents: FileContents, path: Path, kind: str | None) -> DepthKind:
+    """Return the meaning of a file's depths."""
+    for name in (kind, contents.kind):
+        if name is not None:
+            require_kind(name, str(path))
+    if kind is not None and contents.kind is not None and kind != contents.kind:
+        raise TouchError(f"the kind in {path} is {contents.kind}, but --touch-kind is {kind}; leave it out")
+    return cast(DepthKind, contents.kind or kind or "distance")
+
+
 def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
     """Return the metres per unit of a file's depths."""
     for name in (unit, contents.unit):
@@ -245,4 +277,4 @@ def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
     known = contents.unit or unit
     if known is None:
         raise TouchError(f"{path} has no unit; give the unit of its depths by --touch-unit: {', '.join(UNITS)}")
-    return METRES_PER_UNIT[known]
+    return METRES_PER_UNIT[cast(DepthUnit, known)]

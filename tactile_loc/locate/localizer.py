@@ -104,9 +104,14 @@ class Localizer:
 
     # touches
 
-    def read_touch(self, path: str | Path, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
-        """Read a contact shape (npz, npy, 16-bit PNG) as a touch of this sensor. Raises TouchError for a bad file."""
-        return read_touch(Path(path), self.sensor, unit, press_depth_m)
+    def read_touch(
+        self, path: str | Path, unit: str | None = None, press_depth_m: float | None = None, kind: str | None = None
+    ) -> Touch:
+        """Read a contact shape (npz, npy, 16-bit PNG) as a touch of this sensor. Raises TouchError for a bad file.
+
+        `kind` is the meaning of the depths if the file does not state it: see `Touch.from_depth`.
+        """
+        return read_touch(Path(path), self.sensor, unit, press_depth_m, kind)
 
     def simulate(
         self, count: int = 1, seed: int = 0, press_depth_m: float | None = None, noise: str = "none"

@@ -120,9 +120,10 @@ def _localize_batch(
 ) -> Iterator[tuple[LocatedFile, Localization | None]]:
     touches: dict[Path, Touch] = {}
     failed: dict[Path, LocatedFile] = {}
+    asked = localizer.config.touch
     for path in files:
         try:
-            touches[path] = localizer.read_touch(path, localizer.config.touch.unit, press_depth_m)
+            touches[path] = localizer.read_touch(path, asked.unit, press_depth_m, asked.kind)
         except NoContactError as error:
             failed[path] = LocatedFile(path, problem=str(error), verdict=Verdict.NO_CONTACT)
         except TactileLocError as error:
@@ -169,7 +170,9 @@ def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
 
 def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
     """Read one touch of a list, with its sensor's pose from the list. Raises TactileLocError for bad input."""
-    touch = localizer.read_touch(listed.path, listed.unit, listed.press_depth_m)
+    asked = localizer.config.touch
+    unit, kind = listed.unit or asked.unit, listed.kind or asked.kind
+    touch = localizer.read_touch(listed.path, unit, listed.press_depth_m, kind)
     names = ("T_base_sensor", "T_base_sensor_std_m", "T_base_sensor_std_rad")
     given = {name: value for name in names if (value := getattr(listed, name)) is not None}
     touch = dataclasses.replace(touch, **given)

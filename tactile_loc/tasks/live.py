@@ -64,7 +64,7 @@ class LiveLocator:
     """Locates the frames of one sensor: as one sequence if there is a `tracker`, otherwise each frame separately.
 
     The sensor's pose comes from the frame's file (`Touch.T_base_sensor`). If a file has no pose, the sensor is assumed
-    to have stayed where it was. `unit` and `press_depth_m` are as for `read_touch`.
+    to have stayed where it was. `unit`, `press_depth_m` and `kind` are as for `read_touch`.
     """
 
     localizer: Localizer
@@ -74,6 +74,7 @@ class LiveLocator:
     counts: Counter[Verdict | None] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     _ends: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    kind: str | None = None
     _time_s: float = 0.0
     _T_base_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
@@ -92,7 +93,7 @@ class LiveLocator:
         start = time.perf_counter()
         touch = None
         try:
-            touch = frame.read_touch(self.localizer.sensor, self.unit, self.press_depth_m)
+            touch = frame.read_touch(self.localizer.sensor, self.unit, self.press_depth_m, self.kind)
             located = self._locate_touch(frame, touch)
         except NoContactError as error:
             located = self._predict(frame, error)

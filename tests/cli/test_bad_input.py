@@ -247,3 +247,17 @@ def test_a_grid_without_contact_is_refused(cli):
 def test_a_count_of_zero_touches_is_refused(cli, count):
     assert_refused(cli("simulate", "--count", count, "--out", OUT), "--count")
     assert not OUT.exists()
+
+
+def test_an_inverted_touch_is_refused_with_the_remedy(refused):
+    row, column = np.mgrid[:200, :200] - 99.5
+    indentation = np.maximum(0.0015 - 2e-7 * (row**2 + column**2), 0.0)
+    np.save("touch.npy", indentation)
+    np.savez("touch.npz", depth=indentation, unit="m")
+    for touch in (("touch.npy", "--touch-unit", "m"), ("touch.npz",)):
+        refused("--touch", *touch, mentions=("indentations", "--touch-kind indentation"))
+
+
+def test_an_unknown_kind_of_touch_is_refused(refused):
+    np.save("touch.npy", touch_depths())
+    refused("--touch", "touch.npy", "--touch-unit", "m", "--touch-kind", "depth", mentions=("depth", "indentation"))

@@ -213,6 +213,22 @@ def test_no_error_is_reported_without_the_true_pose(cli, tmp_path):
     assert "error" not in done.stdout
 
 
+def test_all_kinds_of_one_touch_are_located_alike(cli, tmp_path):
+    depth = np.where(touch_depths() == 0, 0.0, 1.5)
+    maps = {"distance": depth, "indentation": 1.5 - depth, "height": depth - 1.5}
+    found = []
+    for kind, values in maps.items():
+        np.save("touch.npy", values)
+        done = cli("run", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--touch-kind", kind,
+                   "--press-depth", 1.5, "--out", kind)  # fmt: skip
+        assert done.exit_code == 0, done.stderr
+        result = json.loads((tmp_path / kind / "result.json").read_text())
+        assert result["configuration"]["touch"]["kind"] == kind
+        found.append([one["T_sensor_object"] for one in result["hypotheses"]])
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-6)
+
+
 def test_guesses_are_shown_as_one_line_warnings(cli):
     write_box(Path("box.obj"), faces=10)
     done = cli("run", *TINY, "--object", "box.obj")

@@ -42,13 +42,14 @@ def test_every_key_of_a_list_is_read(folder):
     first, second = read_touch_list(
         written(
             folder,
-            'path = "a.npz"\nsensor = "gel.toml"\nunit = "mm"\npress_depth_mm = 1.5\n' + POSE,
+            'path = "a.npz"\nsensor = "gel.toml"\nunit = "mm"\nkind = "height"\npress_depth_mm = 1.5\n' + POSE,
             'path = "c.png"\nsensor = "digit"\n' + rows,
         )
     )
     assert (first.path, second.path) == (folder / "a.npz", folder / "c.png")
     assert (first.sensor, second.sensor) == (str(folder / "gel.toml"), "digit")
     assert (first.unit, second.unit) == ("mm", None)
+    assert (first.kind, second.kind) == ("height", None)
     assert first.press_depth_m == pytest.approx(0.0015)
     assert second.press_depth_m is None
     np.testing.assert_allclose([first.T_base_sensor, second.T_base_sensor], [T, T], atol=1e-15)
@@ -97,6 +98,7 @@ def test_a_folder_of_touches_may_have_the_name_of_its_sensor(folder):
         (['path = "z.npz"\n'], ("touch 1", "z.npz")),
         (["unit = 'mm'\n"], ("touch 1", "path")),
         (['path = "a.npz"\nunits = "mm"\n'], ("touch 1", "'units'", "'unit'")),
+        (['path = "a.npz"\nkind = "depth"\n'], ("kind", "'depth'", "'distance'", "'indentation'", "'height'")),
         (['path = "a.npz"\nunit = "cm"\n'], ("unit", "'cm'", "'m'", "'mm'", "'um'")),
         (['path = "a.npz"\npress_depth_mm = -1\n'], ("press_depth_mm", -1)),
         (['path = "a.npz"\nsensor = "no.toml"\n'], ("sensor", "no.toml")),

@@ -313,3 +313,54 @@ def test_touches_without_contact_or_of_another_size_are_refused(
 @pytest.mark.parametrize("name", ["T_sensor_object", "T_base_sensor"])
 def test_poses_must_be_rigid(tmp_path: Path, depth_m: NDArray[np.float64], name: str, T: NDArray[np.float64]) -> None:
     refused(save_npz(tmp_path / "a.npz", **{"depth": depth_m, "unit": "m", name: T}), name, unit=None)
+
+
+def make_maps(depth_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return one map in mm for each kind."""
+    return {"distance": 1e3 * depth_m, "indentation": 1.5 - 1e3 * depth_m, "height": 1e3 * depth_m - 1.5}
+
+
+@pytest.mark.parametrize("kind", ["distance", "indentation", "height"])
+@pytest.mark.parametrize("stated", [True, False])
+def test_files_of_every_kind_give_the_same_touch(
+    tmp_path: Path, depth_m: NDArray[np.float64], kind: str, stated: bool
+) -> None:
+    values = make_maps(depth_m)[kind]
+    path = save_npz(tmp_path / "a.npz", depth=values, unit="mm", **({"kind": kind} if stated else {}))
+    touch = read_touch(path, SENSOR, kind=None if stated else kind)
+    assert touch.press_depth_m == pytest.approx(PRESS_DEPTH_M)
+    np.testing.assert_allclose(touch.contact_shape.depth_m, depth_m, rtol=1e-6, atol=1e-9)
+    shape = read_contact_shape(path, MAX_DEPTH_M, kind=None if stated else kind)
+    np.testing.assert_array_equal(shape.depth_m, touch.contact_shape.depth_m)
+
+
+def test_the_largest_16_bit_number_is_no_contact_in_indentations(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+    values = np.round(1e3 * make_maps(depth_m)["indentation"]).astype(np.uint16)
+    values[0, 0] = 65535
+    touch = read_touch(save_png(tmp_path / "a.png", values), SENSOR, "um", kind="indentation")
+    assert touch.press_depth_m == pytest.approx(PRESS_DEPTH_M)
+    assert not touch.contact_shape.contact[0, 0]
+
+
+def test_an_inverted_file_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    v, u = np.mgrid[:9, :12]
+    values = np.maximum(1.5 - 0.2 * ((u - 5) ** 2 + (v - 4) ** 2), 0.0)
+    refused(save_npy(tmp_path / "a.npy", values), "indentations", "--touch-kind indentation")
+    refused(save_npy(tmp_path / "b.npy", -values), "negative", "--touch-kind height")
+
+
+def test_the_kind_that_a_file_states_is_believed(tmp_path: Path, touch: Touch) -> None:
+    values = make_maps(touch.contact_shape.depth_m)["indentation"]
+    path = save_npz(tmp_path / "a.npz", depth=values, unit="mm", kind="distance")
+    assert read_touch(path, SENSOR).contact_shape.depth_m.min() == 0
+    with np.load(write_touch(tmp_path / "b.npz", touch)) as written:
+        assert str(written["kind"]) == "distance"
+
+
+def test_unknown_and_contradicting_kinds_are_refused(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+    unknown = save_npz(tmp_path / "a.npz", depth=depth_m, unit="m", kind="depth")
+    with pytest.raises(TouchError, match=naming("'depth'", "a.npz", "indentation")):
+        read_touch(unknown, SENSOR)
+    stated = save_npz(tmp_path / "b.npz", depth=depth_m, unit="m", kind="distance")
+    with pytest.raises(TouchError, match=naming("b.npz", "distance", "--touch-kind is height")):
+        read_touch(stated, SENSOR, kind="height")

@@ -25,7 +25,9 @@ Located = Annotated[
     int, options.declare("--located", "N", "Number of objects to locate: the most probable ones after a rough search.")
 ]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
-Given = Annotated[RunOptions, options.Takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]
+Given = Annotated[
+    RunOptions, options.Takes("units", "touch_unit", "touch_kind", "press_depth", "sensor", "option", "config")
+]
 
 
 def identify(

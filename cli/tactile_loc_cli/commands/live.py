@@ -67,8 +67,8 @@ View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and po
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "touch_unit", "press_depth", "sensor", "zero", "grid", "renderer", "encoder",
-        "matcher", "refiner", "option", "config", "seed", object=options.TOUCHED,
+        "object", "units", "symmetry", "touch_unit", "touch_kind", "press_depth", "sensor", "zero", "grid", "renderer",
+        "encoder", "matcher", "refiner", "option", "config", "seed", object=options.TOUCHED,
     ),
 ]  # fmt: skip
 
@@ -102,7 +102,9 @@ def live(
     _require_outputs(out, rerun)
     localizer = options.open_localizer(settings, store)
     tracker = Tracker(localizer) if track else None
-    locator = LiveLocator(localizer, tracker, settings.touch.unit, settings.touch.press_depth_m)
+    locator = LiveLocator(
+        localizer, tracker, settings.touch.unit, settings.touch.press_depth_m, kind=settings.touch.kind
+    )
     with ExitStack() as stack:
         shows = [
             stack.enter_context(one) for one in _open_outputs(localizer, opened, out, port if view else None, rerun)

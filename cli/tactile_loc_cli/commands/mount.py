@@ -31,7 +31,7 @@ Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of mount.toml a
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "touch_unit", "sensor", "option", "config", object=options.TOUCHED
+        "object", "units", "symmetry", "touch_unit", "touch_kind", "sensor", "option", "config", object=options.TOUCHED
     ),
 ]  # fmt: skip
 

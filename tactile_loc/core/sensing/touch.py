@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +14,23 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import NoContactError, TouchError
 from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.sensing.depth_maps import (
+    METRES_PER_UNIT,
+    OPPOSITE,
+    DepthKind,
+    DepthUnit,
+    find_indentation,
+    has_flat_top,
+    is_deepest_around,
+    require_kind,
+)
+from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 
+logger = logging.getLogger(__name__)
+
+FROM_DEPTH = 'Touch.from_depth(..., kind="{}")'  # how to state the kind of an array that is read without one
+MOST_DIMPLE = 0.5  # depth, share of a given press depth, of a dimple in a flat face that fills the image
 TINY_M = 2e-6  # smallest plausible range of a touch's depths
 
 
@@ -68,6 +84,14 @@ def compute_contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGe
     """
     shape = np.subtract(depth_m, geometry.full_penetration_m, dtype=np.float32)
     return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
+
+
+class HasGeometry(Protocol):
+    """A sensor, such as a SensorModel."""
+
+    @property
+    def geometry(self) -> SensorGeometry:
+        """The sensor's camera and gel."""
 
 
 @keep_old_names(thinned="thin")
@@ -130,6 +154,41 @@ class Touch:
                 T = require_rigid(getattr(self, pose), f"{pose} of {self.name}", TouchError)
                 object.__setattr__(self, pose, T)
 
+    @classmethod
+    def from_depth(
+        cls, array: ArrayLike, *, kind: DepthKind, sensor: SensorGeometry | HasGeometry, unit: DepthUnit = "m",
+        press_depth_m: float | None = None, name: str = "touch", **poses: Any,
+    ) -> Self:  # fmt: skip
+        """Make a touch from a depth map (H, W) in `unit`, which `sensor` (a SensorModel or SensorGeometry) took.
+
+        `kind` states what the values mean:
+
+        - `distance`: distance of the surface from full penetration. The deepest pixel is about 0. No contact is NaN or
+          any value of at least the press depth.
+        - `indentation`: how far the gel is pressed in at each pixel. No contact is 0, a negative value or NaN.
+        - `height`: height of the gel's surface above the untouched gel. It is negative where the gel is pressed in. No
+          contact is 0, a positive value or NaN.
+
+        By default, the press depth is the largest indentation, or estimated for `distance` as in
+        `contact_shape_from_array`. A larger `press_depth_m`, metres, is the press depth of a tip between the pixels. A
+        smaller one cuts the shape. The whole surface of an elastic gel is kept; `touching_shape` is the part that
+        touches the object. `poses` are further fields of the touch, such as `T_base_sensor`.
+
+        Raises NoContactError if nothing is pressed in. Raises TouchError if an argument is wrong, if the map does not
+        fit the sensor, or if its values have the opposite meaning.
+        """
+        geometry = sensor if isinstance(sensor, SensorGeometry) else sensor.geometry
+        if unit not in METRES_PER_UNIT:
+            raise TouchError(f"the unit {unit!r} of {name} is unknown; the units are {', '.join(METRES_PER_UNIT)}")
+        require_kind(kind, name)
+        values = require_numbers(np.asarray(array), name) * METRES_PER_UNIT[unit]
+        if kind != "distance":
+            values = blank_unobserved(values, geometry)
+        shape = contact_shape_from_array(
+            values, geometry.max_depth_m, press_depth_m, name, states_unit=True, kind=kind, gel=geometry.gel
+        )
+        return cls(shape, geometry, name, **poses)
+
     @property
     def press_depth_m(self) -> float:
         """Press depth of the contact shape, metres."""
@@ -181,45 +240,127 @@ class Touch:
 
 def contact_shape_from_array(
     values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch",
-    states_unit: bool = False,
+    states_unit: bool = False, kind: DepthKind = "distance", gel: Gel = RIGID, option: str | None = 'kind="{}"',
 ) -> ContactShape:  # fmt: skip
-    """Make a contact shape from depths (H, W), metres, where 0 is full penetration.
+    """Make a contact shape from depths (H, W), metres, of a `kind` that `Touch.from_depth` explains.
 
-    NaN, or a depth of at least `max_depth_m`, means no contact. If `press_depth_m` is None, the press depth is the
-    largest depth in contact. It is at least a quarter of `max_depth_m`, because a flat imprint does not show how deep
-    it was pressed. If every pixel is in contact and the depths differ, the pixels at the largest depth are taken to be
-    out of contact. `states_unit` says whether the touch's file states its unit, for advice in messages. Raises
-    TouchError if the array has a wrong type or shape, or if its depths do not fit the sensor.
+    For distances from full penetration, NaN, or a depth of at least `max_depth_m`, means no contact. If `press_depth_m`
+    is None, the press depth is the largest depth in contact. It is at least a quarter of `max_depth_m`, because a flat
+    imprint does not show how deep it was pressed. If every pixel is in contact and the depths differ, the pixels at the
+    largest depth are taken to be out of contact. `gel` is used for the other kinds.
+
+    `states_unit` says whether the unit is stated with the touch, for advice in messages. `option` shows how the caller
+    states another kind. If it is None, the kind is certain, so maps with the opposite meaning are not looked for.
+    Raises TouchError if the array has a wrong type or shape, or if its depths do not fit the sensor or the kind.
     """
-    depth = np.asarray(values)
-    if depth.ndim != 2 or depth.size == 0 or depth.dtype.kind not in "fiu":
+    raw = require_numbers(np.asarray(values), name)
+    if kind == "distance":
+        shape = _make_from_distance(raw, max_depth_m, press_depth_m, name, states_unit, option)
+    else:
+        shape = _make_from_surface(raw, max_depth_m, press_depth_m, name, states_unit, kind, gel)
+    if option is not None and kind in OPPOSITE:
+        _refuse_opposite(shape, press_depth_m, name, kind, option)
+    return shape
+
+
+def require_numbers(values: NDArray[Any], name: str) -> NDArray[Any]:
+    """Return an array if it is (H, W) numbers. Raises TouchError otherwise."""
+    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiu":
         raise TouchError(
-            f"{name} is an array of shape {depth.shape} and type {depth.dtype}; a contact shape is (H, W) numbers, "
+            f"{name} is an array of shape {values.shape} and type {values.dtype}; a contact shape is (H, W) numbers, "
             "depth from full penetration"
         )
+    return values
+
+
+def blank_unobserved(values: NDArray[Any], geometry: SensorGeometry) -> NDArray[Any]:
+    """Return values (H, W) with NaN at unobserved pixels. Values of another size are returned as they are."""
+    fits = values.shape == geometry.shape
+    return np.where(geometry.observed_mask, values, np.nan) if fits else values
+
+
+def _make_from_distance(
+    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, states_unit: bool,
+    option: str | None,
+) -> ContactShape:  # fmt: skip
     with np.errstate(over="ignore"):  # depths that are too large for float32 are beyond the sensor too
-        depth = np.where(np.isnan(depth), np.inf, depth).astype(np.float32)
+        depth = np.where(np.isnan(values), np.inf, values).astype(np.float32)
     if (depth < -1e-6).any():
-        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration")
+        others = "" if option is None else f", or {option.format('height')} if the untouched gel has the value 0"
+        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration{others}")
     finite = depth[np.isfinite(depth)]
-    if finite.size and finite.max() > 100 * max_depth_m:
+    _require_plausible(float(finite.max(initial=0.0)), max_depth_m, name, states_unit)
+    if press_depth_m is None:
+        press_depth_m = _find_deepest_step(depth, max_depth_m)
+    _require_in_range(press_depth_m, max_depth_m, name)
+    depth[_reaches(depth, press_depth_m)] = press_depth_m
+    return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))
+
+
+def _make_from_surface(
+    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, states_unit: bool,
+    kind: DepthKind, gel: Gel,
+) -> ContactShape:  # fmt: skip
+    indentation = find_indentation(values.astype(np.float64), kind, gel)
+    deepest_m = float(indentation.max())
+    if deepest_m < TINY_M:
+        sign = "negative" if kind == "height" else "positive"
+        raise NoContactError(
+            f"{name} shows no contact: the gel is pressed in by at most {1e3 * deepest_m:.1g} mm; press the object on "
+            f"the sensor, or check the unit and the sign ({kind}s are {sign} where the gel is pressed in)"
+        )
+    _require_plausible(deepest_m, max_depth_m, name, states_unit)
+    press_m = deepest_m if press_depth_m is None else press_depth_m
+    _require_in_range(press_m, max_depth_m, name)
+    full_m = max(deepest_m, press_m)
+    depth = (full_m - indentation).astype(np.float32)
+    depth[_reaches(depth, full_m)] = full_m
+    shape = ContactShape(depth, full_m)
+    return shape if press_m == full_m else shape.press_to(press_m)
+
+
+def _require_plausible(largest_m: float, max_depth_m: float, name: str, states_unit: bool) -> None:
+    """Raise TouchError if the largest value is so large that its unit must be wrong."""
+    if largest_m > 100 * max_depth_m:
         advice = (
-            "check the unit in the file, and max_depth_mm (in mm) of the sensor" if states_unit
+            "check its unit, and max_depth_mm (in mm) of the sensor" if states_unit
             else "its unit is probably wrong; give --touch-unit mm or um"
         )  # fmt: skip
         raise TouchError(
-            f"{name} has depths up to {finite.max():.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; "
-            f"{advice}"
+            f"{name} has depths up to {largest_m:.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; {advice}"
         )
-    if press_depth_m is None:
-        press_depth_m = _find_deepest_step(depth, max_depth_m)
+
+
+def _require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> None:
+    """Raise TouchError if a press depth is beyond the sensor's range."""
     if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
         raise TouchError(
             f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm, but the sensor's range is 0 to "
             f"{max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
         )
-    depth[_reaches(depth, press_depth_m)] = press_depth_m
-    return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))
+
+
+def _refuse_opposite(
+    shape: ContactShape, press_depth_m: float | None, name: str, kind: DepthKind, option: str
+) -> None:  # fmt: skip
+    """Raise TouchError if the depths of a shape have the opposite meaning; log a warning if they may have it.
+
+    If the largest depth is much less than the given press depth, the shape is in contact everywhere, so it is right.
+    """
+    if press_depth_m is not None and shape.depth_m.max() < MOST_DIMPLE * press_depth_m:
+        return
+    if not is_deepest_around(shape.depth_m):
+        return
+    other = OPPOSITE[kind]
+    meanings = {"distance": "distances from full penetration", "indentation": "indentations (0 = no contact)"}
+    finding = f"{name} is deepest around the border of the image, so its values may be {meanings[other]}"
+    if has_flat_top(shape.depth_m):
+        logger.warning("%s; if so, use %s", finding, option.format(other))
+        return
+    raise TouchError(
+        f"{finding}; if so, use {option.format(other)}, and if the object does touch around the border, give the "
+        "press depth"
+    )
 
 
 def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:

@@ -45,7 +45,9 @@ class SourceFrame:
     path: Path | None = None
     problem: TactileLocError | None = None
 
-    def read_touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+    def read_touch(
+        self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None, kind: str | None = None
+    ) -> Touch:
         """Return the touch that a sensor reads from the frame. Raises TouchError when the frame is not a touch.
 
         The arguments are those of the function `read_touch`, which reads a file.
@@ -54,7 +56,7 @@ class SourceFrame:
             raise self.problem
         if self.image is not None:
             return touch_from_image(self.image, sensor, press_depth_m, self.name)
-        return read_touch(Path(self.name) if self.path is None else self.path, sensor, unit, press_depth_m)
+        return read_touch(Path(self.name) if self.path is None else self.path, sensor, unit, press_depth_m, kind)
 
 
 Frames = Generator[SourceFrame, None, None]

@@ -1,0 +1,60 @@
+"""Depth maps: what their values mean, their units, and maps with the opposite meaning."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError, advise_choice
+from tactile_loc.core.sensing.gel import Gel
+
+DepthKind = Literal["distance", "indentation", "height"]
+DepthUnit = Literal["m", "mm", "um"]
+KINDS: tuple[DepthKind, ...] = get_args(DepthKind)
+METRES_PER_UNIT: dict[DepthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+OPPOSITE: dict[DepthKind, DepthKind] = {"distance": "indentation", "indentation": "distance"}
+
+LEVEL = 0.05  # depths within this share of the range count as equal to the least depth
+MOST_DEEPEST, MOST_BORDER = 0.3, 0.5  # shares of the image and of its border that a real touch presses in deepest
+TOP, FLAT_TOP = 0.01, 0.2  # the largest depths, share of the range; least share of such depths in a hole's lower half
+
+
+def require_kind(kind: str, name: str) -> None:
+    """Raise TouchError if a depth map called `name` has an unknown kind."""
+    if kind not in KINDS:
+        raise TouchError(f"there is no kind {kind!r}, which {name} should have; {advise_choice(kind, KINDS)}")
+
+
+def find_indentation(values: NDArray[Any], kind: DepthKind, gel: Gel) -> NDArray[np.float64]:
+    """Return how far a gel is pressed in, metres (H, W), and 0 where it is not.
+
+    `values` (H, W), metres, are indentations, or heights, which are negative where the gel is pressed in. No gel is
+    pulled out. So the largest value of the wrong sign is the noise, and less indentation in a rigid gel is none. An
+    elastic gel bulges beside the contact; all its indentations are kept. NaN is 0.
+    """
+    indentation = np.nan_to_num(-values if kind == "height" else values, nan=0.0, posinf=0.0, neginf=0.0)
+    noise = 0.0 if gel.is_elastic else max(0.0, -float(indentation.min(initial=0.0)))
+    return np.where(indentation > noise, indentation, 0.0)
+
+
+def is_deepest_around(depth_m: NDArray[np.float32]) -> bool:
+    """Return whether the deepest level covers much of contact depths (H, W), metres, and most of their border.
+
+    This is so in maps with the opposite meaning, whose untouched gel has this level. It is also so if a flat face
+    fills the image except for a hole.
+    """
+    deepest = depth_m <= depth_m.min() + LEVEL * np.ptp(depth_m)
+    border = np.concatenate([deepest[0], deepest[-1], deepest[1:-1, 0], deepest[1:-1, -1]])
+    return bool(np.ptp(depth_m) > 0 and deepest.mean() > MOST_DEEPEST and border.mean() > MOST_BORDER)
+
+
+def has_flat_top(depth_m: NDArray[np.float32]) -> bool:
+    """Return whether many of the pixels in the upper half of (H, W) contact depths have the largest depth.
+
+    This is so if they show the bottom of a hole, and if they show a flat tip in a map with the opposite meaning.
+    """
+    below_m = depth_m.max() - depth_m
+    top, upper = (np.count_nonzero(below_m <= share * np.ptp(depth_m)) for share in (TOP, 0.5))
+    return top >= FLAT_TOP * upper
