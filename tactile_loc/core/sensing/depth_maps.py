@@ -57,4 +57,4 @@ def has_flat_top(depth_m: NDArray[np.float32]) -> bool:
     """
     below_m = depth_m.max() - depth_m
     top, upper = (np.count_nonzero(below_m <= share * np.ptp(depth_m)) for share in (TOP, 0.5))
-    return top >= FLAT_TOP * upper
+    return bool(top >= FLAT_TOP * upper)
