@@ -255,9 +255,19 @@ def test_an_inverted_touch_is_refused_with_the_remedy(refused):
     np.save("touch.npy", indentation)
     np.savez("touch.npz", depth=indentation, unit="m")
     for touch in (("touch.npy", "--touch-unit", "m"), ("touch.npz",)):
-        refused("--touch", *touch, mentions=("indentations", "--touch-kind indentation"))
+        refused("--object", "hook", "--touch", *touch, mentions=("indentations", "--touch-kind indentation"))
 
 
 def test_an_unknown_kind_of_touch_is_refused(refused):
     np.save("touch.npy", touch_depths())
-    refused("--touch", "touch.npy", "--touch-unit", "m", "--touch-kind", "depth", mentions=("depth", "indentation"))
+    refused(
+        "--object",
+        "hook",
+        "--touch",
+        "touch.npy",
+        "--touch-unit",
+        "m",
+        "--touch-kind",
+        "depth",
+        mentions=("depth", "indentation"),
+    )

@@ -219,7 +219,7 @@ def test_all_kinds_of_one_touch_are_located_alike(cli, tmp_path):
     found = []
     for kind, values in maps.items():
         np.save("touch.npy", values)
-        done = cli("run", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--touch-kind", kind,
+        done = cli("run", *TINY, "--object", "hook", "--touch", "touch.npy", "--touch-unit", "mm", "--touch-kind", kind,
                    "--press-depth", 1.5, "--out", kind)  # fmt: skip
         assert done.exit_code == 0, done.stderr
         result = json.loads((tmp_path / kind / "result.json").read_text())
