@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -151,7 +151,7 @@ def calibrate_stage(
         "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
         "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
         "background": hash_arrays(image=presses.background), "geometry": presses.geometry.describe(),
-        "camera": presses.camera.describe(), "fit": None if presses.fit is None else asdict(presses.fit),
+        "camera": presses.camera.describe(), "fit": None if presses.fit is None else presses.fit.record(),
     }  # fmt: skip
     return learn_stage(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
 
