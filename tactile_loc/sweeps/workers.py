@@ -263,6 +263,9 @@ def _run(
                 futures[future] = job
                 running.add(future)
             future = next(running)
+            if future.status == "lost":  # the worker died after the job had ended, and Dask repeats the job
+                running.add(future)
+                continue
             job = futures.pop(future)
             outcome = _read_outcome(future, job, client.scheduler.address)
             future.release()  # otherwise Dask repeats the job if the worker with its result dies
@@ -274,7 +277,7 @@ def _run(
 def _read_outcome(future: Any, job: Job, address: str) -> Outcome | None:
     from distributed import KilledWorker
 
-    if future.status in ("cancelled", "lost"):
+    if future.status == "cancelled":
         raise ClusterError(
             f"the Dask scheduler at {address} has stopped; finished rows are kept, so run the same command again"
         )

@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from tactile_loc.core.errors import UnknownPluginError
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
+from tactile_loc.io.config import RunConfig
+from tactile_loc.sweeps import workers
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
@@ -166,6 +169,50 @@ def test_a_job_that_always_kills_its_dask_worker_affects_no_other_job(tiny, fold
     for (_, refiner), error in errors(swept).items():
         assert ("Dask" in error) == (refiner == "lethal")
     assert errors(swept)["pin", "none"] == errors(swept)["head", "none"] == ""
+
+
+class LosingFuture:
+    """A future whose worker dies between the end of its job and the reading of its status."""
+
+    def __init__(self) -> None:
+        self.statuses = ["lost", "finished"]
+
+    @property
+    def status(self) -> str:
+        return self.statuses.pop(0) if len(self.statuses) > 1 else self.statuses[0]
+
+    def result(self) -> str:
+        return "measured again"
+
+    def release(self) -> None:
+        pass
+
+
+class InOrder:
+    """A stand-in for `distributed.as_completed` that returns futures in the order in which they were added."""
+
+    def __init__(self, loop: Any) -> None:
+        self.queue: list[LosingFuture] = []
+
+    def add(self, future: LosingFuture) -> None:
+        self.queue.append(future)
+
+    def __next__(self) -> LosingFuture:
+        return self.queue.pop(0)
+
+
+def test_a_job_whose_result_is_lost_is_awaited_again(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "as_completed", InOrder)
+    client = SimpleNamespace(
+        loop=None,
+        scheduler=SimpleNamespace(address="tcp://host:8786"),
+        submit=lambda *arguments, **keywords: LosingFuture(),
+        cancel=lambda futures: None,
+    )
+    job = Job("key", RunConfig.from_dict({}, "a test"), 1, tmp_path)
+    pin = SimpleNamespace(name="pin")
+    assert list(workers._run(client, [job], {"key": pin}, None)) == [(job, "measured again")]
 
 
 def evaluation(**posterior_metrics: float) -> Evaluation:
