@@ -8,8 +8,9 @@ except the touched one.
 For each number of touches, the table has shares of examples. The touched object is first in the quick comparison, first
 in the full comparison, among the located objects, or the most probable object. The answer is right if the touched
 object is also more probable than "none of these". If the touched object is missing in the library, the table has the
-share of rejected examples, also at the threshold that rejects 5 % of the known objects. Then confused objects are
-listed. For each size of the library, the times of a quick comparison and of two touches follow.
+share of rejected examples, also at the threshold that rejects 5 % of the known objects. Both columns "certain" have
+the share of examples with this verdict. Then confused objects are listed. For each size of the library, the times of a
+quick comparison and of two touches follow.
 
 `--fit` prints the null evidence under which the examples are most probable. Objects are FILE[:UNITS] or demo names.
 `--out` keeps the examples, one file for each object and number of touches, which are not measured again.
@@ -26,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from contacts import LEVELS
+from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
@@ -33,6 +35,8 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.results.verdict import judge as judge_pose
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
 from tactile_loc.tasks.library import Library
@@ -59,6 +63,7 @@ def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
         "seconds": time.perf_counter() - start, "alike": {one.name: one.alike for one in said.objects},
         "rough_ious": {one.name: one.rough_iou for one in said.objects},
         "misfits": {one.name: one.misfit for one in said.objects if one.found is not None},
+        "imprint_ious": {one.name: one.found.best.imprint_iou for one in said.objects if one.found is not None},
     }  # fmt: skip
 
 
@@ -71,6 +76,12 @@ def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]
     return names, KnownAnswer(misfits, truth, row["touches"])
 
 
+def is_called_certain(row: dict[str, Any], names: list[str], p: NDArray[np.float64], none: float) -> bool:
+    """Return whether the verdict on the most probable object is "certain". Rows without imprint IoUs have none."""
+    first = int(p.argmax())
+    return judge_pose(p[first], row.get("imprint_ious", {}).get(names[first], np.nan), none) == Verdict.CERTAIN
+
+
 def is_own_first(row: dict[str, Any], key: str) -> bool:
     """Return whether an example's own object has the highest value of `key`."""
     return bool(row[key][row["object"]] == max(row[key].values()))
@@ -79,6 +90,10 @@ def is_own_first(row: dict[str, Any], key: str) -> bool:
 def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
     """Return shares over examples with the same number of touches, and the confused objects."""
     looked, first, right, known_none, strange_none = [], [], [], [], []
+    certain, strange_certain = (
+        [],
+        [],
+    )  # whether an example called certain is right; whether an example is called certain
     taken: Counter[tuple[str, str]] = Counter()
     for row in rows:
         names, known = answer(row, left_out=False)
@@ -90,13 +105,20 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
         known_none.append(none)
         if not right[-1]:
             taken[row["object"], best if p.max() > none else "none"] += 1
-        strange_none.append(null.probabilities(answer(row, left_out=True)[1].misfits, row["touches"])[1])
+        if is_called_certain(row, names, p, none):
+            certain.append(right[-1])
+        names, strange = answer(row, left_out=True)
+        p, none = null.probabilities(strange.misfits, row["touches"])
+        strange_none.append(none)
+        strange_certain.append(is_called_certain(row, names, p, none))
     limit = np.quantile(known_none, 1 - FALSE_ALARMS)
     return {
         "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike") for row in rows]),
         "looked_into": np.mean([is_own_first(row, "rough_ious") for row in rows]),
         "located": np.mean(looked), "first": np.mean(first), "right": np.mean(right),
         "rejected": np.mean(np.array(strange_none) > 0.5), "rejected_at_5": np.mean(np.array(strange_none) > limit),
+        "certain": len(certain) / len(rows), "certain_right": np.mean(certain) if certain else np.nan,
+        "strange_certain": np.mean(strange_certain),
         "seconds": np.median([row["seconds"] for row in rows]),
     }, taken  # fmt: skip
 
@@ -162,12 +184,15 @@ def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
         known = [answer(row, left_out)[1] for row in rows for left_out in (False, True)]
         null = fit_null_evidence(known)
         print(null)
-    header = "| touches | examples | first at a glance | first | located | most probable | right "
-    print(header + "| left out: rejected | at 5 % false alarms | s |")
-    print("|---" * 10 + "|")
+    header = "| touches | examples | first at a glance | first | located | most probable | right | certain "
+    print(header + "| of these right | left out: rejected | at 5 % false alarms | certain | s |")
+    print("|---" * 13 + "|")
     for count in sorted({row["touches"] for row in rows}):
         said, taken = judge([row for row in rows if row["touches"] == count], null)
-        shares = ("glanced", "looked_into", "located", "first", "right", "rejected", "rejected_at_5")
+        shares = (
+            "glanced", "looked_into", "located", "first", "right", "certain", "certain_right", "rejected",
+            "rejected_at_5", "strange_certain",
+        )  # fmt: skip
         percent = [f"{said[key]:.0%}" for key in shares]
         print(f"| {count} | {said['examples']} | {' | '.join(percent)} | {said['seconds']:.1f} |")
         for (own, other), times in taken.items():

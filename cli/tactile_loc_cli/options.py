@@ -173,6 +173,11 @@ class Takes:
 Rerun = Annotated[
     Path | None, declare("--rerun", "FILE.rrd", "Also write touches and poses to a file for the Rerun viewer.")
 ]
+Required = StrEnum("Required", "CERTAIN")
+Require = Annotated[
+    Required | None,
+    declare("--require", None, "End with exit code 3 if the verdict is another one. The result is written."),
+]
 Store = Annotated[
     Path | None,
     declare("--store", "FOLDER", "Folder of built models. Default: $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),

@@ -25,7 +25,7 @@ Files and `--json` use SI units. Each error is one line on stderr.
 | 1 | `sweep`: a combination failed. `plugins`: a component breaks a contract. `doctor`: a part is missing or broken. |
 | 1 | `identify`: "none of these" is most probable. Any command: an unexpected error, which is a bug. |
 | 2 | An input, an option, a component or an output folder cannot be used. The message states which, and what to do. |
-| 3 | `run --require certain`: the verdict is another one. The result is written anyway. |
+| 3 | `run` or `identify` with `--require certain`: the verdict is another one. The result is written anyway. |
 | 130 | The command was interrupted with Ctrl-C. Finished parts are kept, and the same command resumes. |
 
 Every command also takes these options. `-v` and `-q` may also stand before the command.

@@ -143,13 +143,16 @@ def _list_rated_cells(one: RatedRecord) -> list[str]:
 
 
 def say_identification(record: IdentificationRecord) -> None:
-    """Write the located objects, the most probable first, and the object that was touched."""
+    """Write the verdict, and a table of the located objects, the most probable first."""
+    from tactile_loc.tasks.identify_files import NONE_OF_THESE
+
     header = ["object", "prob. %", "misfit nats", IMPRINT, *POSE]
     located = [one for one in record.objects if one.poses]
-    say_table([header, *map(_list_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
+    none = [NONE_OF_THESE, f"{100 * record.none:.1f}"]
+    say(f"{record.summary()} ({format_count(len(record.touches), 'touch')})")
+    say_table([header, *map(_list_known_cells, located), none], left=1, gap=2)
     if others := len(record.objects) - len(located):
         say(f"not located, because others explain the touches better or no pose explains them: {others} more")
-    say(f"identified: {record.identified or 'none of these objects'} ({format_count(len(record.touches), 'touch')})")
 
 
 def _list_known_cells(one: KnownObjectRecord) -> list[str]:

@@ -10,6 +10,7 @@ So "none of these" has a misfit, too. It was fitted to simulated touches of obje
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,6 +27,7 @@ from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.locate.hypotheses import compare_where_seen
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.tasks.library import Glance, Library
 
 Float64 = NDArray[np.float64]
@@ -136,6 +138,19 @@ class Identification:
         """The most probable object; None if "none of these" is more probable."""
         first = self.objects[0]
         return first if first.probability > self.none else None
+
+    @property
+    def verdict(self) -> Verdict:
+        """How far the first object can be trusted, in one word.
+
+        The words are those for poses. "not found" means that "none of these" has more than half of the probability;
+        "poor fit" means that the first object's best pose does not explain the touches.
+        """
+        first = self.objects[0]
+        if first.found is None:
+            return judge(None)
+        best = first.found.best
+        return judge(first.probability, best.imprint_iou if best.is_refined else math.nan, self.none)
 
 
 def identify(

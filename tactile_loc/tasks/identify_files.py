@@ -9,17 +9,21 @@ import numpy as np
 from pydantic import AliasChoices, Field
 
 from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.progress import Progress
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.stored_object import SELF_CONTAINED, load_stored_object
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import Identification
 from tactile_loc.tasks.library import Library
 
 SCHEMA_VERSION = 1
+NONE_OF_THESE = "none of these"
+LEAST_NAMED = 0.05  # least probability of an object that the summary names
 
 
 class PoseRecord(Record):
@@ -51,9 +55,20 @@ class IdentificationRecord(Record):
         default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
     )
     touches: list[str] = Field(description="the touches that were identified")
+    verdict: Verdict | None = Field(
+        default=None, description="how far to trust the first object; null: the file has no verdict yet"
+    )
     identified: str | None = Field(description="the object that they are of; null: none of these is more probable")
     none: float = Field(description="probability that they are of none of these objects, 0 to 1")
     objects: list[KnownObjectRecord] = Field(description="the library, the most probable first")
+
+    def summary(self) -> str:
+        """Return the verdict and the probable objects, such as "ambiguous: hook 39 %, head 31 %"."""
+        shares = [(NONE_OF_THESE, self.none), *((one.name, one.probability) for one in self.objects)]
+        first, *others = sorted(shares, key=lambda share: -share[1])
+        named = ", ".join(f"{name} {format_percent(p)}" for name, p in (first, *others) if p >= LEAST_NAMED)
+        why = "; the best pose does not explain the touches" if self.verdict == Verdict.POOR_FIT else ""
+        return f"{self.verdict or 'no verdict'}: {named or 'no object is probable'}{why}"
 
 
 def read_library(folder: Path, config: RunConfig, store: StageStore, progress: Progress) -> Library:
@@ -78,7 +93,8 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
 def make_identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
     """Make the record of an identification; `touches` are the touches' names."""
     return IdentificationRecord(
-        touches=touches, identified=None if found.best is None else found.best.name, none=found.none,
+        touches=touches, verdict=found.verdict, identified=None if found.best is None else found.best.name,
+        none=found.none,
         objects=[
             KnownObjectRecord(
                 name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,

@@ -31,13 +31,26 @@ def test_identify_names_the_object_or_none(cli, parts):
     done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--json")
     assert done.exit_code == 0, done.stderr
     said = json.loads(done.stdout)
+    assert said["verdict"] == "certain"
     assert said["identified"] == "plate"
     assert said["objects"][0]["poses"][0]["imprint_iou"] > 0.95
     assert json.loads(Path("out/identification.json").read_text()).items() <= said.items()
     (parts / "plate.stl").unlink()
     done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out")
     assert done.exit_code == 1, done.stderr
-    assert re.search(r"identified\b.*\bnone\b", done.stdout)
+    assert done.stdout.startswith("not found: none of these")
+
+
+def test_a_required_verdict_decides_the_exit_code(cli, parts):
+    wanted = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--require", "certain", "--out", "out"]
+    done = cli(*wanted)
+    assert done.exit_code == 0, done.stderr
+    assert re.match(r"certain: plate \d", done.stdout)
+    trimesh.creation.box((30, 20.3, 6)).export(parts / "same.stl")
+    done = cli(*wanted)
+    assert done.exit_code == 3, done.stderr
+    assert re.match(r"ambiguous: (plate|same) \d.* %, (plate|same) \d", done.stdout)
+    assert json.loads(Path("out/identification.json").read_text())["verdict"] == "ambiguous"
 
 
 def test_bad_input_is_one_sentence(cli, parts):

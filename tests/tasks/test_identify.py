@@ -16,9 +16,18 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.tasks import identify as module
-from tactile_loc.tasks.identify import KnownAnswer, NullEvidence, fit_null_evidence, identify, measure_misfit
+from tactile_loc.tasks.identify import (
+    Identification,
+    KnownAnswer,
+    KnownObject,
+    NullEvidence,
+    fit_null_evidence,
+    identify,
+    measure_misfit,
+)
 from tactile_loc.tasks.library import Library
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
@@ -65,6 +74,7 @@ def test_touches_identify_their_object(library, touches, name):
     assert said.best.name == name
     assert sum(one.probability for one in said.objects) + said.none == pytest.approx(1.0)
     assert said.best.misfit == min(one.misfit for one in said.objects)
+    assert said.verdict == Verdict.CERTAIN
 
 
 @pytest.mark.parametrize("name", list(solids()))
@@ -72,6 +82,7 @@ def test_touches_of_an_unknown_object_are_rejected(models, touches, name):
     said = identify(touches[name], [model for model in models if model.object.name != name], null=CLEAN)
     assert said.best is None
     assert said.none > 0.5
+    assert said.verdict != Verdict.CERTAIN
 
 
 def test_the_order_of_objects_does_not_matter(models, touches):
@@ -136,6 +147,20 @@ def test_a_pose_that_explains_the_whole_touch_has_no_misfit(models, touches):
     turned = np.asarray(touch.T_sensor_object) @ make_transform(rotation_about([0, 0, 1], 0.3), np.zeros(3))
     wrong = dataclasses.replace(found.best, refined=dataclasses.replace(exact, T_sensor_object=turned))
     assert measure_misfit(models[0], dataclasses.replace(found, hypotheses=(wrong,))) > 0.5
+
+
+def test_the_verdict_judges_the_first_object(models, touches):
+    found = models[0].localize(touches["plate"][0])
+    poor = dataclasses.replace(found, hypotheses=(dataclasses.replace(found.best, imprint_iou=0.3),))
+
+    def judge(p: float, none: float, result) -> Verdict:
+        return Identification((KnownObject("plate", p, 1.0, 1.0, 0.5, result),), none).verdict
+
+    assert judge(0.95, 0.05, found) == Verdict.CERTAIN
+    assert judge(0.6, 0.4, found) == Verdict.AMBIGUOUS
+    assert judge(0.3, 0.7, found) == Verdict.NOT_FOUND
+    assert judge(0.95, 0.05, poor) == Verdict.POOR_FIT
+    assert judge(0.0, 1.0, None) == Verdict.NOT_FOUND
 
 
 def test_the_null_hypothesis_counts_like_one_more_object():

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.console import make_progress, say_written
-from tactile_loc_cli.failures import Finding
+from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
 from tactile_loc_cli.options import RunOptions
 
 DEFAULT_OUT = Path("tactile-loc-identify")
@@ -36,12 +36,13 @@ def identify(
     given: Given,
     located: Located = 8,
     out: Out = DEFAULT_OUT,
+    require: options.Require = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
     """Find which of several objects was touched.
 
-    The command also locates this object. Each object's model is built once and stored. The exit code is 1 if "none of
-    these" is most probable.
+    The command also locates this object. Each object's model is built once and stored. The first line states the
+    verdict and the probable objects. The exit code is 1 if "none of these" is most probable.
     """
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.store.store import StageStore
@@ -57,6 +58,8 @@ def identify(
     say_identification(record)
     written = say_written([write_record(out / "identification.json", record)])
     result = {**record.model_dump(mode="json"), "written": written}
+    if require is not None and result["verdict"] != require:
+        raise Finding(NOT_AS_REQUIRED, result)
     if record.identified is None:
         raise Finding(NONE_OF_THESE, result)
     return result

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,11 +48,6 @@ Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json,
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: also draw a result.png for each.")
 ]
-Required = StrEnum("Required", "CERTAIN")
-Require = Annotated[
-    Required | None,
-    typer.Option("--require", help="End with exit code 3 if the verdict is another one. The result is written."),
-]
 Report = Annotated[
     bool, typer.Option("--report", help="Also write report.html: the result as one self-contained page.")
 ]
@@ -65,7 +59,7 @@ def run(
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
     report: Report = False,
-    require: Require = None,
+    require: options.Require = None,
     rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
