@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
 EXPECTED = "#ffffff"  # colour of the predicted outline on a photo
 MOST_TOUCHES = 30
+MOST_TOGETHER = 6  # number of touches drawn in the result of several touches
+LONGEST_NAME, LONGEST_LINE = 18, 95  # characters of a touch's name above its panel, and of a line below the panels
 DPI = 130
 LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the labels of panels apart
 
@@ -34,13 +38,16 @@ LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the label
 def draw_result(
     localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | None = None
 ) -> Figure:
-    """Draw the touch, the contact shapes of the best hypotheses, and the object on the sensor.
+    """Draw the touches, the contact shapes of the best hypotheses, and the object on the sensor.
 
-    Each contact shape has the touch's outline. If the touch was estimated from an image, the image comes first, with
-    the outline that the best pose predicts. `scene` must have the touch's geometry. `errors_m` (K,) are the errors of
-    the K hypotheses, in metres.
+    Each contact shape has the touch's outline. If a single touch was estimated from an image, the image comes first,
+    with the outline that the best pose predicts. Of several touches, at most `MOST_TOGETHER` are drawn and the others
+    are named; the hypotheses and the object are those of the first touch. `scene` must have the first touch's geometry.
+    `errors_m` (K,) are the errors of the K hypotheses, in metres.
     """
-    columns = 1 if len(localization.hypotheses) < 3 else 2
+    if len(localization.touches) > 1:
+        return _draw_together(localization, scene, title, errors_m)
+    columns = _count_columns(localization)
     photo = [] if localization.touch.image is None else [4.7]
     widths = [*photo, 4.7, 2.5 * columns, 6.3]
     figure = make_figure(sum(widths), 5.9)
@@ -53,6 +60,24 @@ def draw_result(
     _draw_candidates(middle, localization, scene, errors_m, columns)
     _draw_scene(right, localization, scene)
     return figure
+
+
+def _draw_together(localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | None) -> Figure:
+    """Draw the result of several touches: all touches in a grid, then the hypotheses and the object."""
+    columns = _count_columns(localization)
+    widths = [6.3, 2.5 * columns, 6.3]
+    figure = make_figure(sum(widths), 5.9)
+    figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
+    left, middle, right = figure.subfigures(1, 3, width_ratios=widths)
+    _draw_all_observed(left, localization)
+    _draw_candidates(middle, localization, scene, errors_m, columns)
+    _draw_scene(right, localization, scene)
+    return figure
+
+
+def _count_columns(localization: Localization) -> int:
+    """Return the number of columns of hypotheses."""
+    return 1 if len(localization.hypotheses) < 3 else 2
 
 
 def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
@@ -82,6 +107,7 @@ def draw_contact_shape(
     """
     from matplotlib import colormaps
     from matplotlib.patches import Rectangle
+    from matplotlib.ticker import MaxNLocator
 
     colours = colormaps["viridis"].with_extremes(bad=NO_CONTACT)
     depth_mm = np.ma.masked_where(~shape.contact, 1e3 * shape.depth_m)
@@ -96,6 +122,8 @@ def draw_contact_shape(
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, lw=1.0, ec="#37474f", clip_on=False))
     axes.set(xlim=extent[:2], ylim=extent[2:])
     axes.tick_params(labelsize=8, length=2.5)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))  # few and round, so that labels stay apart
     return image
 
 
@@ -118,6 +146,47 @@ def _draw_observed(panel: SubFigure, touch: Touch) -> None:
     panel.colorbar(image, cax=bar, orientation="horizontal")
     bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
     bar.tick_params(labelsize=8)
+
+
+def _draw_all_observed(panel: SubFigure, localization: Localization) -> None:
+    """Draw the contact shapes of several touches on one colour scale, and name the touches that are not drawn."""
+    shown = localization.touches[:MOST_TOGETHER]
+    ious = localization.best.imprint_ious or (math.nan,) * len(shown)
+    columns = 2 if len(shown) < 5 else 3
+    rows = -(-len(shown) // columns)
+    deepest_m = max(touch.press_depth_m for touch in shown)
+    for k, touch in enumerate(shown):
+        row, column = divmod(k, columns)
+        width, height = 0.94 / columns, 0.70 / rows
+        axes = panel.add_axes((0.06 + column * width, 0.19 + (rows - 1 - row) * height, width - 0.06, height - 0.11))
+        image = draw_contact_shape(axes, touch.contact_shape, touch.geometry, deepest_m)
+        draw_outline(axes, touch)
+        axes.set_title(_write_touch(touch, ious[k], k in localization.agreement.outliers), size=8.5, pad=4)
+    _write_heading(panel, f"the {len(localization.touches)} observed contact shapes: imprint IoU (axes in mm)")
+    bar = panel.add_axes((0.125, 0.095, 0.8, 0.022))
+    panel.colorbar(image, cax=bar, orientation="horizontal")
+    bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
+    bar.tick_params(labelsize=8)
+    if text := _name_others(localization):
+        panel.text(0.5, 0.012, text, size=8.5, ha="center", va="bottom", color="#37474f")
+
+
+def _write_touch(touch: Touch, iou: float, contradicts: bool) -> str:
+    """Return a touch's name, and how well the best pose explains the touch."""
+    name = _shorten(touch.name)
+    fit = "contradicts the others" if contradicts else "" if math.isnan(iou) else f"IoU {100 * iou:.0f} %"
+    return f"{name}\n{fit}"
+
+
+def _shorten(name: str) -> str:
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 3]}..."
+
+
+def _name_others(localization: Localization) -> str:
+    """Name the touches that are not drawn, and those that were left out."""
+    parts = {"not drawn": localization.touches[MOST_TOGETHER:], "left out": localization.left_out}
+    text = "; ".join(f"{word}: {', '.join(touch.name for touch in some)}" for word, some in parts.items() if some)
+    return textwrap.shorten(text, LONGEST_LINE, placeholder=" ...")
 
 
 def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> None:
@@ -147,7 +216,10 @@ def _draw_candidates(
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
         axes.set_title(_write_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
-    _write_heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best poses")
+    first = f" of {_shorten(touch.name)}" if localization.others else ""
+    _write_heading(
+        panel, f"best explanations{first}: probability, imprint IoU" if columns == 2 else f"best poses{first}"
+    )
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
 

@@ -23,6 +23,8 @@ STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
 EDGE, TRUTH = "#16202c", "#e8590c"
 PIXELS, SUPERSAMPLE = 620, 2
 AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
+TICK_PT, VALUE_PT = 5.0, 12.0  # length of a tick, and distance of its value
+LABEL_PT, WIDER_PT = 27.0, 18.0  # distance of an axis's label: the second part is added where the text is beside it
 GEL_MM, RIM_MM = 1.5, 1.6  # drawn thickness of the gel, and drawn width of the housing around the gel
 
 
@@ -155,7 +157,7 @@ def _draw_height(
     points, outwards = sides[int(np.argmin(hidden))]
     pole = view.project(np.array([[*points[0][:2], base_mm], points[-1]]))
     axes.plot(pole[:, 0], pole[:, 1], color="#777777", lw=0.8, zorder=2)
-    _draw_scale(axes, view, points, ticks, outwards, "z (mm)", distance=7.6)
+    _draw_scale(axes, view, points, ticks, outwards, "z (mm)")
 
 
 def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]:
@@ -164,20 +166,27 @@ def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]
     return [float(k * step) for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
 
 
-def _draw_scale(
-    axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str, distance: float = 6.6
-) -> None:
+def _draw_scale(axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str) -> None:
     """Draw tick marks with their values at points (mm, sensor frame), and the axis's label next to the middle."""
     flat = view.project(np.array(points))
     direction = view.project(np.asarray(outwards, float))
     direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
-    length = 0.012 * float(np.ptp(axes.get_images()[0].get_extent()[:2]))
+    point_mm = _measure_point_mm(axes)
     for point, value in zip(flat, values, strict=True):
-        end = point + length * direction
+        end = point + TICK_PT * point_mm * direction
         axes.plot(*np.stack([point, end]).T, color="#777777", lw=0.8, zorder=2)
-        _write_text(axes, point + 2.4 * length * direction, f"{value:g}", 8)
+        _write_text(axes, point + VALUE_PT * point_mm * direction, f"{value:g}", 8)
     middle = 0.5 * (flat[0] + flat[-1])
-    _write_text(axes, middle + distance * length * direction, label, 9)
+    distance_pt = LABEL_PT + WIDER_PT * abs(float(direction[0]))
+    _write_text(axes, middle + distance_pt * point_mm * direction, label, 9)
+
+
+def _measure_point_mm(axes: Axes) -> float:
+    """Return the size of a typographic point in the drawing of an object, mm."""
+    left, right, bottom, top = axes.get_images()[0].get_extent()
+    box = axes.get_window_extent()
+    dots_mm = max((right - left) / box.width, (top - bottom) / box.height)
+    return float(dots_mm * axes.figure.dpi / 72)
 
 
 def _write_text(axes: Axes, at: Array, text: str, size: float) -> None:

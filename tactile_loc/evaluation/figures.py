@@ -29,6 +29,7 @@ COLOURS = ("#2b6cb0", "#dd6b20", "#2f855a", "#6b46c1", "#b83280", "#4a5568")
 RANDOM, CLOSEST = "#c53030", "#1a202c"
 FLOOR = 1e-4  # smaller errors, as shares of a random pose's error, are drawn at this value
 ROOM = 0.82  # share of the distance between lines that the lines' violins fill
+LETTER_IN, HANDLE_IN = 0.085, 0.6  # width of a letter, and of a handle with its margins, in a legend, inches
 GALLERY_LINE = "reg-1"
 EACH = 2  # touches of each kind in a gallery
 MARKERS = "os^Dv<>pP*X"
@@ -49,9 +50,15 @@ def draw_violins(runs: Sequence[Run], title: str) -> Figure:
         _draw_object(axes, [run for run in runs if run.object == name], colours)
     lowest = min(_take_logarithm(run.evaluation.normalise_errors(line)).min() for run in runs for line in DRAWN)
     _scale_errors(next(iter(panels.values())), lowest)
-    columns = min(3 + len(colours), int(figure.get_figwidth() / 2.2))
-    figure.legend(handles=_make_handles(colours), loc="outside lower center", ncols=columns, frameon=False)
+    _add_legend(figure, _make_handles(colours))
     return figure
+
+
+def _add_legend(figure: Figure, handles: Sequence[Any]) -> None:
+    """Add a legend below the panels, with as many columns as fit into the figure's width."""
+    widest_in = LETTER_IN * max(len(handle.get_label()) for handle in handles) + HANDLE_IN
+    columns = min(len(handles), max(1, int(figure.get_figwidth() / widest_in)))
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def _make_object_panels(
@@ -218,9 +225,7 @@ def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
     figure, panels, colours = _make_object_panels(runs, title, 4.4, 3.4)
     for name, axes in panels.items():
         _draw_fused_object(axes, [run for run in runs if run.object == name], colours)
-    handles, labels = next(iter(panels.values())).get_legend_handles_labels()
-    columns = min(len(labels), int(figure.get_figwidth() / 2))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    _add_legend(figure, next(iter(panels.values())).get_legend_handles_labels()[0])
     return figure
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,13 +16,16 @@ from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.drawing.pictures import (
+    MOST_TOGETHER,
     MOST_TOUCHES,
     draw_contact_shape,
     draw_result,
     draw_touches,
+    make_figure,
     save_figure,
 )
 from tactile_loc.drawing.pose_panel import draw_pose
+from tactile_loc.locate.results.localization import Agreement
 
 pytestmark = pytest.mark.usefixtures("arranged_pictures")
 
@@ -84,6 +88,46 @@ def test_few_candidates_have_one_caption_each(localizer, localization, count):
     few = dataclasses.replace(localization, hypotheses=(localization.best,) * count)
     captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if " %,  IoU " in text]
     assert len(captions) == count
+
+
+def draw_several(localizer, localization, names: list[str], left_out: tuple[Touch, ...] = ()) -> Figure:
+    others = tuple(dataclasses.replace(localization.touch, name=name) for name in names)
+    ious = tuple(0.9 - 0.01 * k for k in range(len(names)))
+    best = dataclasses.replace(localization.best, imprint_ious=ious)
+    several = dataclasses.replace(localization, touch=others[0], others=others[1:], hypotheses=(best,) * 3,
+                                  left_out=left_out, agreement=Agreement(outliers=(1,)))  # fmt: skip
+    return draw_result(several, localizer.scene, "pin")
+
+
+def test_all_touches_that_were_located_together_are_shown(localizer, localization):
+    away = dataclasses.replace(localization.touch, name="gone")
+    figure = draw_several(localizer, localization, [f"t{k}" for k in range(MOST_TOGETHER + 2)], (away,))
+    titles = [a.get_title() for a in figure.findobj(Axes) if a.get_title().startswith("t")]
+    assert [title.partition("\n")[0] for title in titles] == [f"t{k}" for k in range(MOST_TOGETHER)]
+    assert not missing(titles[0], "90 %")
+    assert "contradicts" in titles[1]
+    assert any(not missing(text, f"t{MOST_TOGETHER}", f"t{MOST_TOGETHER + 1}", "gone") for text in texts(figure))
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_the_panels_of_several_touches_do_not_overlap(localizer, localization, count):
+    figure = draw_several(localizer, localization, ["a-very-long-name-of-a-touch"] * count)
+    figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    boxes = [axes.get_tightbbox(renderer) for axes in figure.findobj(Axes) if axes.get_title().startswith("a-very")]
+    assert len(boxes) == count
+    assert not [(a, b) for a, b in itertools.combinations(boxes, 2) if a.overlaps(b)]
+
+
+@pytest.mark.parametrize("size", [(6.0, 4.8), (4.4, 5.0), (7.0, 3.0)])
+def test_the_labels_of_the_pose_panel_do_not_overlap(localizer, localization, size):
+    figure = make_figure(*size)
+    axes = figure.add_axes((0.02, 0.075, 0.97, 0.815))
+    draw_pose(axes, localizer.object.mesh, localizer.scene.geometry, localization.best.T_sensor_object)
+    figure.canvas.draw()
+    boxes = [(text.get_text(), text.get_window_extent()) for text in axes.texts]
+    crossed = [(a, b) for (a, box), (b, other) in itertools.combinations(boxes, 2) if box.overlaps(other)]
+    assert crossed == []
 
 
 def test_drawing_changes_neither_pyplots_figures_nor_its_settings(localizer, localization, tmp_path):

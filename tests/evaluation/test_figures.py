@@ -46,6 +46,19 @@ def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(runs
     assert save_figure(tmp_path / "violins.png", figure, dpi=40).stat().st_size > 1000
 
 
+def is_legend_inside(figure) -> bool:
+    figure.canvas.draw()
+    (legend,) = figure.legends
+    box, page = legend.get_window_extent(), figure.bbox
+    return page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
+
+
+@pytest.mark.parametrize("encoder", ["pixel", "an-encoder-with-a-long-name"])
+def test_the_legend_of_a_single_panel_is_not_cut_off(encoder):
+    assert is_legend_inside(draw_fusion([make_contact_run("pin", encoder, 0)], "title"))
+    assert is_legend_inside(draw_violins([make_run("pin", encoder, 0)], "title"))
+
+
 def test_violins_mark_the_medians(runs):
     axes = draw_violins(runs[:1], "t").axes[0]
     dots = [line for line in axes.lines if line.get_marker() == "o"]
