@@ -6,17 +6,19 @@ import logging
 import os
 import warnings
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ObjectError, did_you_mean
+from tactile_loc.core.errors import ObjectError, TactileLocError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.images import summarize
+from tactile_loc.io.step_files import convert_step, is_step
 
 log = logging.getLogger(__name__)
 AGAIN = "export it again as a surface mesh"
@@ -30,7 +32,10 @@ _detected: dict[str, SymmetryGroup] = {}  # by the surface's digest; a sweep ope
 
 
 class Surface(NamedTuple):
-    """The surface in a mesh file, in the file's unit: `vertices` (V, 3) and triangles `faces` (F, 3)."""
+    """The surface in a mesh file: `vertices` (V, 3) and triangles `faces` (F, 3).
+
+    Lengths are in the file's unit; those of a STEP file are in metres.
+    """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -49,12 +54,12 @@ def read_surface(path: Path) -> Surface:
     import trimesh
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            raw = trimesh.load(path, force="mesh", process=False)
+        raw = _load_raw(path)
+    except TactileLocError:
+        raise
     except Exception as error:
         reason = summarize(error)[:120]
-        raise ObjectError(f"{path} cannot be read as a mesh ({reason}); give an STL, OBJ or PLY file") from error
+        raise ObjectError(f"{path} cannot be read as a mesh ({reason}); give an STL, OBJ, PLY or STEP file") from error
     if not isinstance(raw, trimesh.Trimesh):
         raise ObjectError(f"{path} is not a surface mesh; {AGAIN}")
     _require_surface(np.asarray(raw.vertices), np.asarray(raw.faces), path)
@@ -65,6 +70,15 @@ def read_surface(path: Path) -> Surface:
     if len(plain.faces) == 0:
         raise ObjectError(f"{path} has zero extent: all its faces are points or lines; {AGAIN}")
     return Surface(np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64), bool(plain.is_watertight))
+
+
+def _load_raw(path: Path) -> Any:
+    """Load a file as trimesh reads it, in the file's unit; a STEP file in metres."""
+    import trimesh
+
+    with warnings.catch_warnings(), convert_step(path) if is_step(path) else nullcontext(path) as file:
+        warnings.simplefilter("ignore")
+        return trimesh.load(file, force="mesh", process=False)
 
 
 def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) -> None:
@@ -103,9 +117,10 @@ def load_object(
     read: Callable[[Path], Surface] = read_surface,
     judge: Callable[[str, TriangleMesh], SymmetryGroup] = find_symmetry,
 ) -> ObjectModel:  # fmt: skip
-    """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
+    """Read a STEP file, any mesh that trimesh reads, or a demo object by its name; return the object in metres.
 
-    `units` is the file's unit; "auto" guesses the unit from the size. A declared `symmetry` ("none", "z2", "z6*x2",
+    `units` is the file's unit; "auto" guesses the unit from the size. A STEP file states its unit, so `units` is not
+    used. A declared `symmetry` ("none", "z2", "z6*x2",
     "zinf", ...) is checked against the surface; "auto" detects the symmetry. Guesses and doubts are logged as warnings
     and kept in the result's `notes`. `read` reads the file, and `judge` finds or checks the symmetry. Raises
     ObjectError when the mesh cannot be used, and SymmetryError when the declared symmetry is wrong.
@@ -117,7 +132,9 @@ def load_object(
     path = Path(path)
     name = name or path.stem
     surface = read(path)
-    scale, notes = _find_scale(surface, units, path.name)
+    scale, notes = _find_scale(surface, "m" if is_step(path) else units, path.name)
+    if is_step(path) and units != "auto":
+        notes.append(f"{path.name} states its own unit, so the unit {units} is not used")
     mesh = TriangleMesh(surface.vertices * scale, surface.faces)
     check_surface(mesh, path.name)
     if not surface.is_watertight:

@@ -15,6 +15,7 @@ from tactile_loc.core.errors import StoreError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
 from tactile_loc.io.meshes import Surface, Units, find_symmetry, load_object, read_surface
+from tactile_loc.io.step_files import STEP_SUFFIXES, describe_step_reader, is_step
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey, hash_file
 from tactile_loc.store.store import StageStore
@@ -22,7 +23,7 @@ from tactile_loc.store.workspace import Workspace
 
 logger = logging.getLogger(__name__)
 
-SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that contain all their triangles
+SELF_CONTAINED = (".stl", ".obj", ".ply", ".off", *STEP_SUFFIXES)  # files that contain the whole surface
 SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # increase if the same file gives another surface or symmetry
 
 Kept = TypeVar("Kept")
@@ -43,7 +44,8 @@ def _load_surface(path: Path, store: StageStore) -> Surface:
         digest = hash_file(path)
     except StoreError:
         return read_surface(path)  # raises the error that states why the file cannot be read
-    described = {"file": digest, "suffix": path.suffix.lower(), "trimesh": metadata.version("trimesh")}
+    reader = describe_step_reader() if is_step(path) else {}
+    described = {"file": digest, "suffix": path.suffix.lower(), "trimesh": metadata.version("trimesh"), **reader}
     key = StageKey("surface", SURFACE_VERSION, described, path.stem)
 
     def save(surface: Surface, work: Workspace) -> None:
