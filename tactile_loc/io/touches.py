@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.sensor import SensorModel
 
 LARGEST_INDENTATION_M = 0.05
+OVERVIEW, TRUE_POSES = "touches.png", "poses.json"  # a picture of simulated touches, and their poses, beside them
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,11 @@ def _read_png(path: Path) -> FileContents:
 UNITS = tuple(METRES_PER_UNIT)
 KIND_OPTION = "--touch-kind {}"
 NO_CONTACT_U16 = 65535
+
+
+def is_overview(path: Path) -> bool:
+    """Return whether a file is the picture that shows all touches of a folder of simulated touches."""
+    return path.name == OVERVIEW and path.with_name(TRUE_POSES).is_file()
 
 
 def read_contact_shape(

@@ -21,6 +21,7 @@ from tactile_loc.io.config import SlotConfig, find_sensor_kind
 from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
+from tactile_loc.io.touches import TRUE_POSES, is_overview
 from tactile_loc.locate.localizer import Localizer, Observation
 from tactile_loc.locate.results.localization import Hypothesis, Localization
 from tactile_loc.locate.results.verdict import Verdict
@@ -88,8 +89,8 @@ def is_list(path: Path) -> bool:
 def find_touches(folder: Path) -> list[Path]:
     """Return the touch files in a folder or matching a pattern, sorted by name. Raises TouchError if there is none."""
     if os.path.isdir(folder):
-        # `simulate` writes contact shapes, photos of the same touches and an overview: use only the contact shapes
-        simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
+        # `simulate` writes contact shapes and photos of the same touches: use only the contact shapes
+        simulated = list(folder.glob("*.npz")) if (folder / TRUE_POSES).is_file() else []
         candidates = simulated or folder.iterdir()
         if any(path.with_suffix(".png").is_file() for path in simulated):
             log.warning(
@@ -97,7 +98,8 @@ def find_touches(folder: Path) -> list[Path]:
             )
     else:
         candidates = folder.parent.glob(folder.name)
-    files = sorted(path for path in candidates if path.suffix.lower() in SUFFIXES and path.is_file())
+    usable = (path for path in candidates if path.suffix.lower() in SUFFIXES and not is_overview(path))
+    files = sorted(path for path in usable if path.is_file())
     if not files:
         raise TouchError(f"{folder} holds no touch; give files of type {', '.join(sorted(SUFFIXES))}")
     return files

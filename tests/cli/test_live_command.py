@@ -30,12 +30,10 @@ NOTHING = np.full((200, 200), 0.002, np.float32)
 
 @pytest.fixture(scope="module")
 def touches(tmp_path_factory, store) -> Path:
-    """A folder of three touches, one without contact, and one of the wrong size."""
+    """A folder of three simulated touches with their overview, one touch without contact, and one of the wrong size."""
     folder = tmp_path_factory.mktemp("touches")
     line = command("simulate", "--object", "pin", *TINY, "--count", "3", "--seed", "1", "--out", folder)
     subprocess.run(line, check=True, env={**os.environ, "TACTILE_LOC_STORE": str(store)}, timeout=HANGS_S)
-    for path in [*folder.glob("*.png"), folder / "poses.json"]:
-        path.unlink()
     np.savez(folder / "touch-no.npz", depth=NOTHING, unit="m", press_depth=0.001)
     np.savez(folder / "touch-strange.npz", depth=NOTHING[:50], unit="m", press_depth=0.001)
     for k, name in enumerate(sorted(folder.iterdir())):

@@ -46,6 +46,15 @@ def test_touches_are_found_by_suffix_in_the_order_of_names(folder):
         find_touches(folder / "*.txt")
 
 
+def test_the_overview_of_simulated_touches_is_no_touch(tmp_path):
+    for name in ("touch-0000.png", "touches.png"):
+        (tmp_path / name).touch()
+    assert len(find_touches(tmp_path)) == 2
+    (tmp_path / "poses.json").touch()
+    for folder in (tmp_path, tmp_path / "*.png"):
+        assert [path.name for path in find_touches(folder)] == ["touch-0000.png"]
+
+
 def test_the_contact_shapes_of_simulated_touches_are_chosen(folder):
     (folder / "poses.json").touch()
     assert [path.name for path in find_touches(folder)] == ["b.npz"]

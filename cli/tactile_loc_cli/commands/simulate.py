@@ -111,7 +111,7 @@ def _write_recording(path: Path, localizer: Localizer, images: int, optics: Opti
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
     """Write the touches, their poses and their picture; return the contents of poses.json."""
     from tactile_loc.drawing.pictures import draw_touches, save_figure
-    from tactile_loc.io.touches import write_touch
+    from tactile_loc.io.touches import OVERVIEW, TRUE_POSES, write_touch
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -127,10 +127,10 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
         "configuration": localizer.config.resolve(),
         "T_sensor_object": {t.name: t.T_sensor_object.tolist() for t in touches if t.T_sensor_object is not None},
     }
-    write_json(out / "poses.json", record)
+    write_json(out / TRUE_POSES, record)
     name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
-    save_figure(out / "touches.png", draw_touches(touches, title))
+    save_figure(out / OVERVIEW, draw_touches(touches, title))
     return record
 
 

@@ -21,7 +21,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
 from tactile_loc.io.streams.videos import TO_READ, read_video, read_video_facts
-from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
+from tactile_loc.io.touches import is_overview, read_contents, read_touch, touch_from_image
 
 SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
 POLL_S = 0.05
@@ -281,7 +281,8 @@ class ImageFolder:
 
 
 def _is_frame(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
+    usable = path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not is_overview(path)
+    return usable and path.is_file()
 
 
 def _read_time_ns(path: Path) -> int:
