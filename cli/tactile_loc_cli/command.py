@@ -28,7 +28,7 @@ Verbose = Annotated[
         "-v", "--verbose", count=True, metavar="", show_default=False, help="Log each step; -vv logs all details."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Hide warnings and progress bars.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Hide warnings and progress.")]
 Json = Annotated[
     bool,
     typer.Option("--json", help="Print the result on stdout as one JSON document, in SI units, instead of text."),

@@ -13,6 +13,7 @@ import time
 import warnings
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from tactile_loc.core.progress import NOTE, Progress, rank
 
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: NOTE, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
+EVERY_S = 10.0  # least time between two lines of progress
 REASONS = 5  # number of shown reasons why frames were refused
 UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and least width of a folded column
 
@@ -189,6 +191,55 @@ class Bars(Progress):
             self._note(text)
 
 
+@dataclass
+class _RunningTask:
+    """A task whose progress is written as lines, at most one in EVERY_S seconds. Times are in seconds."""
+
+    description: str
+    total: int
+    done: int = 0
+    note: str = ""
+    started_s: float = field(default_factory=lambda: time.monotonic())
+    shown_s: float = field(default_factory=lambda: time.monotonic())
+
+    def advance(self, steps: int) -> None:
+        """Count the steps just done, and write a line if the last one is old."""
+        self.done += steps
+        now_s = time.monotonic()
+        if now_s - self.shown_s >= EVERY_S and self.done < self.total:
+            self.shown_s = now_s
+            about = f" ({self.note})" if self.note else ""
+            complain(
+                "note", f"{self.description}: {self.done} of {self.total} in {now_s - self.started_s:.0f} s{about}"
+            )
+
+
+class Lines(Progress):
+    """Progress as lines on stderr, for logs and pipes. A task shorter than EVERY_S seconds writes no line."""
+
+    def __init__(self) -> None:
+        self._running: _RunningTask | None = None
+
+    @contextmanager
+    def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Open a task of `total` steps. Yield a function; call it with the number of steps just done."""
+        outer, self._running = self._running, _RunningTask(description, total)
+        try:
+            yield self._running.advance
+        finally:
+            self._running = outer
+
+    def note(self, text: str) -> None:
+        """Add a text to the next line of the running task."""
+        if self._running is not None:
+            self._running.note = text
+
+
 def make_progress() -> Progress:
-    """Return progress bars if stderr is a terminal and -q was not given; otherwise, a Progress that shows nothing."""
-    return Bars() if sys.stderr.isatty() and rank() == 0 and is_shown(logging.WARNING) else Progress()
+    """Return progress bars if stderr is a terminal, and otherwise progress lines.
+
+    With -q, and in all but the first of several processes, return a Progress that shows nothing.
+    """
+    if rank() != 0 or not is_shown(logging.WARNING):
+        return Progress()
+    return Bars() if sys.stderr.isatty() else Lines()

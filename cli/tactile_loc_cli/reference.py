@@ -34,7 +34,7 @@ Every command also takes these options. `-v` and `-q` may also stand before the 
   document is `{"error": {"kind": "TouchError", "message": "..."}}`. stderr and the exit code do not change.
 - `-v` logs each step on stderr, with the seconds since the start. `-vv` also logs all details, and shows the traceback
   of an error.
-- `-q` hides warnings and progress bars.
+- `-q` hides warnings and progress. Progress is a bar on a terminal, and otherwise a line every ten seconds.
 
 ## Completion
 

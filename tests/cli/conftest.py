@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from cli_helpers import HANGS_S, Cli, command
 from matplotlib.figure import Figure
 from PIL import Image
+from tactile_loc_cli import console
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -31,6 +33,14 @@ def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
     """Save white pictures in all other tests, because drawing takes longer than locating with a stored model."""
     if "drawn_pictures" not in request.fixturenames:
         monkeypatch.setattr(Figure, "savefig", blank)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_machine() -> Iterator[None]:
+    """Write no lines of progress, which a busy machine would add to stderr."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console, "EVERY_S", math.inf)
+        yield
 
 
 @pytest.fixture(scope="session")

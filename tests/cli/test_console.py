@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tactile_loc_cli import console
-from tactile_loc_cli.console import Bars, say_table
+from tactile_loc_cli.console import Bars, Lines, say_table
 
 
 def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
@@ -23,6 +23,23 @@ def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
         bars.note("loss 1.25")
     bars.note("after it")
     assert shown == ["training: loss 1.25"]
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
+    monkeypatch.setattr(console, "EVERY_S", 10.0)
+    now = iter([0.0, 0.0, 1.0, 10.0, 15.0, 20.0, 30.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(now))
+    lines = Lines()
+    lines.note("before any task")
+    with lines.task("locating objects", 9) as advance:
+        for steps in (1, 2, 1):
+            advance(steps)
+        lines.note("loss 1.25")
+        advance(1)
+        advance(4)
+    assert capsys.readouterr().err.splitlines() == [
+        "note: locating objects: 3 of 9 in 10 s", "note: locating objects: 5 of 9 in 20 s (loss 1.25)"
+    ]  # fmt: skip
 
 
 def test_a_short_row_does_not_widen_a_column(capsys):

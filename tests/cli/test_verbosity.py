@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from cli_helpers import TINY
 from message_helpers import missing
-from tactile_loc_cli.console import Bars, make_progress, show_log
+from tactile_loc_cli.console import Bars, Lines, make_progress, show_log
 
-from tactile_loc.core.progress import NOTE
+from tactile_loc.core.progress import NOTE, Progress
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.store.keys import MEANINGS
 
@@ -111,12 +111,15 @@ def test_logger_levels_are_restored(capsys):
     assert (logger.level, logger.handlers) == before
 
 
-def test_quiet_shows_no_progress_bars(monkeypatch):
+def test_quiet_shows_no_progress(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with show_log():
         assert isinstance(make_progress(), Bars)
     with show_log(-1):
-        assert not isinstance(make_progress(), Bars)
+        assert type(make_progress()) is Progress
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    with show_log():
+        assert isinstance(make_progress(), Lines)
 
 
 @pytest.fixture
