@@ -64,13 +64,13 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     grid = record.configuration["grid"]
     if grid["name"] == "whole":
         yield (
-            "searched: the whole object. If you know which face touches, search only that face, such as "
-            "--grid face -o grid.face=+z"
+            "searched: the whole object. If you know which face touches, search only that face. In the first pose, "
+            f"it is --grid face -o grid.face={_name_side(record)}"
         )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
             f"searched: {_describe_side(record)}, on which its centroid lies lowest. For another side, add "
-            "-o grid.face=+z; for the whole object, add --grid whole"
+            "-o grid.face=SIDE with +x, -x, +y, -y, +z or -z; for the whole object, add --grid whole"
         )
     if (errors := record.errors) is not None:
         yield (
@@ -87,6 +87,13 @@ def _describe_side(record: ResultRecord) -> str:
     return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
+def _name_side(record: ResultRecord) -> str:
+    """Name the side that touches in the first pose, such as +z: the object's axis nearest to the contact's normal."""
+    outwards = -np.array(record.hypotheses[0].T_sensor_object)[2, :3]
+    axis = int(np.argmax(abs(outwards)))
+    return f"{'+' if outwards[axis] > 0 else '-'}{'xyz'[axis]}"
+
+
 def _list_cells(h: HypothesisRecord) -> list[str]:
     pose = format_pose(np.array(h.T_sensor_object))
     cells = [str(h.rank), f"{100 * h.probability:.1f}", *pose, f"{100 * h.imprint_iou:.0f}"]
@@ -100,7 +107,7 @@ def say_mount(record: MountRecord) -> None:
     say(f"{record.sensor} in the frame of the flange, from {len(record.touch)} touches of {record.object}")
     say_table([list(POSE), format_pose(T)], left=0, gap=2)
     along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
-    say(f"standard deviation: {along} mm along, {about} degrees about the flange's x, y, z")
+    say(f"standard deviations: {along} mm along and {about} degrees about the flange's x, y and z axes")
     say_table([["touch", "residual mm", "residual deg", IMPRINT], *map(_list_mount_cells, record.touch)], left=1, gap=2)
     for one in record.touch:
         if one.left_out:

@@ -68,7 +68,8 @@ def _draw_together(localization: Localization, scene: Scene, title: str, errors_
     widths = [6.3, 2.5 * columns, 6.3]
     figure = make_figure(sum(widths), 5.9)
     figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
-    left, middle, right = figure.subfigures(1, 3, width_ratios=widths)
+    panels: Any = figure.subfigures(1, 3, width_ratios=widths)
+    left, middle, right = panels
     _draw_all_observed(left, localization)
     _draw_candidates(middle, localization, scene, errors_m, columns)
     _draw_scene(right, localization, scene)

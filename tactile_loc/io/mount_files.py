@@ -77,7 +77,9 @@ class MountRecord(PoseKeys):
 
     T_flange_sensor: Matrix | None = Field(default=None, description=MATRIX)
     covariance: Covariance | None = Field(
-        default=None, description="six rows of six numbers (m before rad, along the flange's axes)"
+        default=None,
+        description="six rows of six numbers: the covariance of the sensor frame's origin x, y, z (m) and of a "
+        "rotation vector (rad), both along the flange's axes",
     )
     T_base_object: Matrix | None = Field(default=None, description=MATRIX)
     object: str | None = Field(default=None, description="the object's name, in quotes")

@@ -7,6 +7,7 @@ import json
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from cli_helpers import TINY, assert_refused, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
 from tactile_loc_cli.main import app
-from tactile_loc_cli.results import say_result
+from tactile_loc_cli.results import _name_side, say_result
 from typer.testing import CliRunner
 
+from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.results import result_arrays
@@ -113,6 +115,14 @@ def test_the_output_names_the_searched_side_of_the_object(cli, result):
     chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
     assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
+
+
+@pytest.mark.parametrize(("turn_deg", "side"), [(0, "-z"), (180, "+z"), (90, "-y")])
+def test_the_advised_face_is_the_one_that_touches(turn_deg, side):
+    T = np.eye(4)
+    T[:3, :3] = rotation_about([1, 0, 0], np.radians(turn_deg))
+    record = SimpleNamespace(hypotheses=[SimpleNamespace(T_sensor_object=T.tolist())])
+    assert _name_side(record) == side
 
 
 def test_result_files_are_written_under_a_lock(result):

@@ -135,7 +135,7 @@ def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.
     try:
         planes = ConvexHull(vertices_m - centroid_m).equations
     except QhullError as error:
-        raise GridError("the object is flat and has no resting face; choose a face, such as -o grid.face=+z") from error
+        raise GridError("the object is flat and has no resting face; set `face` to +x, -x, +y, -y, +z or -z") from error
     heights = np.round(-planes[:, 3], 7)
     near = planes[heights <= heights.min() + 1e-6, :3]
     return np.asarray(near[np.lexsort(np.round(near.T[::-1], 6))[-1]])
