@@ -16,7 +16,7 @@ import typer
 from typer.models import ParameterInfo
 
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc_cli.console import hide_results, say_json, show_log
+from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
 from tactile_loc_cli.options import RunOptions, Takes
 
@@ -48,7 +48,8 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
 
     @functools.wraps(function)
     def command(context_: typer.Context, as_json: bool, verbose: int, quiet: bool, **options: Any) -> None:
-        with show_log((context_.obj or 0) + verbose - quiet), report_failures(name, as_json):
+        flags = [flag for p in context_.command.params for flag in p.opts]
+        with name_flags(flags), show_log((context_.obj or 0) + verbose - quiet), report_failures(name, as_json):
             start = time.perf_counter()
             for parameter, takes in taken.items():
                 options[parameter] = RunOptions(**{key: options.pop(key) for key in takes.names})

@@ -6,6 +6,7 @@ import json
 import logging
 import math
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -13,12 +14,15 @@ import time
 import warnings
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from tactile_loc.core.progress import NOTE, Progress, rank
 
+_FLAGS: ContextVar[Mapping[str, str]] = ContextVar("flags", default=MappingProxyType({}))
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: NOTE, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
 EVERY_S = 10.0  # least time between two lines of progress
@@ -51,7 +55,7 @@ def format_count(number: int, noun: str) -> str:
 def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
     """Write the first few reasons why frames were refused, and return the number of other reasons."""
     for reason, count in reasons[:REASONS]:
-        say(f"refused {count}: {reason}")
+        say(f"refused {count}: {write_flags(reason)}")
     return max(0, len(reasons) - REASONS)
 
 
@@ -82,9 +86,25 @@ def _fold_line(line: str, indent: int) -> list[str]:
     return [line[:indent] + parts[0], *(" " * indent + part for part in parts[1:])]
 
 
+@contextmanager
+def name_flags(flags: Iterable[str]) -> Iterator[None]:
+    """Let `write_flags` know the flags of the running command, such as --touch-unit."""
+    names = {flag.removeprefix("--").replace("-", "_"): flag for flag in flags if flag.startswith("--")}
+    before = _FLAGS.set(names)
+    try:
+        yield
+    finally:
+        _FLAGS.reset(before)
+
+
+def write_flags(text: str) -> str:
+    """Replace the settings that a message of the library names, such as `touch_unit`, with the command's flags."""
+    return re.sub(r"`(\w+)`", lambda found: _FLAGS.get().get(found[1], found[0]), text)
+
+
 def complain(kind: str, text: str) -> None:
-    """Write "kind: text" as one line on stderr."""
-    sys.stderr.write(f"{kind}: {' '.join(text.split())}\n")
+    """Write "kind: text" as one line on stderr, with the command's flags."""
+    sys.stderr.write(f"{kind}: {' '.join(write_flags(text).split())}\n")
     sys.stderr.flush()
 
 

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from tactile_loc.core.errors import TactileLocError, quote
 from tactile_loc.core.slots.registry import explain_allowed, registry
-from tactile_loc_cli.console import complain, is_shown, say_json
+from tactile_loc_cli.console import complain, is_shown, say_json, write_flags
 
 UNEXPECTED, USAGE_ERROR, NOT_AS_REQUIRED, INTERRUPTED = 1, 2, 3, 130
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -64,7 +64,7 @@ def tell(kind: str, text: str, as_json: bool, prefix: str = "error") -> None:
     """Report a failure: a line on stderr and, with --json, a document on stdout."""
     complain(prefix, text)
     if as_json:
-        say_json({"error": {"kind": kind, "message": " ".join(text.split())}})
+        say_json({"error": {"kind": kind, "message": " ".join(write_flags(text).split())}})
 
 
 def describe_usage_error(error: Any, command: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm, format_percent
 from tactile_loc.core.geometry.rigid import format_pose
-from tactile_loc_cli.console import format_count, say, say_table
+from tactile_loc_cli.console import format_count, say, say_table, write_flags
 
 if TYPE_CHECKING:
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
@@ -176,6 +176,6 @@ def say_located(files: Sequence[LocatedFile]) -> None:
 
 def _list_best_cells(located: LocatedFile) -> list[str]:
     if (best := located.best) is None:
-        return [located.problem]
+        return [write_flags(located.problem)]
     numbers = [f"{100 * best.probability:.1f}", f"{100 * best.imprint_iou:.0f}"]
     return [str(located.verdict), *numbers, *format_pose(best.T_sensor_object)]

@@ -193,7 +193,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     found = Calibration(geometry, background, background, record, folder)
     if zero is None:
         return found
-    with name_source(f"{zero} (--zero)"):
+    with name_source(f"{zero} (`zero`)"):
         newer = require_image(read_zero(zero), background, found.camera_px, ZERO_ADVICE)
     return replace(found, untouched=newer)
 
@@ -201,7 +201,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
 def require_replaceable(folder: Path) -> None:
     """Check that a calibrated sensor may be written to `folder`. Raises OutputError if the folder holds other files."""
     if folder.exists() and not (folder.is_dir() and all(p.name in OURS or is_unfinished(p) for p in folder.iterdir())):
-        raise OutputError(f"{folder} contains files that do not belong to a calibration; choose another --out")
+        raise OutputError(f"{folder} contains files that do not belong to a calibration; choose another `out`")
 
 
 def write_calibration(

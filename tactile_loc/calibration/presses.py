@@ -204,12 +204,12 @@ def read_presses(
         raise CalibrationError(f"{table} lists no press; add rows of kind ball or mesh")
     if not unpressed and not median_background:
         raise CalibrationError(
-            f"{table} lists no image of the untouched gel; add a row of kind background, or use --background median "
+            f"{table} lists no image of the untouched gel; add a row of kind background, or use `background` median "
             "with many presses at different places"
         )
     if median_background and len(pressed) < FOR_MEDIAN:
         raise CalibrationError(
-            f"{table} lists {len(pressed)} presses, but --background median needs at least {FOR_MEDIAN} at different "
+            f"{table} lists {len(pressed)} presses, but `background` median needs at least {FOR_MEDIAN} at different "
             "places; add presses, or a row of kind background"
         )
     stack = np.stack([images[row] for row in pressed] if median_background else unpressed)
@@ -323,10 +323,10 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
         reason = getattr(error, "strerror", None) or error
         reason = f"{named}: {reason}" if named else reason
         raise CalibrationError(
-            f"{source} cannot be read as a set in the format {format} ({reason}); check FOLDER and --format"
+            f"{source} cannot be read as a set in the format {format} ({reason}); check FOLDER and `format`"
         ) from error
     if all(circle is None for _, circle in rows):
-        raise CalibrationError(f"{source} holds no press in the format {format}; check --format")
+        raise CalibrationError(f"{source} holds no press in the format {format}; check `format`")
     return write_table(out / TABLE, rows, ball_radius_mm, mm_per_px)
 
 

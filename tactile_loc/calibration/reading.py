@@ -98,7 +98,7 @@ def read_zero(path: Path) -> Image:
     """Read a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
     image = read_colour_image(path)
     if image is None:
-        raise TouchError(f"{path} is not a colour image; give PNG or JPEG with three channels as --zero")
+        raise TouchError(f"{path} is not a colour image; give PNG or JPEG with three channels as `zero`")
     return image
 
 
@@ -314,7 +314,7 @@ def require_healthy(found: Health, usual: Health) -> None:
         return
     text = (
         f"the image deviates {figure:.1f} times as much as the calibration's worst press ({found.explain(usual)}); "
-        "give a new image of the untouched gel (--zero), or calibrate the sensor again"
+        "give a new image of the untouched gel (`zero`), or calibrate the sensor again"
     )
     if figure > REFUSED:
         raise TouchError(text)

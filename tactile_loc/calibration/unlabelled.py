@@ -138,7 +138,7 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
             usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
             raise CalibrationError(
                 f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; "
-                "check --ball-radius and --mm-per-px, both in mm"
+                "check `ball_radius` and `mm_per_px`, both in mm"
             )
         raise CalibrationError(f"no image shows one whole ball ({causes}); {HOW_TO_PRESS}")
 
@@ -160,8 +160,8 @@ def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: fl
     if depths_mm.max() < SHALLOWEST_MM:
         raise CalibrationError(
             f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
-            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check --ball-radius and "
-            "--mm-per-px, both in mm"
+            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check `ball_radius` and "
+            "`mm_per_px`, both in mm"
         )
     return float(depths_mm.min()), float(depths_mm.max())
 

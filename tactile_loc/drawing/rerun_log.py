@@ -39,9 +39,9 @@ MARK_M = 5e-4  # radius of the mark of the most probable pose
 def require_rerun(path: Path) -> None:
     """Raise OutputError if `path` cannot be written as a Rerun file, and MissingLibraryError without rerun-sdk."""
     if path.suffix.lower() != ".rrd":
-        raise OutputError(f"--rerun {path.name} must end in .rrd; choose another name")
+        raise OutputError(f"`rerun` {path.name} must end in .rrd; choose another name")
     if path.is_dir():
-        raise OutputError(f"{path} is a folder; choose another --rerun")
+        raise OutputError(f"{path} is a folder; choose another `rerun`")
     require_writable(path.parent)
     _import_rerun()
 
@@ -51,7 +51,7 @@ def _import_rerun() -> Any:
         import rerun
     except ImportError as error:
         raise MissingLibraryError(
-            "--rerun needs rerun-sdk, which is not installed: pip install 'tactile-loc[view]'"
+            "`rerun` needs rerun-sdk, which is not installed: pip install 'tactile-loc[view]'"
         ) from error
     return rerun
 
@@ -124,7 +124,7 @@ class RerunLog:
         except RuntimeError as error:
             self._refused = True
             raise OutputError(
-                f"{self._name} cannot be written ({error}); free some space, or choose another --rerun"
+                f"{self._name} cannot be written ({error}); free some space, or choose another `rerun`"
             ) from error
 
     def _log(self, path: str, what: Any, static: bool = False) -> None:

@@ -36,7 +36,7 @@ class SimulatedTouches:
 
     def __post_init__(self) -> None:
         if self.images and self.noise != "none":
-            raise ConfigError(f"the noise {self.noise!r} is for contact shapes, not for images; leave out --noise")
+            raise ConfigError(f"the noise {self.noise!r} is for contact shapes, not for images; leave out `noise`")
 
     def draw_touch(self, localizer: Localizer, number: int) -> Touch:
         """Return touch `number` with its true pose; see `draw_counted`."""

@@ -20,7 +20,7 @@ from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.store.files import recover_folder
 
 COMMAND_LINE = "the command line"  # the source of a configuration without a file
-FLAGS = {"top": "--top", "seed": "--seed", "coverage": "--coverage", "touch.press_depth_mm": "--press-depth"}
+OPTIONS = {"top": "`top`", "seed": "`seed`", "coverage": "`coverage`", "touch.press_depth_mm": "`press_depth`"}
 
 
 class _Strict(BaseModel):
@@ -142,7 +142,7 @@ class RunConfig(_Strict):
             raise ConfigError(f"{source} has an unknown entry {key!r}.{near} Known: {', '.join(cls.model_fields)}")
 
         def name_option(key: str) -> str:
-            return FLAGS.get(key, key) if source == COMMAND_LINE else f"{source}: {key}"
+            return OPTIONS.get(key, key) if source == COMMAND_LINE else f"{source}: {key}"
 
         result: RunConfig = validate_options(
             cls, values, "the configuration" if source == COMMAND_LINE else source, name_option

@@ -142,7 +142,7 @@ def load_object(
     group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
         notes.append(
-            f"detected the symmetry {group} of {path.name}; give --symmetry '{group}' to confirm it, or --symmetry none"
+            f"detected the symmetry {group} of {path.name}; give `symmetry` '{group}' to confirm it, or `symmetry` none"
         )
     for note in notes:
         log.warning(note)
@@ -162,7 +162,7 @@ def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[st
     guess = "m" if size < 1.0 else "mm"
     scale = METRES_PER_UNIT[guess]
     lengths = f"{name} is {size:.4g} units long, which is read as {size * scale * 1e3:.4g} mm"
-    return scale, [f"{lengths}; give --units {guess} to confirm the unit, or another --units"]
+    return scale, [f"{lengths}; give `units` {guess} to confirm the unit, or another `units`"]
 
 
 def simplify_mesh(mesh: TriangleMesh, faces: int) -> TriangleMesh:

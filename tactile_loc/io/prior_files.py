@@ -53,7 +53,7 @@ class FramedPrior:
         if T_base_sensor is None:
             raise ConfigError(
                 f"{self.source} is in the base frame, but the touch has no sensor pose; write the touch with its "
-                'T_base_sensor into a list (.toml) and give that as --touch, or set frame = "sensor"'
+                'T_base_sensor into a list (.toml) and give that as `touch`, or set frame = "sensor"'
             )
         return self.prior.view_from(T_base_sensor)
 

@@ -128,7 +128,7 @@ def _read_png(path: Path) -> FileContents:
 
 
 UNITS = tuple(METRES_PER_UNIT)
-KIND_OPTION = "--touch-kind {}"
+KIND_OPTION = "`touch_kind` {}"
 NO_CONTACT_U16 = 65535
 
 
@@ -269,7 +269,7 @@ def _find_kind(contents: FileContents, path: Path, kind: str | None) -> DepthKin
         if name is not None:
             require_kind(name, str(path))
     if kind is not None and contents.kind is not None and kind != contents.kind:
-        raise TouchError(f"the kind in {path} is {contents.kind}, but --touch-kind is {kind}; leave it out")
+        raise TouchError(f"the kind in {path} is {contents.kind}, but `touch_kind` is {kind}; leave it out")
     return cast(DepthKind, contents.kind or kind or "distance")
 
 
@@ -279,8 +279,8 @@ def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
         if name is not None and name not in UNITS:
             raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS)}")
     if unit is not None and contents.unit is not None and unit != contents.unit:
-        raise TouchError(f"the unit in {path} is {contents.unit}, but --touch-unit is {unit}; leave it out")
+        raise TouchError(f"the unit in {path} is {contents.unit}, but `touch_unit` is {unit}; leave it out")
     known = contents.unit or unit
     if known is None:
-        raise TouchError(f"{path} has no unit; give the unit of its depths by --touch-unit: {', '.join(UNITS)}")
+        raise TouchError(f"{path} has no unit; give the unit of its depths by `touch_unit`: {', '.join(UNITS)}")
     return METRES_PER_UNIT[cast(DepthUnit, known)]

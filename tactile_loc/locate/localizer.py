@@ -169,7 +169,7 @@ class Localizer:
             return self.source
         raise ConfigError(
             f"the grid {self.config.grid.name!r} does not list its poses, which this command or encoder needs; "
-            "choose --grid face or --grid hopf"
+            "choose `grid` face or `grid` hopf"
         )
 
     @property
@@ -305,7 +305,7 @@ def localize_together(
                 raise
             if not query.first.config.drop_outliers:
                 name = query.touches[outliers[0]].name
-                raise GridError(f"{error}. Without {name}, the other touches agree: give --drop-outliers") from error
+                raise GridError(f"{error}. Without {name}, the other touches agree: give `drop_outliers`") from error
         if not outliers or not query.first.config.drop_outliers:
             left_out = tuple(touch for _, touch in observations if all(touch is not one for one in query.touches))
             return replace(found, left_out=left_out)

@@ -94,7 +94,7 @@ def find_touches(folder: Path) -> list[Path]:
         candidates = simulated or folder.iterdir()
         if any(path.with_suffix(".png").is_file() for path in simulated):
             log.warning(
-                "only the contact shapes are located; to locate the photos, give --touch '%s'", folder / "touch-*.png"
+                "only the contact shapes are located; to locate the photos, give `touch` '%s'", folder / "touch-*.png"
             )
     else:
         candidates = folder.parent.glob(folder.name)

@@ -97,7 +97,7 @@ class LiveServer:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise ConfigError(
-                f"the view cannot use port {port} ({reason}); choose another --port, or 0 for a free one"
+                f"the view cannot use port {port} ({reason}); choose another `port`, or 0 for a free one"
             ) from error
         self.url = f"http://{HOST}:{self._server.server_port}/"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="view", daemon=True)

@@ -67,7 +67,7 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     """
     path = source.folder / DEFAULT_NAME if out is None else out
     if path.suffix.lower() not in (".html", ".htm"):
-        raise OutputError(f"--out {path.name} must end in .html; choose another name")
+        raise OutputError(f"`out` {path.name} must end in .html; choose another name")
     with name_damage(source.path):
         return write_page(make_page(source), path)
 

@@ -132,13 +132,13 @@ def require_writable(folder: Path) -> None:
     while not os.path.lexists(existing):
         existing = existing.parent
     if not existing.is_dir():
-        raise OutputError(f"{folder} cannot be written ({existing} is not a folder); choose another --out")
+        raise OutputError(f"{folder} cannot be written ({existing} is not a folder); choose another `out`")
     try:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
         reason = error.strerror or "refused"
-        raise OutputError(f"{folder} cannot be written ({reason} in {existing}); choose another --out") from error
+        raise OutputError(f"{folder} cannot be written ({reason} in {existing}); choose another `out`") from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
@@ -160,7 +160,7 @@ def guard_output(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
+        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another `out`") from error
 
 
 @contextmanager

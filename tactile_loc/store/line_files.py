@@ -26,7 +26,7 @@ def open_locked(path: Path) -> IO[bytes]:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.close()
-        raise OutputError(f"{path} is used by another process; wait for it, or choose another --out") from error
+        raise OutputError(f"{path} is used by another process; wait for it, or choose another `out`") from error
     return file
 
 
@@ -40,7 +40,7 @@ def add_line(file: IO[bytes], line: str) -> None:
             written += os.write(descriptor, text[written:])
     except OSError as error:
         os.ftruncate(descriptor, size)
-        advice = "its lines so far are kept; free some space, or choose another --out"
+        advice = "its lines so far are kept; free some space, or choose another `out`"
         raise OutputError(f"{file.name} cannot be written ({error.strerror}); {advice}") from error
 
 

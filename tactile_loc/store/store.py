@@ -213,7 +213,7 @@ def _remove(path: Path) -> None:
     except FileNotFoundError:
         return  # another process was faster
     except OSError as error:
-        raise StoreError(f"{path} cannot be removed ({error.strerror}); delete it or choose another --store") from error
+        raise StoreError(f"{path} cannot be removed ({error.strerror}); delete it or choose another `store`") from error
 
 
 def _read_entry(folder: Path) -> Entry:

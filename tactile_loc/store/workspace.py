@@ -177,5 +177,5 @@ def guard_store(what: str, folder: Path) -> Iterator[None]:
             reason = "there is a file where a folder is needed"
         advice = "free some space there or choose" if error.errno in _FULL else "choose"
         raise StoreError(
-            f"{what} cannot be stored in {folder} ({reason}); {advice} another folder with TACTILE_LOC_STORE or --store"
+            f"{what} cannot be stored in {folder} ({reason}); {advice} another folder with TACTILE_LOC_STORE or `store`"
         ) from error

@@ -263,7 +263,7 @@ def _is_number(entry: Any) -> bool:
 
 
 def _name_key(key: str, source: str) -> str:
-    return f"--{key}" if source == COMMAND_LINE else f"{source}: {key}"
+    return f"`{key}`" if source == COMMAND_LINE else f"{source}: {key}"
 
 
 def read_options(given: Any, source: str) -> Options:

@@ -94,7 +94,7 @@ def read_sweep(folder: Path) -> dict[str, Any]:
         _require_rows(found["rows"])
         _ = dict(found["versions"])
     except FileNotFoundError as error:
-        raise ConfigError(f"there is no file {path}; give the --out folder of a finished sweep") from error
+        raise ConfigError(f"there is no file {path}; give the `out` folder of a finished sweep") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{path} is damaged ({type(error).__name__}); run this sweep again") from error
     return dict(found)

@@ -203,7 +203,7 @@ class DaskWorkers:
         _require_dask()
         if not _ADDRESS.fullmatch(self.address):
             raise ClusterError(
-                f"--scheduler cannot be {self.address!r}; give the address of a Dask scheduler, such as tcp://host:8786"
+                f"`scheduler` cannot be {self.address!r}; give the address of a Dask scheduler, such as tcp://host:8786"
             )
         why = "its Dask workers died each time, perhaps for lack of memory; see their logs"
         with _redirect_logs(logging.NullHandler()), _connect(self.address) as client:
@@ -301,7 +301,7 @@ def _connect(address: str) -> Iterator[Any]:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(
-            f"there is no Dask scheduler at {address} ({type(error).__name__}); start it, or correct --scheduler"
+            f"there is no Dask scheduler at {address} ({type(error).__name__}); start it, or correct `scheduler`"
         ) from error
     try:
         yield client
@@ -395,7 +395,7 @@ def _open_log(path: Path) -> Iterator[logging.Handler]:
         path.parent.mkdir(parents=True, exist_ok=True)
         handler = logging.FileHandler(path, encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
+        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another `out`") from error
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s"))
     with closing(handler):
         yield handler

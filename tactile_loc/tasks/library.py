@@ -82,7 +82,7 @@ class Library:
             raise ConfigError(f"{listed[0]} has a grid of listed poses; to identify objects, choose the grid whole")
         if self.models[0].encoder.capabilities.needs_training:
             raise ConfigError(
-                "the encoder has to be trained on one object, so it cannot compare several; choose --encoder pixel"
+                "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
             )
         self.progress = self.models[0].progress
         self._matchers: dict[float, list[Matcher]] = {}

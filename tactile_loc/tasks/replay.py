@@ -117,7 +117,7 @@ class Replay:
         frame = self.frame or str(image.header.frame_id)
         if self.base_frame and self.frame_tree is not None:
             if not frame:
-                raise FrameError(f"the images on {self.topic.name} have no frame in their headers; give --frame")
+                raise FrameError(f"the images on {self.topic.name} have no frame in their headers; give `frame`")
             self.frame_tree.require(self.base_frame, frame)
         return frame
 

@@ -97,7 +97,7 @@ def test_a_folder_with_other_files_is_not_changed(folder, other):
     (folder / other).write_text("mine")
     before = contents(folder)
     for refuse in (lambda: write(folder, seed=1), lambda: require_replaceable(folder)):
-        with pytest.raises(OutputError, match=naming(folder, "--out")):
+        with pytest.raises(OutputError, match=naming(folder, "`out`")):
             refuse()
     assert contents(folder) == before
 
@@ -110,9 +110,9 @@ def test_leftovers_of_a_killed_process_do_not_prevent_writing(folder):
 
 def test_a_file_is_not_replaced(tmp_path):
     (tmp_path / "sensor").write_text("mine")
-    with pytest.raises(OutputError, match=naming(tmp_path / "sensor", "--out")):
+    with pytest.raises(OutputError, match=naming(tmp_path / "sensor", "`out`")):
         write(tmp_path / "sensor")
-    with pytest.raises(OutputError, match=naming(tmp_path / "sensor" / "deeper", "--out")):
+    with pytest.raises(OutputError, match=naming(tmp_path / "sensor" / "deeper", "`out`")):
         write(tmp_path / "sensor" / "deeper")
     assert (tmp_path / "sensor").read_text() == "mine"
 
@@ -124,7 +124,7 @@ def test_a_full_disk_leaves_the_old_calibration(folder, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(module, "write_sensor_file", refuse)
-    with pytest.raises(OutputError, match=naming(folder, "No space left", "--out")):
+    with pytest.raises(OutputError, match=naming(folder, "No space left", "`out`")):
         write(folder, seed=1)
     monkeypatch.undo()
     assert contents(folder) == before
@@ -268,5 +268,5 @@ def test_a_damaged_record_is_named(folder):
 
 def test_an_unfit_image_of_the_untouched_gel_is_named(folder, tmp_path):
     zero = write_image(tmp_path / "photo.png", 255 - BALLS.background)
-    with pytest.raises(TouchError, match=naming(zero, "--zero", "calibrate again")):
+    with pytest.raises(TouchError, match=naming(zero, "`zero`", "calibrate again")):
         read_calibration(folder, zero)

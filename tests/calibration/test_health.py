@@ -69,7 +69,7 @@ def test_poor_health_warns_and_worse_health_is_refused(caplog):
         require_healthy(Health(8.0, 0.2), USUAL)
     (record,) = caplog.records
     assert not missing(record.message, 2.0, "light")
-    with pytest.raises(TouchError, match=naming(3.0, "surface", "--zero")):
+    with pytest.raises(TouchError, match=naming(3.0, "surface", "`zero`")):
         require_healthy(Health(4.0, 0.6), USUAL)
 
 

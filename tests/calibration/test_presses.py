@@ -265,7 +265,7 @@ def test_a_table_without_presses_or_untouched_gel_is_refused(folder):
     write_table(folder, [])
     refused(folder, "ball", "mesh")
     write_table(folder, BALLS.rows()[1:])
-    refused(folder, "background", "--background median")
+    refused(folder, "background", "`background` median")
 
 
 def test_the_table_gives_the_ball_radius(folder):
@@ -320,7 +320,7 @@ def test_convert_keeps_images_and_circles(format, source, tmp_path):
 def test_a_converted_set_can_be_read_for_calibration(format, source, tmp_path):
     convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
     if format == "fots":  # has no untouched gel
-        with pytest.raises(CalibrationError, match="--background median"):
+        with pytest.raises(CalibrationError, match="`background` median"):
             read_presses(tmp_path / "out", BALLS.geometry)
     else:
         assert len(read_presses(tmp_path / "out", BALLS.geometry)) == 3

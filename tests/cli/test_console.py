@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tactile_loc_cli import console
-from tactile_loc_cli.console import Bars, Lines, say_table
+from tactile_loc_cli.console import Bars, Lines, complain, name_flags, say_table, write_flags
 
 
 def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
@@ -40,6 +40,14 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch)
     assert capsys.readouterr().err.splitlines() == [
         "note: locating objects: 3 of 9 in 10 s", "note: locating objects: 5 of 9 in 20 s (loss 1.25)"
     ]  # fmt: skip
+
+
+def test_names_of_settings_become_flags_of_the_command(capsys):
+    text = "set `touch_unit`, or run `tactile-loc store prune`; `unknown` stays"
+    with name_flags(["--touch-unit", "-o", "--option"]):
+        complain("error", text)
+    assert capsys.readouterr().err == f"error: {text}\n".replace("`touch_unit`", "--touch-unit")
+    assert write_flags(text) == text
 
 
 def test_a_short_row_does_not_widen_a_column(capsys):

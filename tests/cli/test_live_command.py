@@ -96,7 +96,7 @@ def test_a_disconnected_camera_is_one_sentence(cli, touches, monkeypatch):
     done = cli("live", "--camera", "0", *LOCATED, "--no-view", "--out", "found.jsonl")
     assert_refused(done, "camera 0", "1")
     assert records("found.jsonl")[0]["verdict"] is None
-    assert "--sensor" in records("found.jsonl")[0]["says"]
+    assert "`sensor`" in records("found.jsonl")[0]["says"]
 
 
 def test_bad_input_is_one_sentence(cli, touches):

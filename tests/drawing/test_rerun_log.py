@@ -92,10 +92,10 @@ def test_the_text_of_a_frame_needs_no_pose_and_no_covariance():
 
 
 def test_an_unusable_rerun_file_is_refused_before_the_run(rerun, tmp_path, monkeypatch):
-    with pytest.raises(OutputError, match=naming(".rrd", "a.txt", "--rerun")):
+    with pytest.raises(OutputError, match=naming(".rrd", "a.txt", "`rerun`")):
         require_rerun(tmp_path / "a.txt")
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match=naming(tmp_path / "file", "--out")):
+    with pytest.raises(OutputError, match=naming(tmp_path / "file", "`out`")):
         require_rerun(tmp_path / "file" / "a.rrd")
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingLibraryError, match=naming("pip install 'tactile-loc[view]'")):
@@ -108,5 +108,5 @@ def test_a_full_disk_gives_a_one_sentence_error(rerun, localizer, tmp_path, monk
 
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log, monkeypatch.context() as patch:
         patch.setattr(log._stream, "flush", full)
-        with pytest.raises(OutputError, match=naming("a.rrd", "--rerun")):
+        with pytest.raises(OutputError, match=naming("a.rrd", "`rerun`")):
             log.add(Logged(0, 0.0))

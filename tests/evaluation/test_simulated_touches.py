@@ -113,7 +113,7 @@ def write_altered(folder: Path, to: Path) -> Path:
 
 def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tmp_path):
     unreadable = Localizer.create("pin", store=store, sensor="gelslim")
-    with pytest.raises(ConfigError, match=naming("gelslim", "tactile-loc calibrate --simulated", "--sensor")):
+    with pytest.raises(ConfigError, match=naming("gelslim", "tactile-loc calibrate --simulated", "`sensor`")):
         IMAGES.require_readable(unreadable)
     real = write_altered(folder, tmp_path / "real")
     record = json.loads((real / "calibration.json").read_text())
@@ -126,5 +126,5 @@ def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tm
 
 
 def test_images_with_noise_of_contact_shapes_are_refused():
-    with pytest.raises(ConfigError, match=naming("'mild'", "--noise")):
+    with pytest.raises(ConfigError, match=naming("'mild'", "`noise`")):
         SimulatedTouches("mild", images=True)

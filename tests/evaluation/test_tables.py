@@ -161,5 +161,5 @@ def test_files_are_written_whole_or_refused(runs, tmp_path):
     assert written[1].read_text() == format_csv(runs)
     assert written[2].read_text() == format_markdown(runs, "title")
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="--out"):
+    with pytest.raises(OutputError, match="`out`"):
         write_tables(tmp_path / "file", runs, PROTOCOL, "title")

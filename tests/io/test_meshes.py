@@ -94,7 +94,7 @@ def test_guessed_units_are_right_and_logged(write_box, caplog, per_metre, guess)
     (note,) = obj.notes
     assert re.search(rf"\b{guess}\b", note)
     assert not missing(note, "30 mm")
-    assert "--units" in note
+    assert "`units`" in note
     assert note in caplog.text
 
 
@@ -201,7 +201,7 @@ def test_a_bad_file_is_refused_for_the_right_reason(tmp_path, name, value):
 def test_a_wrong_declared_unit_is_refused(write_box):
     with pytest.raises(ObjectError, match=r"(30000|3e\+04) mm"):
         load_object(write_box(scale=1e3), units="m")
-    with pytest.raises(ObjectError, match=naming("0.03 mm", "--units")):
+    with pytest.raises(ObjectError, match=naming("0.03 mm", "`units`")):
         load_object(write_box(), units="mm")
 
 

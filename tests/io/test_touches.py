@@ -256,10 +256,10 @@ def test_other_array_shapes_and_types_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32])
 def test_a_unit_is_never_guessed(tmp_path: Path, dtype: Any) -> None:
     values = np.arange(108).reshape(9, 12).astype(dtype)
-    refused(save_npy(tmp_path / "a.npy", values), "--touch-unit", unit=None)
-    refused(save_npz(tmp_path / "a.npz", depth=values), "--touch-unit", unit=None)
+    refused(save_npy(tmp_path / "a.npy", values), "`touch_unit`", unit=None)
+    refused(save_npz(tmp_path / "a.npz", depth=values), "`touch_unit`", unit=None)
     if dtype == np.uint16:
-        refused(save_png(tmp_path / "a.png", values), "--touch-unit", unit=None)
+        refused(save_png(tmp_path / "a.png", values), "`touch_unit`", unit=None)
 
 
 def test_unknown_and_contradicting_units_are_refused(tmp_path: Path, touch: Touch) -> None:
@@ -345,8 +345,8 @@ def test_the_largest_16_bit_number_is_no_contact_in_indentations(tmp_path: Path,
 def test_an_inverted_file_is_refused_with_the_remedy(tmp_path: Path) -> None:
     v, u = np.mgrid[:9, :12]
     values = np.maximum(1.5 - 0.2 * ((u - 5) ** 2 + (v - 4) ** 2), 0.0)
-    refused(save_npy(tmp_path / "a.npy", values), "indentations", "--touch-kind indentation")
-    refused(save_npy(tmp_path / "b.npy", -values), "negative", "--touch-kind height")
+    refused(save_npy(tmp_path / "a.npy", values), "indentations", "`touch_kind` indentation")
+    refused(save_npy(tmp_path / "b.npy", -values), "negative", "`touch_kind` height")
 
 
 def test_the_kind_that_a_file_states_is_believed(tmp_path: Path, touch: Touch) -> None:
@@ -362,5 +362,5 @@ def test_unknown_and_contradicting_kinds_are_refused(tmp_path: Path, depth_m: ND
     with pytest.raises(TouchError, match=naming("'depth'", "a.npz", "indentation")):
         read_touch(unknown, SENSOR)
     stated = save_npz(tmp_path / "b.npz", depth=depth_m, unit="m", kind="distance")
-    with pytest.raises(TouchError, match=naming("b.npz", "distance", "--touch-kind is height")):
+    with pytest.raises(TouchError, match=naming("b.npz", "distance", "`touch_kind` is height")):
         read_touch(stated, SENSOR, kind="height")

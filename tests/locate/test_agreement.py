@@ -173,9 +173,9 @@ def test_the_prior_stays_right_if_the_first_touch_is_left_out(block, touches):
 def test_a_sensor_out_of_reach_is_named(block, touches):
     far = dataclasses.replace(touches[2], T_base_sensor=make_transform(np.eye(3), [5.0, 0.0, 0.0]), name="far away")
     given = [touches[0], touches[1], far]
-    with pytest.raises(GridError, match=naming("far away", "--drop-outliers")):
+    with pytest.raises(GridError, match=naming("far away", "`drop_outliers`")):
         together(block, given)
     assert together(dropping(block), given).left_out == (far,)
     with pytest.raises(GridError, match=naming("box", "29 mm")) as raised:
         together(dropping(block), [touches[0], far])
-    assert "--drop-outliers" not in str(raised.value)
+    assert "`drop_outliers`" not in str(raised.value)

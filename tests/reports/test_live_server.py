@@ -85,9 +85,9 @@ def test_an_occupied_port_gives_an_error():
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(ConfigError, match=naming(port, "--port")):
+        with pytest.raises(ConfigError, match=naming(port, "`port`")):
             LiveServer("", port)
-    with pytest.raises(ConfigError, match=naming(70000, "--port")):
+    with pytest.raises(ConfigError, match=naming(70000, "`port`")):
         LiveServer("", 70000)
 
 

@@ -30,7 +30,7 @@ def test_a_possible_folder_is_accepted_and_not_created(tmp_path):
 def test_a_file_in_place_of_a_folder_is_refused(tmp_path):
     (tmp_path / "a").write_text("mine")
     for folder in (tmp_path / "a", tmp_path / "a" / "b"):
-        with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")):
+        with pytest.raises(OutputError, match=naming(tmp_path / "a", "`out`")):
             require_writable(folder)
 
 
@@ -39,7 +39,7 @@ def test_a_folder_without_write_permission_is_refused(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    with pytest.raises(OutputError, match=naming(tmp_path, "Permission denied", "--out")):
+    with pytest.raises(OutputError, match=naming(tmp_path, "Permission denied", "`out`")):
         require_writable(tmp_path)
 
 
@@ -57,14 +57,14 @@ def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
         temporary.write_text("new, ha")
         raise OSError(28, "No space left on device")
 
-    with pytest.raises(OutputError, match=naming("a.txt", "No space left", "--out")):
+    with pytest.raises(OutputError, match=naming("a.txt", "No space left", "`out`")):
         write_atomically(path, halfway)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_that_accepts_no_files_is_refused():
-    with pytest.raises(OutputError, match=naming("/proc/a.txt", "--out")):
+    with pytest.raises(OutputError, match=naming("/proc/a.txt", "`out`")):
         write_atomically(Path("/proc/a.txt"), lambda temporary: temporary.write_text("x"))
 
 
@@ -149,7 +149,7 @@ def test_a_lock_gives_exclusive_access_to_a_folder(tmp_path):
 
 def test_a_lock_on_a_file_is_refused(tmp_path):
     (tmp_path / "a").touch()
-    with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")), lock_folder(tmp_path / "a"):
+    with pytest.raises(OutputError, match=naming(tmp_path / "a", "`out`")), lock_folder(tmp_path / "a"):
         pass
 
 

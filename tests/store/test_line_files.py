@@ -52,17 +52,17 @@ def test_a_full_disk_leaves_whole_lines(tmp_path, monkeypatch):
     add(path, 1)
     with open_json_lines(path) as add_line, monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
-        with pytest.raises(OutputError, match=naming("a.jsonl", "No space left", "--out")):
+        with pytest.raises(OutputError, match=naming("a.jsonl", "No space left", "`out`")):
             add_line('{"n": 2}')
     assert values(path) == [1]
 
 
 def test_two_writers_and_impossible_paths_are_refused(tmp_path):
     path = tmp_path / "a.jsonl"
-    refused = pytest.raises(OutputError, match=naming("a.jsonl", "process", "--out"))
+    refused = pytest.raises(OutputError, match=naming("a.jsonl", "process", "`out`"))
     with open_json_lines(path), refused, open_json_lines(path):
         pass
     (tmp_path / "file").write_text("")
-    refused = pytest.raises(OutputError, match=naming("file/a.jsonl", "--out"))
+    refused = pytest.raises(OutputError, match=naming("file/a.jsonl", "`out`"))
     with refused, open_json_lines(tmp_path / "file" / "a.jsonl"):
         pass

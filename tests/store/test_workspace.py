@@ -221,13 +221,13 @@ def test_a_disk_error_is_explained_and_the_next_build_succeeds(
     assert str(store.root) in message
     assert os.strerror(code) in message
     assert "TACTILE_LOC_STORE" in message
-    assert "--store" in message
+    assert "`store`" in message
     assert ("free" in message) == (code == errno.ENOSPC)
     assert not folder_of(store).exists()
     assert contents(store.build(KEY, Five()).path) == reference(tmp_path)
 
 
-FULL = naming("weights.bin", "bank", "No space left", "TACTILE_LOC_STORE", "--store")
+FULL = naming("weights.bin", "bank", "No space left", "TACTILE_LOC_STORE", "`store`")
 
 
 def test_a_full_device_is_refused_and_the_next_build_succeeds(store: StageStore, tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ print(store.build(key, make).load_array("large").shape)
 
 def test_an_incomplete_write_is_refused_and_the_build_is_resumed(store: StageStore) -> None:
     lines = run_python(LIMITED, store.root).communicate(timeout=60)[0].splitlines()
-    assert not missing(lines[0], "large.npy", "bank", "TACTILE_LOC_STORE", "--store")
+    assert not missing(lines[0], "large.npy", "bank", "TACTILE_LOC_STORE", "`store`")
     assert lines[1:] == ["[]", "['.pieces.json', 'small.npy']", "(1000000,)"]
 
 
@@ -301,7 +301,7 @@ def test_a_file_in_place_of_a_folder_is_refused(store: StageStore, blocked: str)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("in the way")
     assert store.get(KEY) is None
-    with pytest.raises(StoreError, match=naming("bank", "folder", "TACTILE_LOC_STORE", "--store")):
+    with pytest.raises(StoreError, match=naming("bank", "folder", "TACTILE_LOC_STORE", "`store`")):
         store.build(KEY, Five())
     path.unlink()
     assert isinstance(store.build(KEY, Five()), Artifact)

@@ -89,7 +89,7 @@ def test_the_comparison_is_written_as_markdown_and_csv(recorded, tmp_path):
 
 
 def test_a_folder_without_a_sweep_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json", "--out")):
+    with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json", "`out`")):
         read_sweep(tmp_path)
     (tmp_path / "sweep.json").write_text("[]")
     with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json", "TypeError")):

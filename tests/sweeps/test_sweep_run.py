@@ -181,7 +181,7 @@ def test_a_sweep_writes_its_tables_and_figures(locally, folder):
 
 def test_an_unwritable_folder_is_refused_before_the_run(plan, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match=naming(tmp_path / "file", "--out")):
+    with pytest.raises(OutputError, match=naming(tmp_path / "file", "`out`")):
         run_sweep(plan, tmp_path / "file", tmp_path, Nobody())
 
 

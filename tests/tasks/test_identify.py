@@ -212,7 +212,7 @@ def test_invalid_touches_and_libraries_are_refused(models, touches, library):
     with pytest.raises(ConfigError, match=naming("plate", "whole")):
         Library([listed])
     learned = RunConfig.from_dict({"encoder": "moco"}).encoder
-    with pytest.raises(ConfigError, match="--encoder pixel"):
+    with pytest.raises(ConfigError, match="`encoder` pixel"):
         Library([Localizer(models[0].config.model_copy(update={"encoder": learned}), models[0].object)])
     with pytest.raises(ConfigError, match=naming("alone=0.0")):
         NullEvidence(alone=0.0)

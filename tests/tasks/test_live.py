@@ -60,7 +60,7 @@ def test_frames_without_contact_are_reported_and_unreadable_frames_refused(local
     assert [record.word for record in records[1:]] == ["no contact", "refused", "refused"]
     assert "mm" in records[1].says
     assert records[2].says == "it is damaged"
-    assert "--sensor" in records[3].says
+    assert "`sensor`" in records[3].says
     assert all(record.T_sensor_object is None for record in records[1:])
     summary = LiveSummary.of(locator, dropped=7)
     assert (summary.frames, summary.located, summary.no_contact, summary.refused, summary.dropped) == (4, 1, 1, 2, 7)

@@ -196,7 +196,7 @@ def test_a_full_disk_leaves_a_journal_of_complete_lines(recorded, localizer, tmp
         kept.append(first)
         before = path.read_bytes()
         patch.setattr(os, "write", full)
-        with pytest.raises(OutputError, match=naming("out.mcap.journal", "ENOSPC", "--out")):
+        with pytest.raises(OutputError, match=naming("out.mcap.journal", "ENOSPC", "`out`")):
             kept.append(second)
         assert path.read_bytes() == before
         assert kept.records == [first]
@@ -246,7 +246,7 @@ def test_two_processes_cannot_write_the_same_journal(recorded, localizer, tmp_pa
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with (
         open_journal(path, replay),
-        pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "--out")),
+        pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "`out`")),
         open_journal(path, replay),
     ):
         pass

@@ -117,5 +117,5 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
     if not SMALLEST_M <= size <= LARGEST_M:
         raise ObjectError(
             f"{name} is {size * 1e3:.4g} mm long, but objects from 1 mm to 1 m can be located, so its unit is probably "
-            "wrong; give --units m, mm, cm or inch"
+            "wrong; give `units` m, mm, cm or inch"
         )

@@ -139,7 +139,7 @@ class Touch:
         if contact.all() and 0 < range_m < TINY_M:
             raise TouchError(
                 f"all depths of {self.name} are within {1e3 * range_m:.1g} mm of each other; their unit is probably "
-                "too small (mm instead of um: --touch-unit mm), or the touch is on a flat face"
+                "too small (mm instead of um: `touch_unit` mm), or the touch is on a flat face"
             )
         if contact.all() and flat:
             raise TouchError(
@@ -324,7 +324,7 @@ def _require_plausible(largest_m: float, max_depth_m: float, name: str, states_u
     if largest_m > 100 * max_depth_m:
         advice = (
             "check its unit, and max_depth_mm (in mm) of the sensor" if states_unit
-            else "its unit is probably wrong; give --touch-unit mm or um"
+            else "its unit is probably wrong; give `touch_unit` mm or um"
         )  # fmt: skip
         raise TouchError(
             f"{name} has depths up to {largest_m:.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; {advice}"

@@ -84,8 +84,8 @@ class PlaceProblem(TrainingProblem):
     def grid(self) -> PoseGrid:
         """Raise ConfigError, because this problem lists places instead of poses."""
         raise ConfigError(
-            f"this encoder learns from listed poses, but the grid lists an object's {len(self)} places; choose --grid "
-            "face, --grid hopf, or another encoder"
+            f"this encoder learns from listed poses, but the grid lists an object's {len(self)} places; choose `grid` "
+            "face, `grid` hopf, or another encoder"
         )
 
     @property

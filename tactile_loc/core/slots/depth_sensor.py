@@ -80,7 +80,7 @@ class DepthSensor(SensorModel):
         if depth.ndim == 3 or depth.dtype == np.uint8:
             raise TouchError(
                 f"the sensor {type(self).__name__} is not calibrated for images; give a contact shape (.npz, .npy or "
-                "16-bit grey .png), or a calibration folder as --sensor"
+                "16-bit grey .png), or a calibration folder as `sensor`"
             )
         shape = contact_shape_from_array(depth, self.geometry.max_depth_m, option=FROM_DEPTH)
         if depth.shape != self.geometry.shape:

@@ -38,5 +38,5 @@ class SensorModel(Component):
         """
         raise ConfigError(
             f"the sensor {type(self).__name__} does not read images; give the folder of tactile-loc calibrate "
-            "--simulated as --sensor"
+            "--simulated as `sensor`"
         )

@@ -304,7 +304,7 @@ def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSour
             raise SourceError(f"there is no file or folder {path}; give a folder of images, or a video")
         return ImageFolder(path, every) if path.is_dir() else Video(path, every)
     if camera is None or path is not None:
-        raise SourceError("give one source of images: --camera with its number, a folder, or a video")
+        raise SourceError("give one source of images: `camera` with its number, a folder, or a video")
     if every:
-        raise SourceError("--once needs a folder or a video; leave it out with --camera")
+        raise SourceError("`once` needs a folder or a video; leave it out with `camera`")
     return Camera(camera)

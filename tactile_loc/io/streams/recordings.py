@@ -200,7 +200,7 @@ def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topi
     if not topics:
         held = ", ".join(f"{topic.name} ({topic.type})" for topic in contents.counts) or "nothing"
         raise RecordingError(f"{path} has no topic of images ({' or '.join(IMAGE_TYPES)}); its topics: {held}")
-    listed = f"choose one by --image-topic: {', '.join(topics)}"
+    listed = f"choose one by `image_topic`: {', '.join(topics)}"
     if name is None and len(topics) > 1:
         raise RecordingError(f"{path} has images on several topics; {listed}")
     if name is not None and name not in topics:

@@ -68,7 +68,7 @@ class WholeGrid(GridSampler):
         if 2 * radius_m > LONGEST_M:
             raise GridError(
                 f"{obj.name} is {2e3 * radius_m:.0f} mm across, but the whole grid supports at most "
-                f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose --grid face"
+                f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose `grid` face"
             )
         camera = _make_camera(radius_m)
         step_rad = np.sqrt(4 * np.pi / options.directions)
@@ -102,8 +102,8 @@ class WholeGrid(GridSampler):
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Raise ConfigError: this grid has places, not poses."""
         raise ConfigError(
-            "the grid 'whole' does not list its poses, which this command or encoder needs; choose --grid face "
-            "or --grid hopf"
+            "the grid 'whole' does not list its poses, which this command or encoder needs; choose `grid` face "
+            "or `grid` hopf"
         )
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:

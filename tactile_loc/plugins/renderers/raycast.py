@@ -79,7 +79,7 @@ def _build_scene(mesh: TriangleMesh) -> Any:
     except (ImportError, OSError) as error:
         raise RenderError(
             f"the raycast renderer cannot load open3d ({error}); on Debian, install libusb-1.0-0 and libgomp1, or "
-            "choose --renderer heightmap"
+            "choose `renderer` heightmap"
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
     vertices, faces = np.ascontiguousarray(mesh.vertices_m, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)

@@ -110,8 +110,8 @@ def poison(vertices: np.ndarray) -> np.ndarray:
         (poison, (2, "NaN")),
         (lambda v: v * 0, ("extent",)),
         (lambda v: v * [1, 0, 0], ("extent",)),
-        (lambda v: v * 100, ("3000 mm", "1 mm", "1 m", "--units")),
-        (lambda v: v * 0.01, ("0.3 mm", "--units")),
+        (lambda v: v * 100, ("3000 mm", "1 mm", "1 m", "`units`")),
+        (lambda v: v * 0.01, ("0.3 mm", "`units`")),
     ],
 )
 def test_impossible_surfaces_are_refused(box_mesh, change, values):

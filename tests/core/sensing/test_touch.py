@@ -82,7 +82,7 @@ def test_rounding_errors_make_no_contact() -> None:
         (np.zeros((2, 3), bool), None, "bool"),
         (np.array([["a", "b"]]), None, "<U1"),
         ([[-0.1 * MM, 1 * MM]], None, "-0.0001 m"),
-        ([[0.1, 1.5]], None, "--touch-unit"),
+        ([[0.1, 1.5]], None, "`touch_unit`"),
         ([[0.0, 1 * MM]], 3 * MM, "3 mm"),
         ([[0.0, 1 * MM]], 0.0, "0 mm"),
         ([[0.0, 1 * MM]], float("nan"), "nan mm"),
@@ -127,13 +127,13 @@ def test_flat_contact_everywhere_is_refused() -> None:
 
 def test_depths_in_too_small_a_unit_are_refused_with_advice_about_the_unit() -> None:
     in_mm = np.tile(np.linspace(0, 1.0, 8), (6, 1))
-    with pytest.raises(TouchError, match=naming("0.001 mm", "--touch-unit mm")):
+    with pytest.raises(TouchError, match=naming("0.001 mm", "`touch_unit` mm")):
         Touch(contact_shape_from_array(in_mm * 1e-6, 2 * MM), PINHOLE)
 
 
 def test_advice_on_far_too_large_depths_depends_on_who_states_the_unit() -> None:
-    with pytest.raises(TouchError, match="--touch-unit"):
+    with pytest.raises(TouchError, match="`touch_unit`"):
         contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM)
     with pytest.raises(TouchError, match="max_depth_mm") as caught:
         contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM, states_unit=True)
-    assert "--touch-unit" not in str(caught.value)
+    assert "`touch_unit`" not in str(caught.value)

@@ -100,7 +100,7 @@ def test_key_distances_are_pose_distances_at_the_best_yaw(problem):
 
 
 def test_a_request_for_listed_poses_is_refused(problem):
-    with pytest.raises(ConfigError, match="--grid face"):
+    with pytest.raises(ConfigError, match="`grid` face"):
         _ = problem.grid
-    with pytest.raises(ConfigError, match="--grid face"):
+    with pytest.raises(ConfigError, match="`grid` face"):
         problem.shapes()

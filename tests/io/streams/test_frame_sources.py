@@ -236,9 +236,9 @@ def test_a_camera_without_opencv_names_the_package_to_install(monkeypatch):
 
 def test_exactly_one_source_must_be_given(tmp_path):
     for given in ((None, None, False), (tmp_path, "0", False)):
-        with pytest.raises(SourceError, match="--camera"):
+        with pytest.raises(SourceError, match="`camera`"):
             open_source(*given)
-    with pytest.raises(SourceError, match="--once"):
+    with pytest.raises(SourceError, match="`once`"):
         open_source(None, "0", True)
     with pytest.raises(SourceError, match=naming(tmp_path / "nowhere")):
         open_source(tmp_path / "nowhere", None, True)

@@ -227,7 +227,7 @@ def test_a_missing_topic_is_refused_with_the_existing_topics(recorded, tmp_path)
             writer.write(name, IMAGE, make_image(IMAGES[0], "rgb8", 0, "gel"), 0)
 
     several = write_recording(tmp_path / "two.mcap", two)
-    with pytest.raises(RecordingError, match=naming("two.mcap", "--image-topic", "/left", "/right")):
+    with pytest.raises(RecordingError, match=naming("two.mcap", "`image_topic`", "/left", "/right")):
         choose_image_topic(Recording(several).read_contents(), several, None)
     moving = write_recording(tmp_path / "tf.mcap", lambda w: w.write("/tf", TF, make_transforms({}, 0), 0))
     with pytest.raises(

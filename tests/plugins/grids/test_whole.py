@@ -90,12 +90,12 @@ def test_all_directions_are_searched_without_symmetry():
 
 
 def test_the_whole_grid_refuses_to_list_poses():
-    with pytest.raises(ConfigError, match="--grid face"):
+    with pytest.raises(ConfigError, match="`grid` face"):
         WholeGrid().sample(make_block(), CAMERAS["orthographic"], 0.003)
 
 
 def test_an_object_of_half_a_metre_is_refused():
-    with pytest.raises(GridError, match=naming("table", "663 mm", "500 mm", "--grid face")):
+    with pytest.raises(GridError, match=naming("table", "663 mm", "500 mm", "`grid` face")):
         places_of(of(make_box((-0.3, -0.1, -0.1), (0.3, 0.1, 0.1)), "table"))
 
 

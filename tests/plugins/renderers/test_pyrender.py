@@ -37,7 +37,7 @@ def test_an_import_loads_no_opengl_and_changes_no_environment():
 
 def test_a_missing_device_gives_a_one_sentence_error(camera, sphere, pressed, monkeypatch, new_pyrender):
     monkeypatch.setenv("EGL_DEVICE_ID", "99")
-    named = naming("(99)", "libegl1", "libgl1-mesa-dri", "--renderer heightmap", "--renderer raycast")
+    named = naming("(99)", "libegl1", "libgl1-mesa-dri", "`renderer` heightmap", "`renderer` raycast")
     with pytest.raises(RenderError, match=named) as caught:
         new_pyrender().render(sphere, pressed, camera)
     assert "\n" not in str(caught.value)
@@ -66,7 +66,7 @@ def test_a_failure_during_rendering_is_a_render_error(camera, sphere, pressed, m
         raise GLError(1285)
 
     monkeypatch.setattr(pyrender_gl.DepthScene, "draw", fail)
-    with pytest.raises(RenderError, match=naming("out of memory", "--renderer heightmap")):
+    with pytest.raises(RenderError, match=naming("out of memory", "`renderer` heightmap")):
         new_pyrender().render(sphere, pressed, camera)
 
 

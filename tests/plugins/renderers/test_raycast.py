@@ -88,7 +88,7 @@ def test_the_scene_is_built_once_for_equal_surfaces(camera, sphere, monkeypatch)
 
 def test_a_missing_open3d_gives_a_one_sentence_error(camera, sphere, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(RenderError, match=naming("open3d", "libusb-1.0-0", "--renderer heightmap")):
+    with pytest.raises(RenderError, match=naming("open3d", "libusb-1.0-0", "`renderer` heightmap")):
         RaycastRenderer().render(sphere, np.eye(4)[None], camera)
 
 

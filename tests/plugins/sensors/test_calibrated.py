@@ -159,7 +159,7 @@ def with_zero(folder: Path, image: np.ndarray, path: Path) -> CalibratedSensor:
 
 
 def test_a_changed_light_is_refused_until_a_new_zero_image_is_given(sensor, folder, photo, truth, tmp_path):
-    with pytest.raises(TouchError, match=naming("light", "--zero")):
+    with pytest.raises(TouchError, match=naming("light", "`zero`")):
         sensor.contact_shape(brighter(photo))
     zeroed = with_zero(folder, brighter(BALLS.background), tmp_path / "zero.png")
     found = zeroed.contact_shape(brighter(photo))
@@ -175,7 +175,7 @@ def test_lamps_of_other_colours_are_refused_in_spite_of_a_zero_image(folder, pho
         return np.clip(BALLS.background + difference[..., [1, 2, 0]], 0, 255).astype(np.uint8)
 
     zeroed = with_zero(folder, BALLS.background, tmp_path / "zero.png")
-    with pytest.raises(TouchError, match=naming("surface", "--zero")):
+    with pytest.raises(TouchError, match=naming("surface", "`zero`")):
         zeroed.contact_shape(other(photo))
 
 
@@ -184,7 +184,7 @@ def test_an_invalid_zero_image_is_refused(folder, photo, tmp_path):
         with_zero(folder, BALLS.background[:50], tmp_path / "zero.png")
     text = tmp_path / "zero.txt"
     text.write_text("no image")
-    with pytest.raises(TouchError, match=naming("zero.txt", "--zero")):
+    with pytest.raises(TouchError, match=naming("zero.txt", "`zero`")):
         CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(text)))
 
 

@@ -112,7 +112,7 @@ def test_a_sensor_from_a_file_accepts_depths_and_no_images(tmp_path: Path) -> No
     depth = np.full((240, 320), np.inf)
     depth[:10] = 0.1 * MM
     assert sensor.contact_shape(depth).contact.sum() == 3200
-    with pytest.raises(TouchError, match="--sensor"):
+    with pytest.raises(TouchError, match="`sensor`"):
         sensor.contact_shape(np.zeros((240, 320, 3), np.uint8))
 
 

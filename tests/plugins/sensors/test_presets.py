@@ -99,7 +99,7 @@ def test_depth_images_are_accepted_as_contact_shapes(sensor: Preset) -> None:
 @ALL
 def test_images_are_refused(sensor: Preset) -> None:
     for shape in ((*sensor.geometry.shape, 3), sensor.geometry.shape):
-        with pytest.raises(TouchError, match="--sensor"):
+        with pytest.raises(TouchError, match="`sensor`"):
             sensor.contact_shape(np.zeros(shape, np.uint8))
 
 

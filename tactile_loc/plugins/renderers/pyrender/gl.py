@@ -115,7 +115,7 @@ class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
         try:
             yield
         except OpenGLError as error:
-            raise RenderError(f"OpenGL cannot draw ({error!r:.200}); choose --renderer heightmap") from error
+            raise RenderError(f"OpenGL cannot draw ({error!r:.200}); choose `renderer` heightmap") from error
         finally:
             self._release()
 

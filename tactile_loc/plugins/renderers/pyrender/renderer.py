@@ -87,5 +87,5 @@ def _open(geometry: SensorGeometry) -> Offscreen:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
         raise RenderError(
             f"the pyrender renderer cannot make an OpenGL context ({reason}); on Debian, install libegl1 and "
-            "libgl1-mesa-dri, or choose --renderer heightmap or --renderer raycast"
+            "libgl1-mesa-dri, or choose `renderer` heightmap or `renderer` raycast"
         ) from error
