@@ -178,6 +178,7 @@ Require = Annotated[
     Required | None,
     declare("--require", None, "End with exit code 3 if the verdict is another one. The result is written."),
 ]
+Report = Annotated[bool, declare("--report", None, "Also write report.html: the result as one self-contained page.")]
 Store = Annotated[
     Path | None,
     declare("--store", "FOLDER", "Folder of built models. Default: $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),

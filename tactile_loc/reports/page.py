@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file that includes plotly, works offline and contacts no server.
+"""The page of a report: one HTML file that works offline and contacts no server. If it has plots, it includes plotly.
 
 The page of a live run is the only exception: it contacts the server that sent it.
 """
@@ -36,7 +36,8 @@ class Section:
 class Page:
     """The content of a report.
 
-    `title` and `about` are plain text. `scripts` are names of assets; `data` are JSON values for these scripts.
+    `title` and `about` are plain text. `scripts` are names of assets that draw plots with plotly; `data` are
+    JSON values for these scripts.
     The template in templates/`template`.html.j2 has a macro for each section. If `connects` is true, the page may
     contact its server.
     """
@@ -54,7 +55,8 @@ def render(page: Page) -> str:
     """Return the page as HTML. Raises ValueError if a number in the page's data is not finite."""
     from plotly.offline import get_plotlyjs
 
-    scripts = [get_plotlyjs(), *(read_asset(name) for name in ("page.js", *page.scripts))]
+    drawing = [get_plotlyjs()] if page.scripts else []
+    scripts = [*drawing, *(read_asset(name) for name in ("page.js", *page.scripts))]
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     template = load_templates().get_template("page.html.j2")
     return template.render(page=page, style=read_asset("page.css"), scripts=scripts, hashes=hashes)

@@ -28,10 +28,11 @@ def parts(cli) -> Path:
 
 
 def test_identify_names_the_object_or_none(cli, parts):
-    done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--json")
+    done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--report", "--json")
     assert done.exit_code == 0, done.stderr
     said = json.loads(done.stdout)
     assert said["verdict"] == "certain"
+    assert "<h1>certain: plate" in Path("out/report.html").read_text()
     assert said["identified"] == "plate"
     assert said["objects"][0]["poses"][0]["imprint_iou"] > 0.95
     assert json.loads(Path("out/identification.json").read_text()).items() <= said.items()

@@ -34,10 +34,10 @@ def motion(x_mm: float, yaw_deg: float = 0.0) -> np.ndarray:
 @pytest.mark.usefixtures("drawn_pictures")
 def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     poses = listed("poses.toml", motion(0), motion(4, 90), motion(500))
-    done = cli("next-touch", result, "--candidates", poses, "--out", "out", "--json")
+    done = cli("next-touch", result, "--candidates", poses, "--out", "out", "--report", "--json")
     assert done.exit_code == 0, done.stderr
     said = json.loads(done.stdout)
-    assert said["written"] == ["out/next_touch.json", "out/next_touch.png"]
+    assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/report.html"]
     assert json.loads(Path("out/next_touch.json").read_text()).items() <= said.items()
     information = [one["information_nats"] for one in said["ranked"]]
     assert information == sorted(information, reverse=True)

@@ -76,11 +76,6 @@ def test_a_folder_without_a_result_is_one_sentence(cli, files, says):
     assert not Path("out/report.html").exists()
 
 
-def test_a_report_of_a_folder_of_touches_is_refused(cli):
-    Path("touches").mkdir()
-    assert_refused(cli("run", *PIN, "--touch", "touches", "--report"), "--report", "touches")
-
-
 def test_an_unusable_report_path_is_one_sentence(cli):
     assert cli("run", *PIN, "--out", "out").exit_code == 0
     Path("file").touch()

@@ -31,7 +31,7 @@ def rows(out: Path) -> list[dict[str, str]]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_each_touch_has_a_line_and_its_results(cli, folder):
-    done = cli("run", *PIN, "--touch", folder, "--out", "out", "--pictures")
+    done = cli("run", *PIN, "--touch", folder, "--out", "out", "--pictures", "--report")
     assert done.exit_code == 0, done.stderr
     found = rows(Path("out"))
     assert [row["touch"] for row in found] == ["touch-0000.npz", "touch-0001.npz", "zero.npz"]
@@ -39,6 +39,7 @@ def test_each_touch_has_a_line_and_its_results(cli, folder):
     assert found[2]["verdict"] == "no contact"
     assert "2 of 3" in done.stdout
     assert done.stderr.count("warning: ") == 1
+    assert "<h1>" in Path("out/report.html").read_text()
     for row in found[:2]:
         assert row["touch"] in done.stdout
         result = json.loads((Path("out") / Path(row["touch"]).stem / "result.json").read_text())
@@ -71,6 +72,10 @@ def test_photos_beside_contact_shapes_are_reported(cli, folder):
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert done.exit_code == 0, done.stderr
     assert "--touch 'touches/touch-*.png'" in done.stderr
+
+
+def test_options_of_a_single_result_are_refused(cli, folder):
+    assert_refused(cli("run", *PIN, "--touch", folder, "--prior", "prior.toml"), "--prior", "folder")
 
 
 def test_a_pattern_chooses_files(cli, folder):

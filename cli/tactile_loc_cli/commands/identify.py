@@ -36,6 +36,7 @@ def identify(
     given: Given,
     located: Located = 8,
     out: Out = DEFAULT_OUT,
+    report: options.Report = False,
     require: options.Require = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
@@ -56,7 +57,13 @@ def identify(
     touches = [one for _, one in options.read_touches(library.models[0], Path(touch))]
     record = make_identification_record(identify_touches(touches, library, located), [one.name for one in touches])
     say_identification(record)
-    written = say_written([write_record(out / "identification.json", record)])
+    files = [write_record(out / "identification.json", record)]
+    if report:
+        from tactile_loc.reports.report import DEFAULT_NAME, write_page
+        from tactile_loc.reports.tasks import make_identification_page
+
+        files.append(write_page(make_identification_page(record, touches), out / DEFAULT_NAME))
+    written = say_written(files)
     result = {**record.model_dump(mode="json"), "written": written}
     if require is not None and result["verdict"] != require:
         raise Finding(NOT_AS_REQUIRED, result)

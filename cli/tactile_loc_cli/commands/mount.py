@@ -37,7 +37,12 @@ Given = Annotated[
 
 
 def mount(
-    touch: Touches, given: Given, nominal: Nominal = None, out: Out = DEFAULT_OUT, store: options.Store = None
+    touch: Touches,
+    given: Given,
+    nominal: Nominal = None,
+    out: Out = DEFAULT_OUT,
+    report: options.Report = False,
+    store: options.Store = None,
 ) -> dict[str, Any]:
     """Find where a sensor is mounted on a flange.
 
@@ -61,4 +66,9 @@ def mount(
     say_mount(record)
     title = f"{record.sensor} on the flange, from touches of {record.object}"
     written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_mount(found, title))]
+    if report:
+        from tactile_loc.reports.report import DEFAULT_NAME, write_page
+        from tactile_loc.reports.tasks import make_mount_page
+
+        written.append(write_page(make_mount_page(record, written[-1]), out / DEFAULT_NAME))
     return {**record.model_dump(mode="json", exclude_none=True), "written": say_written(written)}

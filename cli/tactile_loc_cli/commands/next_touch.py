@@ -27,7 +27,9 @@ Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of next_touch.json and next_touch.png.")]
 
 
-def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out = DEFAULT_OUT) -> dict[str, Any]:
+def next_touch(
+    result: Result, candidates: Candidates, top: Top = 10, out: Out = DEFAULT_OUT, report: options.Report = False
+) -> dict[str, Any]:
     """Choose where to touch next.
 
     The next touch should distinguish the poses that a result lists. For each pose and approach, the command simulates
@@ -53,6 +55,11 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
         write_record(out / "next_touch.json", record),
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
+    if report:
+        from tactile_loc.reports.report import DEFAULT_NAME, write_page
+        from tactile_loc.reports.tasks import make_next_touch_page
+
+        written.append(write_page(make_next_touch_page(record, written[-1]), out / DEFAULT_NAME))
     return {**record.model_dump(mode="json"), "written": say_written(written)}
 
 

@@ -18,6 +18,7 @@ from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
+    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.results.localization import Localization
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-result")
+MOST_SHOWN = 60  # touches of a folder whose contact shapes a report shows
 DRAWN = 8  # number of simulated touches; the touch with the most contact is used
 
 Given = Annotated[
@@ -48,9 +50,6 @@ Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json,
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: also draw a result.png for each.")
 ]
-Report = Annotated[
-    bool, typer.Option("--report", help="Also write report.html: the result as one self-contained page.")
-]
 
 
 def run(
@@ -58,7 +57,7 @@ def run(
     prior: PriorFile = None,
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
-    report: Report = False,
+    report: options.Report = False,
     require: options.Require = None,
     rerun: options.Rerun = None,
     store: options.Store = None,
@@ -80,8 +79,8 @@ def run(
     options.require_rerun(rerun)
     localizer = options.open_localizer(settings, store)
     if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
-        _require_none(prior, report, rerun)
-        result = _locate_each(localizer, Path(settings.touch.path), out, pictures)
+        _require_none(prior, rerun)
+        result = _locate_each(localizer, Path(settings.touch.path), out, pictures, report)
         verdicts = [touch["verdict"] for touch in result["touches"]]
     else:
         result = _locate_together(localizer, prior, out, report, rerun)
@@ -127,9 +126,9 @@ def _require_several(settings: RunConfig) -> None:
         )
 
 
-def _require_none(prior: Path | None, report: bool, rerun: Path | None) -> None:
+def _require_none(prior: Path | None, rerun: Path | None) -> None:
     """Raise ConfigError if an option that needs a single result is given with a folder of touches."""
-    for given, flag in ((prior, "--prior"), (rerun, "--rerun"), (report, "--report")):
+    for given, flag in ((prior, "--prior"), (rerun, "--rerun")):
         if given:
             raise ConfigError(f"{flag} needs a single result; leave it out with a folder of touches, or give one touch")
 
@@ -186,11 +185,12 @@ def _report(
     return {**record.model_dump(mode="json"), "written": say_written(written)}
 
 
-def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) -> dict[str, Any]:
+def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, page: bool) -> dict[str, Any]:
     """Locate each touch of a folder or pattern. The table states the reason for a touch that cannot be located.
 
-    Writes results.csv. Also writes a folder for each touch, with result.json and, with `pictures`, result.png. Returns
-    the result of each touch, and the paths. Raises TouchError if the folder has no touch, or no touch can be located.
+    Writes results.csv, and a folder for each touch with result.json and, with `pictures`, result.png. With `page`,
+    writes report.html. Returns the result of each touch, and the paths. Raises TouchError if the folder has no touch,
+    or no touch can be located.
     """
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
@@ -199,24 +199,43 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) 
     files = find_touches(folder)
     found: list[LocatedFile] = []
     doubtful: list[str] = []
+    shown: dict[str, Touch] = {}
     with make_progress().task(f"locating the touches of {folder}", len(files)) as advance:
         for one, localization in localize_files(localizer, files, localizer.config.touch.press_depth_m):
             if localization is not None:
                 record = _write(localizer, localization, out / one.path.stem, pictures)
                 doubtful += [one.path.name] if list_doubts(record) else []
+                shown |= {one.path.name: localization.touch} if page and len(shown) < MOST_SHOWN else {}
             found.append(one)
             advance(1)
-    written = write_table(out / "results.csv", found)
+    written = [write_table(out / "results.csv", found)]
+    if page:
+        written.append(_write_folder_page(out, localizer, folder, found, shown))
     problems = [one.problem for one in found if one.best is None]
     located = len(found) - len(problems)
     say_located(found)
-    say(f"located: {located} of {len(found)}; written: {written}, and a folder for each touch")
+    say(f"located: {located} of {len(found)}; written: {', '.join(map(str, written))}, and a folder for each touch")
     for problem in problems:
         logger.warning("%s", problem)
     _warn_of_doubtful(doubtful)
     if not located:
         raise TouchError(f"no touch of {folder} can be located; first reason: {problems[0]}")
-    return {"located": located, "touches": [_make_json(one, out) for one in found], "written": [str(written)]}
+    return {
+        "located": located,
+        "touches": [_make_json(one, out) for one in found],
+        "written": [str(path) for path in written],
+    }
+
+
+def _write_folder_page(
+    out: Path, localizer: Localizer, folder: Path, found: list[LocatedFile], shown: dict[str, Touch]
+) -> Path:
+    """Write the page of a folder's touches, with the contact shapes of the `shown` touches, and return its path."""
+    from tactile_loc.reports.report import DEFAULT_NAME, write_page
+    from tactile_loc.reports.tasks import make_folder_page
+
+    about = f"{localizer.object.name} on {localizer.config.sensor.name}, from {folder}"
+    return write_page(make_folder_page(found, shown, about), out / DEFAULT_NAME)
 
 
 def _warn_of_doubtful(names: list[str]) -> None:

@@ -1,0 +1,152 @@
+"""Reports without plots: an identification, a next touch, a mount, and a folder of touches located one by one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+from tactile_loc.locate.results.verdict import explain_verdict, name_verdict
+from tactile_loc.locate.touch_files import LocatedFile
+from tactile_loc.reports.page import Page, Section
+from tactile_loc.reports.pictures import draw_shape, encode_gallery
+from tactile_loc.tasks.identify_files import NONE_OF_THESE, IdentificationRecord, KnownObjectRecord
+from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
+
+POSE = ("x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
+DEPTHS = "Dark: pressed deepest. Touches are drawn as the sensor sees them, x right and y down."
+
+
+def make_identification_page(record: IdentificationRecord, touches: Sequence[Touch]) -> Page:
+    """Return the page of an identification of touches. Its title is the verdict."""
+    located = [one for one in record.objects if one.poses]
+    others = len(record.objects) - len(located)
+    note = "Poses are in the first touch's sensor frame, if this object was touched."
+    note += f" {others} more objects explain the touches worse and were not located." if others else ""
+    none = [NONE_OF_THESE, f"{100 * record.none:.1f}", *[""] * 7]
+    numbers = [
+        ("verdict", str(record.verdict), "how far to trust the first object"),
+        ("first object", record.objects[0].name, f"probability {format_percent(record.objects[0].probability)}"),
+        (NONE_OF_THESE, format_percent(record.none), "probability that none of the objects was touched"),
+    ]
+    rows = [*map(_list_known_cells, located), none]
+    header = ("object", "prob. (%)", "misfit (nats)", "imprint IoU (%)", *POSE)
+    sections = [
+        Section("summary", "", {"numbers": numbers, "notes": []}),
+        Section("rows", "Objects", {"header": header, "rows": rows, "left": 1, "note": note, "label": "objects"}),
+        Section("pictures", "Contact shapes", _show({touch.name: touch for touch in touches}, len(touches))),
+    ]
+    return _make_page(record.summary(), f"touches: {', '.join(record.touches)}", sections)
+
+
+def make_next_touch_page(record: NextTouchRecord, picture: Path) -> Page:
+    """Return the page of a next touch; `picture` is the file that `draw_next_touch` gave."""
+    best = record.ranked[0]
+    numbers = [
+        ("best approach", best.name, f"of {len(record.ranked)}"),
+        ("entropy now", f"{record.entropy_nats:.2f} nats", f"of {len(record.modes)} possible poses; 0: one is certain"),
+        ("expected entropy", f"{best.entropy_nats:.2f} nats", "after the best approach"),
+        ("contact", format_percent(best.meets), "probability that the best approach meets the object"),
+    ]
+    notes = [f"No approach distinguishes poses {', '.join(map(str, group))}." for group in record.alike]
+    notes += [f"Out of reach: {one.name} {one.reason}." for one in record.out_of_reach]
+    header = ("rank", "approach", "information (nats)", "entropy left (nats)", "contact (%)", "cost")
+    rows = [_list_rated_cells(one) for one in record.ranked]
+    sections = [
+        Section("summary", "", {"numbers": numbers, "notes": notes}),
+        Section("drawing", "Contact shapes", _embed(picture, "the best approach's contact shape at each pose")),
+        Section("rows", "Approaches", {"header": header, "rows": rows, "left": 2, "note": "", "label": "approaches"}),
+    ]
+    title = f"next touch of {record.object}: {best.name}"
+    return _make_page(title, f"symmetry {record.symmetry}; {len(record.ranked)} approaches", sections)
+
+
+def make_mount_page(record: MountRecord, picture: Path) -> Page:
+    """Return the page of a mount; `picture` is the file that `draw_mount` gave."""
+    std = np.sqrt(np.diag(np.array(record.covariance)))
+    used = [one for one in record.touch if not one.left_out]
+    x, y, z, angle_deg, axis = format_pose(np.array(record.T_flange_sensor))
+    along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
+    numbers = [
+        ("sensor on the flange", f"{x}, {y}, {z} mm", f"x, y, z; rotated {angle_deg}° about {axis}"),
+        ("standard deviations", f"{along} mm", "along the flange's x, y and z axes"),
+        ("of the rotation", f"{about}°", "about the flange's x, y and z axes"),
+        ("touches", f"{len(used)} of {len(record.touch)}", "used; the others contradict them"),
+    ]
+    header = ("touch", "residual (mm)", "residual (°)", "imprint IoU (%)", "left out because")
+    rows = [_list_mount_cells(one) for one in record.touch]
+    sections = [
+        Section("summary", "", {"numbers": numbers, "notes": []}),
+        Section("drawing", "Residuals", _embed(picture, "residual of each touch, before and after the fit")),
+        Section("rows", "Touches", {"header": header, "rows": rows, "left": 1, "note": "", "label": "touches"}),
+    ]
+    return _make_page(f"{record.sensor} on the flange", f"from touches of {record.object}", sections)
+
+
+def make_folder_page(found: Sequence[LocatedFile], shown: Mapping[str, Touch], about: str) -> Page:
+    """Return the page of touches that were located one by one. Its title counts the verdicts.
+
+    `shown` are the touches whose contact shapes are drawn, by the names of their files. `about` names the object, the
+    sensor and the folder.
+    """
+    counts = Counter(name_verdict(one.verdict) for one in found)
+    numbers = [(one, str(n), _explain(one, found)) for one, n in counts.most_common()]
+    header = ("touch", "verdict", "prob. (%)", "imprint IoU (%)", *POSE)
+    rows = [_list_located_cells(one) for one in found]
+    note = "Each touch is located alone. Poses are in the sensor's frame."
+    sections = [
+        Section("summary", "", {"numbers": numbers, "notes": [one.problem for one in found if one.best is None]}),
+        Section("rows", "Touches", {"header": header, "rows": rows, "left": 2, "note": note, "label": "touches"}),
+        Section("pictures", "Contact shapes", _show(shown, len(found))),
+    ]
+    title = f"{len(found)} touches: {', '.join(f'{n} {one}' for one, n in counts.most_common())}"
+    return _make_page(title, f"{len(found)} touches of {about}", sections)
+
+
+def _make_page(title: str, about: str, sections: Sequence[Section]) -> Page:
+    return Page("tasks", title, about, sections, {}, [])
+
+
+def _show(shown: Mapping[str, Touch], touches: int) -> dict[str, object]:
+    """Return the values of the section with the contact shapes of some of the `touches`."""
+    images = [(name, draw_shape(touch.contact_shape, touch.geometry)) for name, touch in shown.items()]
+    left = touches - len(images)
+    return {"images": images, "note": f"{DEPTHS} {left} touches are not drawn." if left else DEPTHS}
+
+
+def _embed(picture: Path, caption: str) -> dict[str, str]:
+    return {"picture": encode_gallery(picture) or "", "caption": caption}
+
+
+def _explain(verdict: str, found: Sequence[LocatedFile]) -> str:
+    return next(explain_verdict(one.verdict) for one in found if name_verdict(one.verdict) == verdict)
+
+
+def _list_known_cells(one: KnownObjectRecord) -> list[str]:
+    best = one.poses[0]
+    numbers = [f"{100 * one.probability:.1f}", f"{one.misfit_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
+    return [one.name, *numbers, *format_pose(np.array(best.T_sensor_object))]
+
+
+def _list_rated_cells(one: RatedRecord) -> list[str]:
+    numbers = [f"{one.information_nats:.2f}", f"{one.entropy_nats:.2f}", f"{100 * one.meets:.0f}"]
+    return [str(one.rank), one.name, *numbers, f"{one.cost:g}"]
+
+
+def _list_mount_cells(one: MountTouchRecord) -> list[str]:
+    off = (1e3 * (one.residual_m or 0.0), np.degrees(one.residual_rad or 0.0))
+    return [one.name, *(f"{v:.2f}" for v in off), f"{100 * (one.imprint_iou or 0.0):.0f}", one.left_out]
+
+
+def _list_located_cells(one: LocatedFile) -> list[str]:
+    verdict = name_verdict(one.verdict)
+    if one.best is None:
+        return [one.path.name, verdict, *[""] * 7]
+    numbers = [f"{100 * one.best.probability:.1f}", f"{100 * one.best.imprint_iou:.0f}"]
+    return [one.path.name, verdict, *numbers, *format_pose(one.best.T_sensor_object)]

@@ -1,0 +1,118 @@
+"""Pages of identifications, next touches, mounts and folders of touches."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from message_helpers import missing
+from PIL import Image
+from report_helpers import UNFRIENDLY, Elements
+
+from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.touch_files import LocatedFile
+from tactile_loc.reports.page import Page, render
+from tactile_loc.reports.tasks import (
+    make_folder_page,
+    make_identification_page,
+    make_mount_page,
+    make_next_touch_page,
+)
+from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord, PoseRecord
+from tactile_loc.tasks.next_touch_files import ModeRecord, NextTouchRecord, OutOfReachRecord, RatedRecord
+
+EYE = np.eye(4).tolist()
+
+
+@pytest.fixture
+def picture(tmp_path) -> Path:
+    path = tmp_path / "picture.png"
+    Image.new("RGB", (40, 30), (200, 30, 60)).save(path)
+    return path
+
+
+def read(page: Page) -> Elements:
+    """Return the elements of a page, after checks that hold for every page without plots."""
+    html = render(page)
+    assert len(html) < 1e6  # without plotly
+    found = Elements(html)
+    assert all(str(a["src"]).startswith("data:image/png") for a in found.named("img"))
+    assert "<script>alert" not in html
+    return found
+
+
+def list_cells(page: Page) -> list[str]:
+    """Return the texts of a page's table cells."""
+    return re.findall(r"<td[^>]*>([^<]*)</td>", render(page))
+
+
+def make_identification(touch, names: list[str]) -> Page:
+    pose = PoseRecord(probability=1.0, T_sensor_object=EYE, imprint_iou=0.97)
+    objects = [
+        KnownObjectRecord(name=name, probability=p, alike=1, rough_iou=1, misfit_nats=0.5, poses=[pose])
+        for name, p in zip(names, (0.39, 0.31), strict=True)
+    ]
+    record = IdentificationRecord(
+        touches=[touch.name], verdict=Verdict.AMBIGUOUS, identified=names[0], none=0.3, objects=objects
+    )
+    return make_identification_page(record, [touch])
+
+
+def test_an_identification_has_its_verdict_as_title(localization):
+    page = make_identification(localization.touch, ["hook", "head"])
+    assert page.title.startswith("ambiguous: hook 39 %, head 31 %")
+    found = read(page)
+    assert {"hook", "head", "none of these", "39.0", "97"} <= set(list_cells(page))
+    assert len(found.named("img")) == 1
+
+
+def test_names_are_shown_as_text(localization):
+    touch = dataclasses.replace(localization.touch, name=UNFRIENDLY)
+    assert UNFRIENDLY in read(make_identification(touch, [UNFRIENDLY, "head"])).text
+
+
+def test_a_folder_counts_its_verdicts(localization):
+    found = [
+        LocatedFile(Path("a.npz"), localization.best, verdict=Verdict.CERTAIN),
+        LocatedFile(Path("b.npz"), localization.best, verdict=Verdict.CERTAIN),
+        LocatedFile(Path("c.npz"), problem="c.npz is no touch"),
+    ]
+    page = make_folder_page(found, {"a.npz": localization.touch}, "pin on gelslim, from touches")
+    assert page.title == "3 touches: 2 certain, 1 refused"
+    shown = read(page)
+    assert not missing(shown.text, "a.npz", "b.npz", "c.npz is no touch", "2 touches are not drawn")
+
+
+def test_a_next_touch_shows_the_best_approach(picture):
+    rated = [
+        RatedRecord(rank=k, name=f"approach {k}", T_base_sensor=EYE, press_m=None, information_nats=0.9, cost=1.0,
+                    entropy_nats=0.3, meets=0.8, travel_m=[0.01, None])
+        for k in (1, 2)
+    ]  # fmt: skip
+    record = NextTouchRecord(
+        object="hook", symmetry="none", modes=[ModeRecord(probability=0.5, T_base_object=EYE)] * 2, unlisted=0.0,
+        entropy_nats=1.2, ranked=rated, out_of_reach=[OutOfReachRecord(name="far", reason="is too far")],
+        alike=[[1, 2]], doubt_left=0.5,
+    )  # fmt: skip
+    page = make_next_touch_page(record, picture)
+    assert page.title == "next touch of hook: approach 1"
+    found = read(page)
+    assert not missing(found.text, "1.20 nats", "far is too far", "poses 1, 2")
+    assert {"approach 1", "approach 2", "0.90", "0.30", "80"} <= set(list_cells(page))
+    assert len(found.named("img")) == 1
+
+
+def test_a_mount_shows_its_residuals_and_deviations(picture):
+    touches = [
+        MountTouchRecord(name="t0", residual_m=2e-4, residual_rad=0.01, imprint_iou=0.9),
+        MountTouchRecord(name="t1", residual_m=9e-3, residual_rad=0.2, imprint_iou=0.4, left_out="it is 9 mm off"),
+    ]
+    covariance = np.diag([1e-8] * 3 + [np.radians(0.5) ** 2] * 3).tolist()
+    record = MountRecord(T_flange_sensor=EYE, covariance=covariance, object="pin", sensor="digit", touch=touches)
+    page = make_mount_page(record, picture)
+    assert not missing(read(page).text, "1 of 2", "0.10, 0.10, 0.10 mm", "0.50, 0.50, 0.50")
+    assert {"t0", "0.20", "0.57", "t1", "9.00", "it is 9 mm off"} <= set(list_cells(page))
