@@ -29,7 +29,9 @@ Units = StrEnum("Units", "AUTO M MM CM INCH")  # of a mesh file
 TouchUnit = StrEnum("TouchUnit", "M MM UM")
 TouchKind = StrEnum("TouchKind", "DISTANCE INDENTATION HEIGHT")
 Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
-TOUCHED = "Mesh file (STL, OBJ, PLY, ...) or demo object that was touched."  # help of --object where it has no default
+TOUCHED = (
+    "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object that was touched."  # help of --object where it has no default
+)
 READ_FROM = {  # advice for sensors that are chosen by their path
     "file": "give the file itself: --sensor my_sensor.toml",
     "calibrated": "give the calibration folder itself: --sensor FOLDER",
@@ -54,7 +56,8 @@ class RunOptions:
     """
 
     object: Annotated[
-        str | None, declare("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or demo object. Default: hook.")
+        str | None,
+        declare("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object. Default: hook."),
     ] = None
     units: Annotated[
         Units | None, declare("--units", None, "Unit of the mesh file. Default: auto, guessed from its size.")

@@ -34,7 +34,7 @@ DRAWN = 8  # number of simulated touches; the touch with the most contact is use
 Given = Annotated[
     RunOptions,
     options.Takes(
-        object="Mesh file (STL, OBJ, PLY, ...) or demo object. Default: hook, if no touch is given.",
+        object="Mesh file (STL, OBJ, PLY, STEP, ...) or demo object. Default: hook, if no touch is given.",
         press_depth="Press depth of the touch in mm. Default: that in its file, or an estimate; simulated touches have "
         "the maximal depth.",
     ),
