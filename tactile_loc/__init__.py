@@ -49,7 +49,8 @@ if TYPE_CHECKING:
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
-    from tactile_loc.locate.results.localization import Hypothesis as Hypothesis
+    from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
+    from tactile_loc.locate.results.hypothesis import JudgedHypothesis as JudgedHypothesis
     from tactile_loc.locate.results.localization import Localization as Localization
     from tactile_loc.locate.results.located_frame import LocatedFrame as LocatedFrame
     from tactile_loc.locate.results.verdict import Verdict as Verdict

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm, format_percent
 from tactile_loc.core.geometry.rigid import format_pose
@@ -33,14 +34,18 @@ def make_title(record: ResultRecord) -> str:
 
 
 def say_result(record: ResultRecord) -> None:
-    """Write the verdict, a table of the hypotheses with the object's pose in the sensor frame, and a summary."""
+    """Write the verdict, a table of the hypotheses with the object's pose, and a summary.
+
+    The poses are in the base frame or, if the sensor's pose is unknown, in the sensor frame.
+    """
     from tactile_loc.locate.results.verdict import explain_verdict
 
     touch = "simulated touch" if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     if record.verdict is not None:
         say(f"{record.verdict}: {explain_verdict(record.verdict)}")
-    say(f"{record.object.name} in the frame of {record.sensor_name}, {touch}")
+    in_base = record.hypotheses[0].T_base_object is not None
+    say(f"{record.object.name} in the {'base frame' if in_base else f'frame of {record.sensor_name}'}, {touch}")
     say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)
     for line in _summarise(record):
         say(line)
@@ -48,6 +53,7 @@ def say_result(record: ResultRecord) -> None:
 
 def _summarise(record: ResultRecord) -> Iterator[str]:
     """Yield the lines below the table."""
+    yield from _describe_std(record.hypotheses[0])
     yield (
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
         f"{record.searched}"
@@ -94,8 +100,23 @@ def _name_side(record: ResultRecord) -> str:
     return f"{'+' if outwards[axis] > 0 else '-'}{'xyz'[axis]}"
 
 
+def _describe_std(best: HypothesisRecord) -> Iterator[str]:
+    """Yield a line with the standard deviations of the best pose in the frame of the table, if they are known."""
+    frame, covariance = "sensor", best.covariance
+    if best.T_base_object is not None:
+        frame, covariance = "base", best.base_covariance
+    if covariance is not None:
+        yield f"standard deviations of the best pose: {_format_std(np.array(covariance), frame)}"
+
+
+def _format_std(covariance: NDArray[np.float64], frame: str) -> str:
+    std = np.sqrt(np.diag(covariance))
+    along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
+    return f"{along} mm along and {about} degrees about the {frame}'s x, y and z axes"
+
+
 def _list_cells(h: HypothesisRecord) -> list[str]:
-    pose = format_pose(np.array(h.T_sensor_object))
+    pose = format_pose(np.array(h.T_sensor_object if h.T_base_object is None else h.T_base_object))
     cells = [str(h.rank), f"{100 * h.probability:.1f}", *pose, f"{100 * h.imprint_iou:.0f}"]
     return cells if h.error_m is None else [*cells, format_mm(h.error_m)]
 
@@ -103,11 +124,9 @@ def _list_cells(h: HypothesisRecord) -> list[str]:
 def say_mount(record: MountRecord) -> None:
     """Write the mount, its standard deviations, and the residual of each touch."""
     T, C = np.array(record.T_flange_sensor), np.array(record.covariance)
-    std = np.sqrt(np.diag(C))
     say(f"{record.sensor} in the frame of the flange, from {len(record.touch)} touches of {record.object}")
     say_table([list(POSE), format_pose(T)], left=0, gap=2)
-    along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
-    say(f"standard deviations: {along} mm along and {about} degrees about the flange's x, y and z axes")
+    say(f"standard deviations: {_format_std(C, 'flange')}")
     say_table([["touch", "residual mm", "residual deg", IMPRINT], *map(_list_mount_cells, record.touch)], left=1, gap=2)
     for one in record.touch:
         if one.left_out:

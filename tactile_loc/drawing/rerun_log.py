@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError
 from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.geometry.pose_words import format_pose_words
-from tactile_loc.core.geometry.rigid import invert, rotate_covariance, rotation_to_quaternion
+from tactile_loc.core.geometry.rigid import invert, rotate_covariance, rotation_to_quaternion_xyzw
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -178,7 +178,7 @@ class RerunLog:
         variances, R = np.linalg.eigh(covariance)
         R[:, 0] *= np.sign(np.linalg.det(R))  # make the axes right-handed
         half = DEVIATIONS * np.sqrt(np.maximum(variances, 0))
-        rotation = self._rr.Quaternion(xyzw=np.roll(rotation_to_quaternion(R), -1))
+        rotation = self._rr.Quaternion(xyzw=rotation_to_quaternion_xyzw(R))
         return self._rr.Ellipsoids3D(centers=[centre_m], half_sizes=[half], quaternions=[rotation])
 
     def _add_posterior(self, posterior: PosePosterior) -> None:

@@ -39,7 +39,9 @@ from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
 from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.refinement import Refinement
-from tactile_loc.locate.results.localization import Agreement, Hypothesis, Localization
+from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis, JudgedHypothesis
+from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import judge
 from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import PlaceSearch, build_places, search_together
 from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
@@ -258,13 +260,25 @@ class Localizer:
         scored = self.source.score(touches, times or StageTimes(), prior)
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
-    def find_most_probable_pose(self, touch: Touch) -> RefinedPose:
-        """Return the most probable pose of the grid, refined.
+    def find_most_probable_pose(self, touch: Touch) -> JudgedHypothesis:
+        """Return the most probable pose of the grid, refined, with its probability, verdict and covariance.
 
-        This is the fastest way to locate a touch, for instance in a control loop.
+        This is the fastest way to locate a touch, for instance in a control loop. Only one pose is refined. So the
+        probability is that of the grid poses near it, before refinement. `localize` also compares other poses after
+        refinement, and may find a better one.
         """
-        posterior = self.posterior(touch)
-        return self.refine(touch, posterior, [int(posterior.log_p.argmax())])[0]
+        posterior, view = self.posterior(touch), make_view(touch, self, touch)
+        index = int(posterior.log_p.argmax())
+        near = posterior.grid.find_within(self.mode_radius_m, index)
+        (pose,) = self.refine(touch, posterior, [index])
+        iou = view.imprint_ious(pose.T_sensor_object[None])[0] if pose.imprint_iou is None else pose.imprint_iou
+        hypothesis = Hypothesis(
+            float(posterior.probabilities[near].sum()), posterior.grid.T_sensor_object[index], pose, index, len(near),
+            float(iou), (float(iou),), touch.T_base_sensor,
+        )  # fmt: skip
+        (known,) = self.refinement.add_covariances([view], [hypothesis])
+        verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere)
+        return JudgedHypothesis(**vars(known), verdict=verdict)
 
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
@@ -414,6 +428,7 @@ class _Query:
             kept = hypotheses if pose_set is not None else hypotheses[: self.top]
             listed = self.first.refinement.add_covariances(self.views, kept)
         touch, *others = self.touches
+        listed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
         return Localization(touch, posterior, listed, self.times.seconds, tuple(others), pose_set, agreement)
 
     @property

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from tactile_loc.core.geometry.rigid import move_covariance
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.scene import View
@@ -59,15 +60,29 @@ class Refinement:
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Add the joint registration's covariances, given the touches, to hypotheses whose refiner gives no covariance.
+        """Add covariances, given the touches, to hypotheses whose refiner gives none, or none for the base frame.
 
-        Poses that were not refined get no covariance.
+        They come from the joint registration. Poses that were not refined get no covariance. If a refiner gives only a
+        covariance in the sensor frame, the error of the sensor's pose is added to it.
         """
-        unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
-        if not unknown or not self.refiner.capabilities.refines:
-            return tuple(hypotheses)
-        found = list(hypotheses)
-        poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
-        for k, covariance in zip(unknown, self.registration.estimate_covariances(views, poses), strict=True):
-            found[k] = replace(hypotheses[k], refined=replace(hypotheses[k].refined, covariance=covariance))
-        return tuple(found)
+        found = [h.refined for h in hypotheses]
+        unknown = [k for k, pose in enumerate(found) if pose.covariance is None]
+        if unknown and self.refiner.capabilities.refines:
+            for k, pose in zip(
+                unknown, self.registration.add_covariances(views, [found[k] for k in unknown]), strict=True
+            ):
+                found[k] = pose
+        refined = (_add_sensor_error(views[0], pose) for pose in found)
+        return tuple(replace(h, refined=pose) for h, pose in zip(hypotheses, refined, strict=True))
+
+
+def _add_sensor_error(view: View, pose: RefinedPose) -> RefinedPose:
+    """Return the pose with a `reported_covariance`, if it has none: its covariance plus the error of the sensor's pose.
+
+    The error of the sensor's pose is a twist about the middle of the gel.
+    """
+    if pose.covariance is None or pose.reported_covariance is not None:
+        return pose
+    error = np.diag([view.sensor_std_m**2] * 3 + [view.sensor_std_rad**2] * 3)
+    moved = move_covariance(error, pose.T_sensor_object[:3, 3] - view.touch.geometry.gel_middle_m)
+    return replace(pose, reported_covariance=pose.covariance + moved)

@@ -108,6 +108,9 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     x, y, z, angle_deg, axis = format_pose(np.array(best.T_sensor_object))
     rotated = f"of the object in the sensor's frame, rotated {angle_deg}° about {axis}"
     yield "best pose: x, y, z", f"{x}, {y}, {z} mm", rotated
+    if best.T_base_object is not None:
+        x, y, z, angle_deg, axis = format_pose(np.array(best.T_base_object))
+        yield "in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
     if record.verdict is not None:
         yield "verdict", name_verdict(record.verdict), explain_verdict(record.verdict)
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"

@@ -14,7 +14,7 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.results.result_arrays import NAME, read_arrays
-from tactile_loc.locate.results.result_json import read_record
+from tactile_loc.locate.results.result_json import HypothesisRecord, read_record
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
 from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
 
@@ -79,13 +79,19 @@ def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]
     symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # lies on every axis of symmetry
     obj = ObjectModel(record.object.name, arrays.mesh, symmetry)
     T_base_sensor = None if record.touch.T_base_sensor is None else np.array(record.touch.T_base_sensor)
-    poses = np.array([h.T_sensor_object for h in record.hypotheses])
-    if T_base_sensor is not None:
-        poses = T_base_sensor @ poses
+    poses = np.array([_find_pose(h, T_base_sensor) for h in record.hypotheses])
     p = np.array([h.probability for h in record.hypotheses])
     ious = [h.imprint_iou for h in record.hypotheses]
     geometry = arrays.touches[0].geometry
     return find_distinct_modes(obj, poses, p, geometry, record.touch.indentation_m, ious), T_base_sensor
+
+
+def _find_pose(h: HypothesisRecord, T_base_sensor: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Return a hypothesis's pose (4, 4), metres, in the base frame or, if that is unknown, in the sensor frame."""
+    if h.T_base_object is not None:
+        return np.array(h.T_base_object)
+    T = np.array(h.T_sensor_object)
+    return T if T_base_sensor is None else T_base_sensor @ T  # older files lack T_base_object
 
 
 def make_next_touch_record(found: NextTouch) -> NextTouchRecord:

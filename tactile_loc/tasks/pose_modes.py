@@ -44,12 +44,14 @@ class PoseModes:
     def of(cls, found: Localization) -> PoseModes:
         """Return a localisation's hypotheses in the base frame or, if unknown, in its touch's sensor frame."""
         touch = found.touch
-        T_base_sensor = np.eye(4) if touch.T_base_sensor is None else np.asarray(touch.T_base_sensor)
-        poses = np.stack([h.T_sensor_object for h in found.hypotheses])
+        in_base = [h.T_base_object for h in found.hypotheses]
+        poses = np.stack(
+            [h.T_sensor_object if T is None else T for h, T in zip(found.hypotheses, in_base, strict=True)]
+        )
         p = np.array([h.probability for h in found.hypotheses])
         obj = found.posterior.grid.metric.object
         ious = [h.imprint_iou for h in found.hypotheses]
-        return find_distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m, ious)
+        return find_distinct_modes(obj, poses, p, touch.geometry, touch.indentation_m, ious)
 
     @property
     def entropy(self) -> float:

@@ -82,6 +82,21 @@ def test_touches_of_different_sensors_are_fused(cli, listed):
     assert sizes == [[200, 200], [120, 120]]
 
 
+def test_one_touch_with_a_sensor_pose_is_located_in_the_base_frame(cli, listed):
+    """The list has one touch. The table, and the report's next touch, are in the frame of T_base_sensor."""
+    first = Path("touches.toml").read_text().split("[[touch]]")[1]
+    Path("one.toml").write_text(f"[[touch]]{first}")
+    done = cli("run", *OBJECT, "--touch", "one.toml", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    assert not missing(done.stdout, "base frame", "about the base's x, y and z axes")
+    best = json.loads(Path("out/result.json").read_text())["hypotheses"][0]
+    x_mm = f"{1e3 * best['T_base_object'][0][3]:.2f}"
+    assert x_mm in done.stdout
+    np.testing.assert_allclose(
+        best["T_base_object"], np.linalg.inv(next(iter(listed.values()))) @ best["T_sensor_object"], atol=1e-9
+    )
+
+
 def test_a_prior_reduces_the_entropy_of_an_ambiguous_touch(cli, listed):
     name, T = next(iter(listed.items()))
     file = prior(T=T.tolist(), translation_std_mm=2, rotation_std_deg=5)

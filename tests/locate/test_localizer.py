@@ -8,7 +8,7 @@ import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, GridError, NoContactError, TouchError
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.component import Capabilities
@@ -17,6 +17,7 @@ from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import judge
 from tactile_loc.locate.scoring import MOST_MATCHERS
 from tactile_loc.store.store import StageStore
 
@@ -379,3 +380,30 @@ def test_an_unrefined_pose_has_no_covariance(store):
     localizer = Localizer.create("pin", store=store, refiner="none", **COARSE)
     found = localizer.localize(localizer.simulate(1, seed=0)[0])
     assert all(h.refined.covariance is None for h in found.hypotheses)
+
+
+def test_the_most_probable_pose_has_a_probability_a_verdict_and_a_covariance(pin, touches):
+    located = dataclasses.replace(touches[1], T_base_sensor=make_translation([0.3, 0.0, 0.1]))
+    found = pin.find_most_probable_pose(located)
+    posterior = pin.posterior(located)
+    near = posterior.grid.distances(found.T_sensor_object_grid) <= pin.mode_radius_m
+    # some poses of the regular grid lie on the border of the mode, so rounding decides about them
+    assert found.probability == pytest.approx(posterior.probabilities[near].sum(), rel=1e-3)
+    assert found.grid_poses == pytest.approx(near.sum(), abs=4)
+    assert found.imprint_iou == pytest.approx(pin.scene.imprint_ious(found.T_sensor_object[None], located)[0])
+    assert found.verdict == judge(found.probability, found.imprint_iou, posterior.elsewhere)
+    assert (np.linalg.eigvalsh(found.covariance) > 0).all()
+    np.testing.assert_allclose(found.T_base_object[:3, 3] - found.T_sensor_object[:3, 3], [0.3, 0.0, 0.1], atol=1e-12)
+    refined = found.refined  # the names that the result had before
+    assert (found.contact_iou, found.converged, found.iterations) == (
+        refined.contact_iou,
+        refined.converged,
+        refined.iterations,
+    )
+
+
+def test_the_most_probable_pose_of_a_refiner_without_covariances_has_one(pin, touches, store):
+    other = Localizer.create("pin", store=store, **COARSE, refiner="icp")
+    found = other.find_most_probable_pose(touches[1])
+    assert found.covariance.shape == (6, 6)
+    assert found.imprint_iou == pytest.approx(other.scene.imprint_ious(found.T_sensor_object[None], touches[1])[0])

@@ -129,6 +129,11 @@ def rotation_to_quaternion(R: Array) -> Array:
     return np.asarray(flat, float).reshape(*R.shape[:-2], 4)
 
 
+def rotation_to_quaternion_xyzw(R: Array) -> Array:
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4), scalar last as in ROS and non-negative, unitless."""
+    return np.roll(rotation_to_quaternion(R), -1, axis=-1)
+
+
 def draw_rotations(count: int, rng: np.random.Generator) -> Array:
     """Draw rotations (count, 3, 3) uniformly over SO(3): normalised Gaussian quaternions."""
     q = rng.normal(size=(count, 4))

@@ -30,13 +30,16 @@ class Registered(NamedTuple):
     """The registered poses of an object.
 
     `T` (K, 4, 4) are its poses in the first sensor's frame. `T_each` (K, N, 4, 4) are its poses in the frame of each
-    touch's sensor, as this touch shows them. `information` (K, 6, 6) is the information about a twist of T, from before
-    the last step. `moved` (K,) is the length of the last step, mm.
+    touch's sensor, as this touch shows them. `T_reported` (K, 4, 4) are its poses relative to the reported pose of the
+    first sensor, which has an error. `information` and `reported_information` (K, 6, 6) are the information about
+    twists of T and T_reported, from before the last step. `moved` (K,) is the length of the last step, mm.
     """
 
     T: Floats
     T_each: Floats
+    T_reported: Floats
     information: Floats
+    reported_information: Floats
     moved: Floats
 
 
@@ -82,8 +85,10 @@ class Registration:
                 going = going[~done]
                 if not len(going):
                     break
-        information = self._marginalise_first(parts, T)
-        return Registered(self._view_from_first(T, T_each[:, 0]), T_each, information, moved)
+        press, sensor = self.press[0], self.sensor[0]
+        information = self._marginalise_first(parts, T, press, sensor)
+        reported = self._marginalise_first(parts, T, press + sensor, np.zeros(6))
+        return Registered(self._view_from_first(T, T_each[:, 0]), T_each, T, information, reported, moved)
 
     def _step(self, T: Floats, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, ...]:
         """Take one Gauss-Newton step of the object's poses T (K, 4, 4) and of its poses T_each in each touch.
@@ -148,14 +153,18 @@ class Registration:
         surer = np.minimum(1.0, self.noise**2 * misfit[:, 1] / np.maximum(misfit[:, 0], 1e-30))[:, None, None]
         return A * surer[..., None], b * surer
 
-    def _marginalise_first(self, parts: Floats, T: Floats) -> Floats:
-        """Return the information (K, 6, 6) about a twist of the object in the first sensor's frame.
+    def _marginalise_first(self, parts: Floats, T: Floats, own: Floats, others: Floats) -> Floats:
+        """Return the information (K, 6, 6) about a twist of the object, along the axes of the first sensor.
 
-        `parts` (K, 2, 6, 6) is the information from the first touch and from all other touches. The first part is
-        reduced by the error of the first touch's press depth, the second by the error of the first sensor's pose.
+        `parts` (K, 2, 6, 6) is the information from the first touch and from all other touches. They are reduced by
+        errors with the variances `own` (6,) and `others` (6,), which are twists about the first touch's centre.
+
+        The object's pose in the first sensor's frame is seen by the first touch with the error of its press depth, and
+        by the others with the error of the first sensor's pose. The object's pose relative to the reported pose of the
+        first sensor is seen by the first touch with both errors, and by the others with none of them.
         """
         to_centre = adjoint(np.eye(3), T[:, :3, :3] @ self.middle + T[:, :3, 3] - self.observed.centres[0])[:, None]
-        allowed = np.stack([self.press[0], self.sensor[0]])[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
+        allowed = np.stack([own, others])[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
         total = np.linalg.solve(np.eye(6) + parts @ allowed, parts).sum(axis=1)
         return np.asarray((total + total.swapaxes(1, 2)) / 2)
 

@@ -8,6 +8,7 @@ covariance.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -51,7 +52,7 @@ class RegistrationOptions(ComponentOptions):
     press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, as a share of it")
 
 
-@keep_old_names(settle="register_coarsely", covariances="estimate_covariances", scales_mm="list_scales_mm")
+@keep_old_names(settle="register_coarsely", scales_mm="list_scales_mm")
 class JointRegistration:
     """Registers poses to touches. An engine holds only options, so it serves any object and any touches."""
 
@@ -77,11 +78,10 @@ class JointRegistration:
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         results = []
         for k, given in enumerate(T_first_object):
-            T, iou = (found.T[k], after[0, k]) if good[k] else (given.copy(), before[0, k])
-            settled = bool(good[k] and found.moved[k] < SETTLED_MM and iou > 0)
-            covariance = _covariance(found.information[k], _lever_m(views[0], T)) if good[k] else None
-            seen = found.T_each[k] if good[k] else None
-            results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance, seen))
+            T, (contact, imprint) = (found.T[k], after[:, k]) if good[k] else (given.copy(), before[:, k])
+            settled = bool(good[k] and found.moved[k] < SETTLED_MM and contact > 0)
+            pose = RefinedPose(T, float(contact), settled, self.options.iterations, imprint_iou=float(imprint))
+            results.append(_add_registered(pose, found, k, views[0]) if good[k] else pose)
         return results
 
     def register_coarsely(self, views: Sequence[View], T_first_object: Poses) -> Poses:
@@ -109,9 +109,22 @@ class JointRegistration:
         found = self._register(views, T_first_object, np.array([scale_mm]), 1)
         return found.T, _covariances(found._replace(T=T_first_object), views[0])
 
-    def estimate_covariances(self, views: Sequence[View], T_first_object: Poses) -> Covariances:
-        """Return the covariance (6, 6), as in RefinedPose, of each pose (K, 4, 4), metres. Register the poses first."""
-        return self.step(views, T_first_object, self.options.scale_end_mm)[1]
+    def add_covariances(self, views: Sequence[View], poses: Sequence[RefinedPose]) -> list[RefinedPose]:
+        """Return poses, in the first touch's sensor frame, with their covariances given the touches.
+
+        Register the poses first. Their errors in the base frame are those of `RefinedPose.reported_covariance`.
+        """
+        T = np.stack([pose.T_sensor_object for pose in poses])
+        found = self._register(views, T, np.array([self.options.scale_end_mm]), 1)
+        levers_m = [_lever_m(views[0], one) for one in T]
+        return [
+            dataclasses.replace(
+                pose, covariance=_covariance(own, lever_m), reported_covariance=_covariance(reported, lever_m)
+            )
+            for pose, own, reported, lever_m in zip(
+                poses, found.information, found.reported_information, levers_m, strict=True
+            )
+        ]
 
     def list_scales_mm(self, count: int) -> Floats:
         """Return the scales (count,), mm, of the robust weights, one for each step.
@@ -139,7 +152,18 @@ class JointRegistration:
             mesh.centroid_m * MILLI,
         )  # fmt: skip
         found = registration.register(_scale(T, MILLI), scales_mm, finely)
-        return found._replace(T=_scale(found.T, 1 / MILLI), T_each=_scale(found.T_each, 1 / MILLI))
+        T, T_each, T_reported = (_scale(poses, 1 / MILLI) for poses in (found.T, found.T_each, found.T_reported))
+        return found._replace(T=T, T_each=T_each, T_reported=T_reported)
+
+
+def _add_registered(pose: RefinedPose, found: Registered, k: int, view: View) -> RefinedPose:
+    """Return the refined pose with the covariances and the poses in other frames of registered pose `k`."""
+    lever_m = _lever_m(view, pose.T_sensor_object)
+    return dataclasses.replace(
+        pose, covariance=_covariance(found.information[k], lever_m), T_sensors_object=found.T_each[k],
+        T_reported_object=found.T_reported[k],
+        reported_covariance=_covariance(found.reported_information[k], lever_m),
+    )  # fmt: skip
 
 
 def _press_std_m(view: View, press_error: float) -> float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, rotation_to_quaternion
+from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, rotation_to_quaternion_xyzw
 from tactile_loc.io.images import UNREADABLE, load_image
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -147,8 +147,7 @@ class RosPose:
         therefore needs no conversion.
         """
         numbers = [UNKNOWN, *[0.0] * 35] if covariance is None else covariance.ravel().tolist()
-        wxyz = rotation_to_quaternion(T[:3, :3])
-        return cls(tuple(T[:3, 3].tolist()), tuple(np.roll(wxyz, -1).tolist()), tuple(numbers))
+        return cls(tuple(T[:3, 3].tolist()), tuple(rotation_to_quaternion_xyzw(T[:3, :3]).tolist()), tuple(numbers))
 
     @property
     def T(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name

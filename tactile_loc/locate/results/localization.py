@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -15,53 +15,10 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.locate.conformal import PoseSet
+from tactile_loc.locate.results.hypothesis import Agreement as Agreement
+from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.verdict import Verdict, explain_verdict, judge
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """One distinct explanation of the touches.
-
-    `probability` is the probability of the whole mode, which has `grid_poses` poses of the grid. The most probable of
-    these poses is `T_sensor_object_grid` (4, 4), metres, with index `grid_index` in the grid. `refined` is the
-    refiner's result for this pose. `imprint_iou`, 0 to 1, states how well the refined pose explains the touches in
-    depth and outline (`Scene.imprint_ious`). For several touches, `imprint_ious` has one value per touch, and
-    `imprint_iou` is the mean of these values without outliers.
-    """
-
-    probability: float
-    T_sensor_object_grid: NDArray[np.float64]
-    refined: RefinedPose
-    grid_index: int
-    grid_poses: int
-    imprint_iou: float
-    imprint_ious: tuple[float, ...] = ()
-
-    @property
-    def T_sensor_object(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
-        """The answer: the refined pose (4, 4), metres."""
-        return self.refined.T_sensor_object
-
-    @property
-    def is_refined(self) -> bool:
-        """Whether the refined pose differs from the grid pose; if not, the imprint IoU means little."""
-        return not np.array_equal(self.T_sensor_object, self.T_sensor_object_grid)
-
-
-@dataclass(frozen=True, eq=False)
-class Agreement:
-    """Whether N touches agree on a pose. Touches are numbered from 0, in the order given.
-
-    `best_ious` (N,), 0 to 1, has each touch's best imprint IoU with any pose tried. The touches are `contradictory` if
-    the best hypothesis has a far lower imprint IoU with one of them. `outliers` are the touches that contradict all
-    others, while the others agree. There are no outliers if the wrong touch is unknown, as with two touches.
-    """
-
-    best_ious: tuple[float, ...] = ()
-    outliers: tuple[int, ...] = ()
-    contradictory: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +38,7 @@ class Localization:
     seconds: dict[str, float]
     others: tuple[Touch, ...] = ()
     pose_set: PoseSet | None = None
-    agreement: Agreement = Agreement()
+    agreement: Agreement = field(default_factory=Agreement)
     left_out: tuple[Touch, ...] = ()
 
     @property
@@ -112,12 +69,15 @@ class Localization:
 
     def summary(self) -> str:
         """Return the result in words: the verdict and its meaning, and the first pose in mm and degrees."""
-        x, y, z, angle_deg, axis = format_pose(self.best.T_sensor_object)
         listed, best = len(self.hypotheses), self.best
+        T, frame = best.T_sensor_object, "sensor's"
+        if best.T_base_object is not None:
+            T, frame = best.T_base_object, "base"
+        x, y, z, angle_deg, axis = format_pose(T)
         return (
             f"{self.verdict}: {explain_verdict(self.verdict)}\n"
             f"first of {listed} {'pose' if listed == 1 else 'poses'}: x {x}, y {y}, z {z} mm, rotated {angle_deg} "
-            f"degrees about {axis}, in the sensor's frame\n"
+            f"degrees about {axis}, in the {frame} frame\n"
             f"probability {format_percent(best.probability)}, imprint IoU {format_percent(best.imprint_iou)}, "
             f"not among the poses found: {format_percent(self.posterior.elsewhere)}"
         )

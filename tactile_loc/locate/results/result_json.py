@@ -80,6 +80,23 @@ class HypothesisRecord(Record):
         description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
         "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null if unknown",
     )
+    quaternion_xyzw: list[float] | None = Field(
+        default=None, description="the rotation of `T_sensor_object` as a unit quaternion, scalar last"
+    )
+    T_base_object: Matrix | None = Field(
+        default=None,
+        description="the answer in the base frame, (4, 4), m; null if the sensor's pose is unknown. For one touch, it "
+        "is `T_base_sensor` times `T_sensor_object`. For several, it averages the errors of the sensors' poses",
+    )
+    base_quaternion_xyzw: list[float] | None = Field(
+        default=None, description="the rotation of `T_base_object` as a unit quaternion, scalar last"
+    )
+    base_covariance: Covariance | None = Field(
+        default=None,
+        description="covariance (6, 6) of the error of `T_base_object`, in the order and frame of ROS's "
+        "PoseWithCovariance: x, y, z of the object frame's origin (m), rotations about the base's x, y, z axes (rad). "
+        "It includes the errors of the sensors' poses; null if unknown",
+    )
     error_m: float | None = Field(description="surface distance to the true pose, m; null if the true pose is unknown")
 
 
@@ -238,7 +255,9 @@ def _record_hypotheses(localization: Localization, errors_m: NDArray[np.float64]
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
             T_sensor_object_grid=h.T_sensor_object_grid.tolist(), T_sensor_object=h.T_sensor_object.tolist(),
             imprint_iou=h.imprint_iou, imprint_ious=list(h.imprint_ious), contact_iou=h.refined.contact_iou,
-            covariance=None if h.refined.covariance is None else h.refined.covariance.tolist(),
+            covariance=_list_rows(h.covariance), quaternion_xyzw=_list_numbers(h.quaternion_xyzw),
+            T_base_object=_list_rows(h.T_base_object), base_quaternion_xyzw=_list_numbers(h.base_quaternion_xyzw),
+            base_covariance=_list_rows(h.base_covariance),
             converged=h.refined.converged, iterations=h.refined.iterations,
             error_m=None if errors_m is None else float(errors_m[i]),
         )
@@ -263,6 +282,10 @@ def _record_errors(localization: Localization, errors_m: NDArray[np.float64] | N
     return ErrorRecord(
         best_m=float(errors_m[0]), best_listed_m=float(errors_m.min()), closest_in_grid_m=float(closest_m)
     )
+
+
+def _list_numbers(q: NDArray[np.float64] | None) -> list[float] | None:
+    return None if q is None else list(q.tolist())
 
 
 def _list_rows(T: NDArray[np.float64] | None) -> Matrix | None:
