@@ -37,7 +37,7 @@ def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None)
     touch = dataclasses.replace(touch, name=touch_name or touch.name)
     localization = localizer.localize(touch)
     record = make_record(localizer, localization, {"model": 1.5})
-    write_arrays(folder / "result.npz", gather_arrays([(localizer, touch)], localization), record)
+    write_arrays(folder / "result.npz", gather_arrays(localization.make_views(), localization), record)
     write_record(folder / "result.json", record)
     return folder
 

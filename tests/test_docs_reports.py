@@ -44,16 +44,16 @@ def test_pictures_and_links_exist():
 
 def test_the_table_lists_the_arrays_of_the_file(store):
     localizer = Localizer.create("pin", store=store, grid={"name": "face", "spacing_mm": 8})
-    touch = localizer.simulate(1)[0]
+    localization = localizer.localize(localizer.simulate(1)[0])
     written = {
         "schema_version",
         "result_sha256",
-        *pack_arrays(gather_arrays([(localizer, touch)], localizer.localize(touch))),
+        *pack_arrays(gather_arrays(localization.make_views(), localization)),
     }
     rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|", PAGE, re.MULTILINE)
     named = {name: meaning for names, meaning in rows for name in re.findall(r"`(\w+)`", names)}
     assert written == {name for name, meaning in named.items() if "optional" not in meaning}
-    assert set(named) - written == {"touch_0_observed", "touch_0_image"}
+    assert set(named) - written == {"touch_0_observed", "touch_0_image", "log_train", "left_out_0_depth_m"}
 
 
 def test_the_limits_match_the_code():

@@ -28,7 +28,7 @@ from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.matcher import ExactMatcher
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch
@@ -429,7 +429,9 @@ class _Query:
             listed = self.first.refinement.add_covariances(self.views, kept)
         touch, *others = self.touches
         listed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
-        return Localization(touch, posterior, listed, self.times.seconds, tuple(others), pose_set, agreement)
+        return Localization(
+            touch, posterior, listed, self.times.seconds, tuple(others), pose_set, agreement, config=self.first.config
+        )
 
     @property
     def known(self) -> Prior | None:
@@ -503,9 +505,7 @@ class _Query:
 
 def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
     """Return the view of a touch: its scene, and the transform from the first touch's sensor frame to its own."""
-    scene = localizer.scene.match_touch(touch)
-    T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
-    return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+    return view_touch(first, touch, localizer.scene.match_touch(touch))
 
 
 def _require_one_object(observations: Sequence[Observation]) -> None:

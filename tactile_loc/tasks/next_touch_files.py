@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
-from tactile_loc.locate.results.result_arrays import NAME, read_arrays
-from tactile_loc.locate.results.result_json import HypothesisRecord, read_record
+from tactile_loc.locate.results.result_json import HypothesisRecord
+from tactile_loc.locate.results.saved import build_object, read_files
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
 from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
 
@@ -73,11 +71,8 @@ def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]
 
     If T_base_sensor is None, the modes are in the touch's sensor frame. Raises ResultError if the files cannot be used.
     """
-    path = Path(path)
-    record = read_record(path)
-    arrays = read_arrays(path.with_name(NAME), record)
-    symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # lies on every axis of symmetry
-    obj = ObjectModel(record.object.name, arrays.mesh, symmetry)
+    record, arrays = read_files(Path(path))
+    obj = build_object(record, arrays)
     T_base_sensor = None if record.touch.T_base_sensor is None else np.array(record.touch.T_base_sensor)
     poses = np.array([_find_pose(h, T_base_sensor) for h in record.hypotheses])
     p = np.array([h.probability for h in record.hypotheses])

@@ -118,7 +118,7 @@ def test_a_result_without_a_true_pose_shows_no_error(run_folder, tmp_path, monke
     for h in document["hypotheses"]:
         h["error_m"] = None
     (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.locate.results.result_arrays.hash_record", lambda record: "same")
+    monkeypatch.setattr("tactile_loc.locate.results.result_arrays.hash_record", lambda record, read=False: "same")
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
     np.savez(folder / "result.npz", **arrays)

@@ -166,7 +166,7 @@ def _report(
     if localization.outliers:
         logger.warning("to leave out the touches that contradict the others, give --drop-outliers")
     figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
-    arrays = gather_arrays(observations, localization)
+    arrays = gather_arrays(localization.make_views(), localization)
     with lock_folder(out):
         written = [
             write_record(out / "result.json", record),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
 from tactile_loc.core.sensing.imprints import Explained, compare_imprints
@@ -201,3 +201,16 @@ class View:
     def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
         """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, in the first sensor's frame, with this touch."""
         return self.compare_imprints(T_first_object, pixels, freedom_m).imprint_ious
+
+
+def view_touch(first: Touch, touch: Touch, scene: Scene) -> View:
+    """Return the view of a touch, with its scene and the transform from the first touch's sensor frame to its own."""
+    T = relate_sensors(first, touch)
+    return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+
+
+def relate_sensors(first: Touch, touch: Touch) -> NDArray[np.float64]:
+    """Return T_sensor_first (4, 4), metres, from the first touch's sensor frame to that of another touch."""
+    if touch is first:
+        return np.eye(4)
+    return invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)

@@ -5,20 +5,32 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene, View, view_touch
+from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.verdict import Verdict, explain_verdict, judge
+from tactile_loc.store.files import lock_folder
+
+
+@dataclass(frozen=True)
+class _Source:
+    config: RunConfig
+    object: ObjectModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +42,8 @@ class Localization:
 
     The posterior includes outliers (see `agreement`), but the hypotheses do not. Touches that were `left_out` because
     they contradict the others affect neither the posterior nor the hypotheses.
+
+    `config` is the configuration of the localizer; None if a localisation was made by hand.
     """
 
     touch: Touch
@@ -40,6 +54,67 @@ class Localization:
     pose_set: PoseSet | None = None
     agreement: Agreement = field(default_factory=Agreement)
     left_out: tuple[Touch, ...] = ()
+    config: RunConfig | None = None
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `result.json` and `result.npz`, the files of `tactile-loc run`, and return their paths.
+
+        Each file is written atomically. Raises OutputError when writing fails, and ResultError if `config` is unknown.
+        """
+        from tactile_loc.io.streams.records import write_record
+        from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
+        from tactile_loc.locate.results.result_json import make_record
+        from tactile_loc.locate.results.saved import JSON_NAME
+
+        folder = Path(folder)
+        record = make_record(_Source(self._require_config(), self.object), self)
+        arrays = gather_arrays(self.make_views(), self)
+        with lock_folder(folder):
+            return [write_record(folder / JSON_NAME, record), write_arrays(folder / NAME, arrays, record)]
+
+    @classmethod
+    def load(cls, path: str | Path) -> Localization:
+        """Read a localisation that `save` or `tactile-loc run` wrote; `path` is the folder or its result.json.
+
+        Poses of the posterior and the surface are rounded to float32. The posterior has at most the 20 000 most
+        probable poses, and a surface of more than 50 000 triangles is decimated. Raises ResultError if the files cannot
+        be used, and ConfigError if this version lacks one of the settings.
+        """
+        from tactile_loc.locate.results import saved
+
+        record, arrays = saved.read_files(Path(path))
+        config = RunConfig.from_dict(record.configuration, str(path))
+        try:
+            posterior = saved.build_posterior(record, arrays, saved.build_object(record, arrays))
+            touch, *others = saved.build_touches([record.touch, *record.other_touches], arrays.touches)
+            hypotheses = tuple(saved.build_hypotheses(record, posterior))
+            left_out = saved.build_touches(record.left_out, arrays.left_out) if arrays.left_out else []
+        except (ValueError, TactileLocError) as error:
+            raise ResultError(f"{path} is damaged: {error}; locate the touches again") from error
+        return cls(
+            touch, posterior, hypotheses, dict(record.seconds), tuple(others), saved.build_pose_set(record),
+            saved.build_agreement(record), tuple(left_out), config,
+        )  # fmt: skip
+
+    @property
+    def object(self) -> ObjectModel:
+        """The located object."""
+        return self.posterior.grid.metric.object
+
+    def make_views(self) -> list[View]:
+        """Return the touches' views, with scenes that draw the object as the localizer did.
+
+        Raises ResultError if `config` is unknown.
+        """
+        config = self._require_config()
+        renderer = registry().create("renderer", config.renderer.name, config.renderer.options)
+        scenes = (Scene(self.object, touch.geometry, renderer, config.drawing) for touch in self.touches)
+        return [view_touch(self.touch, touch, scene) for touch, scene in zip(self.touches, scenes, strict=True)]
+
+    def _require_config(self) -> RunConfig:
+        if self.config is None:
+            raise ResultError("the localisation does not know its configuration; make it with Localizer.localize")
+        return self.config
 
     @property
     def touches(self) -> tuple[Touch, ...]:

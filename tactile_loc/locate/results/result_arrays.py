@@ -23,12 +23,11 @@ from tactile_loc.core.objects.mesh import TriangleMesh, check_surface
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.scene import View, relate_sensors
 from tactile_loc.io.images import load_npz
 from tactile_loc.io.meshes import simplify_mesh
-from tactile_loc.locate.localizer import Observation, make_view
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.result_json import ResultRecord
+from tactile_loc.locate.results.result_json import Located, ResultRecord
 from tactile_loc.store.files import parse_json, write_atomically
 
 NAME = "result.npz"
@@ -63,13 +62,16 @@ class ResultArrays:
     """The posterior, the surface and the touches of one result.
 
     `T_sensor_object` (N, 4, 4), metres, are the most probable grid poses, at most MOST_POSES, and `log_p` (N,) their
-    log-probabilities, sorted. `mesh` is the surface, decimated if it had more than MOST_FACES faces.
+    log-probabilities, sorted. `log_train` (N,) is as in PosePosterior, if it is known. `mesh` is the surface, decimated
+    if it had more than MOST_FACES faces. The touches `left_out` of the result have no shapes of hypotheses.
     """
 
     mesh: TriangleMesh
     T_sensor_object: Poses
     log_p: NDArray[np.float64]
     touches: tuple[TouchArrays, ...]
+    left_out: tuple[TouchArrays, ...] = ()
+    log_train: NDArray[np.float64] | None = None
 
     @property
     def mass(self) -> float:
@@ -83,19 +85,29 @@ class ResultArrays:
         return np.asarray(p / p.sum())
 
 
-def gather_arrays(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
-    """Gather the arrays of a localisation; `contacts` are its touches in order, each with its localizer."""
+def gather_arrays(views: Sequence[View], localization: Located) -> ResultArrays:
+    """Gather the arrays of a localisation; `views` are those of its touches, in order."""
     poses = np.stack([h.T_sensor_object for h in localization.hypotheses])
-    (first_localizer, first), posterior = contacts[0], localization.posterior
+    posterior, log_train = localization.posterior, localization.posterior.log_train
     touches = []
-    for localizer, touch in contacts:
-        view = make_view(first, localizer, touch)
-        made_m = view.scene.render_what_touch_shows(view.T_sensor_first @ poses, touch)
-        touches.append(TouchArrays(touch.contact_shape, touch.geometry, view.T_sensor_first, made_m, touch.image))
+    for view in views:
+        made_m = view.scene.render_what_touch_shows(view.T_sensor_first @ poses, view.touch)
+        touches.append(_gather_touch(view.touch, view.T_sensor_first, made_m))
+    left_out = [
+        _gather_touch(touch, relate_sensors(localization.touch, touch), np.empty((0, *touch.geometry.shape)))
+        for touch in localization.left_out
+    ]
     kept = find_most_probable(posterior)
-    mesh = reduce_mesh(first_localizer.object.mesh)
-    poses, log_p = _round(posterior.grid.T_sensor_object[kept]), _round(posterior.log_p[kept])
-    return ResultArrays(TriangleMesh(_round(mesh.vertices_m), mesh.faces), poses, log_p, tuple(touches))
+    mesh = reduce_mesh(views[0].scene.object.mesh)
+    return ResultArrays(
+        TriangleMesh(_round(mesh.vertices_m), mesh.faces), _round(posterior.grid.T_sensor_object[kept]),
+        _round(posterior.log_p[kept]), tuple(touches), tuple(left_out),
+        None if log_train is None else _round(log_train[kept]),
+    )  # fmt: skip
+
+
+def _gather_touch(touch: Touch, T_sensor_first: NDArray[np.float64], made_m: NDArray[Any]) -> TouchArrays:
+    return TouchArrays(touch.contact_shape, touch.geometry, T_sensor_first, made_m.astype(np.float32), touch.image)
 
 
 def _round(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -132,7 +144,7 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
     version = stored.pop("schema_version", None)
     if version is None or str(version) != str(SCHEMA_VERSION):
         raise ResultError(f"{path} has version {version}, but this tactile-loc reads version {SCHEMA_VERSION}; {AGAIN}")
-    if str(stored.pop("result_sha256", "")) != hash_record(record):
+    if str(stored.pop("result_sha256", "")) != hash_record(record, read=True):
         raise ResultError(f"{path} belongs to another result than the .json file beside it; {AGAIN}")
     try:
         arrays = unpack_arrays(stored)
@@ -143,10 +155,13 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
     return arrays
 
 
-def hash_record(record: ResultRecord) -> str:
-    """Return the SHA-256 (hex) of a record's content, which shows whether a .json and an .npz file belong together."""
+def hash_record(record: ResultRecord, read: bool = False) -> str:
+    """Return the SHA-256 (hex) of a record's content, which shows whether a .json and an .npz file belong together.
+
+    If the record was `read` from a file, only the keys in the file count, because older files lack some.
+    """
     try:
-        return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+        return hashlib.sha256(record.model_dump_json(exclude_unset=read).encode()).hexdigest()
     except PydanticSerializationError as error:  # for instance a lone surrogate in a text
         raise ResultError(f"result.json holds text that is not Unicode; {AGAIN}") from error
 
@@ -157,8 +172,11 @@ def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
         "vertices_m": result.mesh.vertices_m.astype(np.float32), "faces": result.mesh.faces.astype(np.int32),
         "T_sensor_object": result.T_sensor_object.astype(np.float32), "log_p": result.log_p.astype(np.float32),
     }  # fmt: skip
-    for number, touch in enumerate(result.touches):
-        arrays |= {f"touch_{number}_{name}": value for name, value in _pack_touch(touch).items()}
+    if result.log_train is not None:
+        arrays["log_train"] = result.log_train.astype(np.float32)
+    for kind, touches in (("touch", result.touches), ("left_out", result.left_out)):
+        for number, touch in enumerate(touches):
+            arrays |= {f"{kind}_{number}_{name}": value for name, value in _pack_touch(touch).items()}
     return arrays
 
 
@@ -167,18 +185,24 @@ def unpack_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
     mesh = TriangleMesh(_read_numbers(arrays, "vertices_m"), _read_numbers(arrays, "faces").astype(np.int64))
     if mesh.vertices_m.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
         raise ValueError("its vertices or faces do not have three columns")
-    count = sum(name.startswith("touch_") and name.endswith("_geometry") for name in arrays)
-    touches = []
-    for number in range(count):
-        head = f"touch_{number}_"
-        touches.append(_unpack_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}))
+    touches, left_out = (_unpack_touches(arrays, kind) for kind in ("touch", "left_out"))
     if not touches or not mesh.faces.size or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
         raise ValueError("it has no touch or no surface")
     check_surface(mesh, "its surface")
     T, log_p = _read_numbers(arrays, "T_sensor_object"), _read_numbers(arrays, "log_p")
     if T.shape != (*log_p.shape, 4, 4) or log_p.size == 0:
         raise ValueError("its poses and log-probabilities differ in number")
-    return ResultArrays(mesh, T, log_p, tuple(touches))
+    log_train = _read_numbers(arrays, "log_train") if "log_train" in arrays else None
+    return ResultArrays(mesh, T, log_p, touches, left_out, log_train)
+
+
+def _unpack_touches(arrays: dict[str, NDArray[Any]], kind: str) -> tuple[TouchArrays, ...]:
+    """Return the touches whose arrays' names start with `kind` and their number."""
+    count = sum(name.startswith(f"{kind}_") and name.endswith("_geometry") for name in arrays)
+    heads = [f"{kind}_{number}_" for number in range(count)]
+    return tuple(
+        _unpack_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}) for head in heads
+    )
 
 
 def _pack_touch(touch: TouchArrays) -> dict[str, NDArray[Any]]:

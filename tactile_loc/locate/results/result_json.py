@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,15 @@ from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc.io.config import TouchConfig
+from tactile_loc.io.config import RunConfig, TouchConfig
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.streams.records import Record, read_document, read_versions
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.results.verdict import Verdict
 
 SCHEMA_VERSION = 2
@@ -48,6 +48,13 @@ class TouchRecord(Record):
     press_depth_m: float = Field(description="press depth of the contact shape, m")
     indentation_m: float = Field(description="how deep the object was pressed into the gel, m")
     T_base_sensor: Matrix | None = Field(description="the sensor's pose, (4, 4), m; null if unknown")
+    T_base_sensor_std_m: float | None = Field(
+        default=None, description="standard deviation of the error of `T_base_sensor` along each axis, m"
+    )
+    T_base_sensor_std_rad: float | None = Field(default=None, description="the same about each axis, rad")
+    indentation_std_m: float = Field(
+        default=0.0, description="standard deviation of the indentation's error, m, if the sensor knows it; else 0"
+    )
     T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null if unknown")
     best_imprint_iou: float | None = Field(
         default=None, description="with several touches: the best imprint IoU of any pose tried with this touch, 0 to 1"
@@ -152,6 +159,9 @@ class ResultRecord(Record):
     normalised_entropy: float = Field(
         description="entropy / log(grid_poses): 0 if one pose is certain, 1 if all poses are equally probable"
     )
+    posterior_touches: int = Field(
+        default=1, description="number of touches behind the posterior, with those behind a prior"
+    )
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
     hypotheses: list[HypothesisRecord] = Field(min_length=1, description="distinct explanations, the best first")
     pose_set: PoseSetRecord | None = Field(
@@ -196,19 +206,76 @@ def read_record(path: Path) -> ResultRecord:
         raise ResultError(f"{path} is damaged: {where}: {first['msg']}; run tactile-loc again") from error
 
 
-def make_record(
-    localizer: Localizer, localization: Localization, seconds: Mapping[str, float] | None = None
-) -> ResultRecord:
-    """Make the record of a localisation. `seconds` has the durations of other stages to add."""
-    config, posterior = localizer.config, localization.posterior
+class Configured(Protocol):
+    """A located object and its configuration, such as those of a Localizer."""
+
+    @property
+    def config(self) -> RunConfig:
+        """All settings."""
+
+    @property
+    def object(self) -> ObjectModel:
+        """The object."""
+
+
+class Located(Protocol):
+    """The parts of a Localization that are written."""
+
+    @property
+    def touch(self) -> Touch:
+        """See Localization."""
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """See Localization."""
+
+    @property
+    def posterior(self) -> PosePosterior:
+        """See Localization."""
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """See Localization."""
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """See Localization."""
+
+    @property
+    def pose_set(self) -> PoseSet | None:
+        """See Localization."""
+
+    @property
+    def agreement(self) -> Agreement:
+        """See Localization."""
+
+    @property
+    def left_out(self) -> tuple[Touch, ...]:
+        """See Localization."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """See Localization."""
+
+    @property
+    def normalised_entropy(self) -> float:
+        """See Localization."""
+
+    def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
+        """See Localization."""
+
+
+def make_record(source: Configured, localization: Located, seconds: Mapping[str, float] | None = None) -> ResultRecord:
+    """Make the record of a localisation by a localizer. `seconds` has the durations of other stages to add."""
+    config, posterior = source.config, localization.posterior
     touches = _record_touches(localization, config.touch)
-    errors_m = localization.measure_errors_m(localizer.object)
+    errors_m = localization.measure_errors_m(source.object)
     return ResultRecord(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=read_versions(),
         configuration=config.resolve(),
         distributions={slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS},
-        object=_record_object(localizer.object),
+        object=_record_object(source.object),
         touch=touches[0],
         other_touches=touches[1:],
         contradictory=localization.agreement.contradictory,
@@ -216,6 +283,7 @@ def make_record(
         verdict=localization.verdict,
         grid_poses=len(posterior.grid),
         elsewhere=posterior.elsewhere,
+        posterior_touches=posterior.touches,
         normalised_entropy=localization.normalised_entropy,
         entropy_nats=posterior.entropy,
         hypotheses=_record_hypotheses(localization, errors_m),
@@ -233,14 +301,18 @@ def _record_object(obj: ObjectModel) -> ObjectRecord:
 
 
 def _record_touch(touch: Touch, source: TouchConfig) -> TouchRecord:
+    placed = touch.T_base_sensor is not None
     return TouchRecord(
         name=touch.name, path=source.path, noise=source.noise if source.path is None else None,
         image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m, indentation_m=touch.indentation_m,
         T_base_sensor=_list_rows(touch.T_base_sensor), T_sensor_object=_list_rows(touch.T_sensor_object),
+        T_base_sensor_std_m=touch.T_base_sensor_std_m if placed else None,
+        T_base_sensor_std_rad=touch.T_base_sensor_std_rad if placed else None,
+        indentation_std_m=touch.contact_shape.indentation_std_m,
     )  # fmt: skip
 
 
-def _record_touches(localization: Localization, source: TouchConfig) -> list[TouchRecord]:
+def _record_touches(localization: Located, source: TouchConfig) -> list[TouchRecord]:
     agreement = localization.agreement
     records = [_record_touch(touch, source) for touch in localization.touches]
     return [
@@ -249,7 +321,7 @@ def _record_touches(localization: Localization, source: TouchConfig) -> list[Tou
     ]
 
 
-def _record_hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
+def _record_hypotheses(localization: Located, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
     return [
         HypothesisRecord(
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
@@ -274,7 +346,7 @@ def _record_pose_set(found: PoseSet | None) -> PoseSetRecord | None:
     )  # fmt: skip
 
 
-def _record_errors(localization: Localization, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:
+def _record_errors(localization: Located, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:
     T_true = localization.touch.T_sensor_object
     if errors_m is None or T_true is None:
         return None

@@ -107,7 +107,7 @@ def test_each_touch_shows_the_hypotheses_from_its_own_sensor(localizer):
         (localizer, dataclasses.replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object)))) for t in touches
     ]
     localization = localize_together(contacts)
-    arrays = gather_arrays(contacts, localization)
+    arrays = gather_arrays(localization.make_views(), localization)
     T = arrays.touches[1].T_sensor_first @ localization.best.T_sensor_object
     expected = localizer.scene.contact_shape(T, touches[1].press_depth_m)
     assert np.abs(arrays.touches[1].make_shape(0).depth_m - expected.depth_m).max() < 1e-6
