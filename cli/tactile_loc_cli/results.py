@@ -13,7 +13,9 @@ from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc_cli.console import format_count, say, say_table, write_flags
 
 if TYPE_CHECKING:
+    from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+    from tactile_loc.locate.results.localization import Localization
     from tactile_loc.locate.results.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
     from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
@@ -40,7 +42,8 @@ def say_result(record: ResultRecord) -> None:
     """
     from tactile_loc.locate.results.verdict import explain_verdict
 
-    touch = "simulated touch" if record.touch.path is None else record.touch.name
+    simulated = format_count(1 + len(record.other_touches), "simulated touch")
+    touch = simulated if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     if record.verdict is not None:
         say(f"{record.verdict}: {explain_verdict(record.verdict)}")
@@ -49,6 +52,13 @@ def say_result(record: ResultRecord) -> None:
     say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)
     for line in _summarise(record):
         say(line)
+
+
+def say_alone(alone: Localization, obj: ObjectModel) -> None:
+    """Write what the first simulated touch alone shows of an object."""
+    errors_m = alone.measure_errors_m(obj)
+    off = "" if errors_m is None else f"; first pose: {format_millimetres(errors_m[0])} off"
+    say(f"the first touch alone: {alone.verdict}, {alone.count_explanations()}{off}")
 
 
 def _summarise(record: ResultRecord) -> Iterator[str]:

@@ -42,9 +42,9 @@ def draw_pose(
     seen = tracer.look(bounds, shape)
     image = shade(seen, np.array([STEEL, GEL, HOUSING]), tracer.cast_shadow(seen, 0.02))
     size_mm = float(np.ptp(estimate.reshape(-1, 3), axis=0).max())
-    _paint(image, seen.find_edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
+    paint(image, seen.find_edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
     if truth is not None:
-        _paint(image, _thicken(Tracer([truth], view).look(bounds, shape).find_edges(0.04 * size_mm)), TRUTH, 0.95)
+        paint(image, thicken(Tracer([truth], view).look(bounds, shape).find_edges(0.04 * size_mm)), TRUTH, 0.95)
     axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
     _draw_axes(axes, view, geometry, _measure_height_mm(geometry, estimate, truth), _Picture(seen, bounds))
     axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
@@ -89,7 +89,7 @@ def _choose_size(bounds: Bounds) -> tuple[int, int]:
     return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
 
 
-def _paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) -> None:
+def paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) -> None:
     """Blend a colour into the marked pixels (H, W) of an RGBA image, in place."""
     from matplotlib.colors import to_rgb
 
@@ -97,7 +97,8 @@ def _paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) 
     image[where, 3] = np.maximum(image[where, 3], opacity)
 
 
-def _thicken(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def thicken(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (H, W) whose marked pixels also mark the pixels below and to the right."""
     grown = marked.copy()
     grown[1:] |= marked[:-1]
     grown[:, 1:] |= marked[:, :-1]

@@ -18,6 +18,7 @@ from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.simulation.noise import Float32, TouchNoise
+from tactile_loc.core.simulation.resting_touches import face_each_other
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
@@ -87,13 +88,12 @@ class RobotTouches:
 
         Raises TouchError if hardly any grip makes two touches.
         """
-        facing = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
         scene = Scene(self.object, self.geometry, self.renderer)
         for _ in range(MOST_DRAWS):
             T = self.draw_pose(rng)
             if T is None:
                 continue
-            poses, touching = scene.bring_to_contact(np.stack([T, facing @ T]))
+            poses, touching = scene.bring_to_contact(face_each_other(T))
             if not touching.all():
                 continue
             poses[:, 2, 3] -= press_m

@@ -74,6 +74,7 @@ class TouchConfig(_Strict):
 
 WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # the grid for tasks that need listed poses: the paper's protocol, and sweeps
+EXACT = SlotConfig(name="zbuffer")  # the renderer of simulated touches that are independent of the default renderer
 OF_WHOLE = {"encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16})}  # for WHOLE
 
 

@@ -1,9 +1,10 @@
-"""Reads a list of touches of one object from a TOML file: each touch's file, sensor and sensor pose."""
+"""Reads and writes a list of touches of one object as TOML: each touch's file, sensor and sensor pose."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from tactile_loc.io.toml import (
     Matrix,
     PoseKeys,
     Positive,
+    format_toml,
     list_tables,
     name_errors,
     name_pose_keys,
@@ -30,6 +32,7 @@ from tactile_loc.io.toml import (
     scale,
 )
 from tactile_loc.io.touches import read_contents
+from tactile_loc.store.files import write_atomically
 
 Pose = NDArray[np.float64]
 
@@ -91,6 +94,16 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
             _require_pose(touch, len(tables) > 1, of_flange)
             touches.append(touch)
     return tuple(touches)
+
+
+def write_touch_list(path: str | Path, sensor_poses: Mapping[str, Pose]) -> Path:
+    """Write a list of touches as TOML, atomically, and return the path. Raises OutputError if that fails.
+
+    `sensor_poses` has `T_base_sensor` (4, 4), metres, by the touch's file. Files are relative to the list's folder.
+    """
+    tables = [{"path": file, "T_base_sensor": T.tolist()} for file, T in sensor_poses.items()]
+    text = format_toml({"touch": tables})
+    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _read_mount(path: Path, values: dict[str, Any]) -> Mount | None:

@@ -22,6 +22,7 @@ from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import TouchNoise, make_noise
+from tactile_loc.core.simulation.resting_touches import draw_resting_touches
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.common_poses import NoCommonPoseError, require_sensor_poses
 from tactile_loc.core.slots.compatibility import require_compatible
@@ -122,10 +123,21 @@ class Localizer:
 
         `noise` is none, mild or strong. Raises ConfigError for another noise, or for a count or seed below 0.
         """
-        if min(count, seed) < 0:
-            raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers, 0 or more")
-        rng = np.random.default_rng(seed)
+        rng = _make_generator(count, seed)
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise))
+
+    def simulate_together(
+        self, count: int = 3, seed: int = 0, press_depth_m: float | None = None, noise: str = "none",
+        opposed: bool = False,
+    ) -> list[Touch]:  # fmt: skip
+        """Simulate touches of one object at rest, with known true poses and sensor poses `T_base_sensor`.
+
+        The touches are drawn as by `simulate`. With `opposed`, they are pairs of a gripper's two fingers, so that the
+        second sensor of a pair faces the first. Raises as `simulate`, and TouchError for an odd number of opposed
+        touches.
+        """
+        rng = _make_generator(count, seed)
+        return draw_resting_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise), opposed)
 
     def require_own(self, touch: Touch) -> None:
         """Raise TouchError unless `touch` is a Touch of this sensor."""
@@ -285,6 +297,13 @@ class Localizer:
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
         return self.refinement.refiner.refine_many(touch, candidates, self.scene.match_touch(touch))
+
+
+def _make_generator(count: int, seed: int) -> np.random.Generator:
+    """Return the random generator of `count` simulated touches. Raises ConfigError for a count or seed below 0."""
+    if min(count, seed) < 0:
+        raise ConfigError(f"cannot simulate {count} touches with seed {seed}; give whole numbers, 0 or more")
+    return np.random.default_rng(seed)
 
 
 Observation = tuple[Localizer, Touch]

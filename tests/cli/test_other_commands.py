@@ -15,6 +15,7 @@ from tactile_loc import __version__
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import choose_component
+from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.store.store import StageStore
 
@@ -86,6 +87,26 @@ def test_simulate_writes_touches_that_run_reads(cli):
     assert run.exit_code == 0, run.stderr
     result = json.loads(Path("result/result.json").read_text())
     assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]
+
+
+def test_simulated_touches_of_an_object_at_rest_are_listed(cli):
+    done = cli("simulate", "--together", 2, "--opposed", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    record = json.loads(Path("out/poses.json").read_text())
+    for touch in read_touch_list("out/touches.toml"):
+        assert touch.T_base_sensor.tolist() == record["T_base_sensor"][touch.path.stem]
+        placed = touch.T_base_sensor @ np.array(record["T_sensor_object"][touch.path.stem])
+        np.testing.assert_allclose(placed, record["T_base_object"], atol=1e-12)
+    alone = cli("simulate", "--count", 1, "--out", "out")
+    assert "touches.toml" in alone.stderr  # it does not fit the new touches
+
+
+@pytest.mark.parametrize(
+    "words", [["--opposed"], ["--together", 3, "--opposed"], ["--together", 3, "--count", 3]], ids=str
+)
+def test_numbers_of_touches_that_do_not_fit_are_refused(cli, words):
+    assert_refused(cli("simulate", *words, "--out", "out"))
+    assert not Path("out/touches.toml").exists()
 
 
 def test_simulate_with_noise_follows_the_seed(cli):

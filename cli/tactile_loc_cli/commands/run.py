@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-result")
 MOST_SHOWN = 60  # touches of a folder whose contact shapes a report shows
-DRAWN = 8  # number of simulated touches; the touch with the most contact is used
+TOGETHER = 3  # number of simulated touches
 
 Given = Annotated[
     RunOptions,
@@ -64,9 +64,9 @@ def run(
 ) -> dict[str, Any]:
     """Locate an object from one touch or several.
 
-    The touches of a list are used together. The touches of a folder are located one by one. Without options, a demo
-    object is located from a simulated touch: the touch with the most contact among eight. The object's model is built
-    once and stored.
+    The touches of a list are used together. The touches of a folder are located one by one. Without --touch, the object
+    is located from three simulated touches together. The output also states what the first touch alone shows. The
+    object's model is built once and stored.
     """
     from tactile_loc.locate.touch_files import is_folder
 
@@ -103,9 +103,10 @@ def _locate_together(
     for one, touch in observations:
         build_model(one, touch.press_depth_m)
     seconds = {"model": time.perf_counter() - start}
+    alone = localize_together(observations[:1], known) if localizer.config.touch.path is None else None
     localization = localize_together(observations, known)
     located = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
-    return _report(located, localization, seconds, out, page, rerun)
+    return _report(located, localization, seconds, out, page, rerun, alone)
 
 
 def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:
@@ -134,12 +135,21 @@ def _require_none(prior: Path | None, rerun: Path | None) -> None:
 
 
 def _read_observations(localizer: Localizer) -> list[Observation]:
-    """Return the given touches, or a simulated touch, each with its localizer."""
+    """Return the given touches, or simulated touches of the object at rest, each with its localizer."""
     asked = localizer.config.touch
     if asked.path is not None:
         return options.read_touches(localizer, Path(asked.path))
-    touches = localizer.simulate(DRAWN, localizer.config.seed, asked.press_depth_m, asked.noise)
-    return [(localizer, max(touches, key=lambda touch: touch.contact_shape.contact.sum()))]
+    return [(localizer, touch) for touch in _simulate(localizer)]
+
+
+def _simulate(localizer: Localizer) -> list[Touch]:
+    """Simulate touches of the object at rest, independently of the renderer that locates them."""
+    from tactile_loc.io.config import EXACT
+    from tactile_loc.locate.localizer import Localizer
+
+    config = localizer.config.model_copy(update={"renderer": EXACT})
+    drawing, asked = Localizer(config, localizer.object, localizer.store), config.touch
+    return drawing.simulate_together(TOGETHER, config.seed, asked.press_depth_m, asked.noise)
 
 
 def _report(
@@ -149,23 +159,33 @@ def _report(
     out: Path,
     page: bool,
     rerun: Path | None,
+    alone: Localization | None,
 ) -> dict[str, Any]:
-    """Show the result and write its files. Return the result with the paths of the files."""
+    """Show the result and write its files. Return the result with the paths of the files.
+
+    `alone` is the result of the first simulated touch alone.
+    """
     from tactile_loc.drawing.pictures import draw_result, save_figure
+    from tactile_loc.drawing.touching_again import draw_touching_again
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
     from tactile_loc.locate.results.result_json import make_record
-    from tactile_loc_cli.results import make_title, say_result
+    from tactile_loc_cli.results import make_title, say_alone, say_result
 
     localizer = observations[0][0]
     record = make_record(localizer, localization, seconds)
     say_result(record)
+    if alone is not None:
+        say_alone(alone, localizer.object)
     for sentence in list_doubts(record):
         logger.warning("%s", sentence)
     if localization.outliers:
         logger.warning("to leave out the touches that contradict the others, give --drop-outliers")
-    figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
+    if alone is None:
+        figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
+    else:
+        figure = draw_touching_again(alone, localization, localizer.scene, make_title(record))
     arrays = gather_arrays(localization.make_views(), localization)
     with lock_folder(out):
         written = [

@@ -11,7 +11,7 @@ import typer
 from tactile_loc.core.errors import ConfigError, OutputError
 from tactile_loc.store.files import require_writable, write_atomically, write_json
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say
+from tactile_loc_cli.console import format_count, say
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_OUT = Path("tactile-loc-touches")
+DEFAULT_OUT, LIST = Path("tactile-loc-touches"), "touches.toml"
+COUNT, MOST = 10, 100_000  # default and largest numbers of touches
 BATCH = 16  # images rendered at a time
 
 Lamps = Annotated[
@@ -43,7 +44,22 @@ RecordingFile = Annotated[
         "poses. The images are depths in metres; with --images, photos.",
     ),
 ]  # fmt: skip
-Count = Annotated[int, options.declare("--count", "N", "Number of touches.", min=1, max=100_000)]
+Count = Annotated[int | None, options.declare("--count", "N", "Number of touches. Default: 10.", min=1, max=MOST)]
+Together = Annotated[
+    int | None,
+    options.declare(
+        "--together", "N",
+        "Simulate N touches of one object at rest instead, and also write touches.toml: a list of the touches with "
+        "their sensor poses.",
+        min=1, max=MOST,
+    ),
+]  # fmt: skip
+Opposed = Annotated[
+    bool,
+    typer.Option(
+        "--opposed", help="With --together: pairs of touches by the two fingers of a gripper, which face each other."
+    ),
+]
 Images = Annotated[
     bool, typer.Option("--images", help="Also write camera images: NAME.png for each touch, and background.png.")
 ]
@@ -59,7 +75,9 @@ Given = Annotated[
 
 def simulate(
     given: Given,
-    count: Count = 10,
+    count: Count = None,
+    together: Together = None,
+    opposed: Opposed = False,
     images: Images = False,
     optics: Lamps = None,
     recording: RecordingFile = None,
@@ -67,8 +85,10 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate touches with known poses.
 
-    The poses are drawn at random from the grid's range. `run --touch` reads the written contact shapes (npz).
+    The poses are drawn at random from the grid's range. `run --touch` reads the written contact shapes (npz), and a
+    list of touches (touches.toml).
     """
+    _require_one_kind(count, together, opposed, recording)
     settings = options.make_config(given)
     seen_by = _find_optics(optics, settings.sensor.name) if images or optics is not None else None
     if recording is not None and out != DEFAULT_OUT:
@@ -76,19 +96,35 @@ def simulate(
     require_writable(out if recording is None else recording.parent)
     localizer = options.open_localizer(settings, None)
     if recording is not None:
-        return _write_recording(recording, localizer, count, seen_by)
-    touches = localizer.simulate(count, settings.seed, settings.touch.press_depth_m, settings.touch.noise)
+        return _write_recording(recording, localizer, count or COUNT, seen_by)
+    drawn = settings.seed, settings.touch.press_depth_m, settings.touch.noise
+    if together is None:
+        touches = localizer.simulate(count or COUNT, *drawn)
+    else:
+        touches = localizer.simulate_together(together, *drawn, opposed)
     record = _write(localizer, touches, out)
     if seen_by is not None:
         _write_images(touches, localizer.scene.geometry, seen_by, settings.seed, out)
     written = (
         "poses.json and touches.png" if seen_by is None else "their images, background.png, poses.json, touches.png"
     )
-    say(f"written: {len(touches)} touches, {written} in {out}")
+    if together is not None:
+        written = f"{LIST}, {written}"
+    say(f"written: {format_count(len(touches), 'touch')}, {written} in {out}")
     names = [touch.name for touch in touches]
-    _warn_of_others(out, names)
+    _warn_of_others(out, names, together is not None)
     pictures = [] if seen_by is None else [str(out / f"{name}.png") for name in names]
     return {"folder": str(out), "touches": [str(out / f"{name}.npz") for name in names], "images": pictures, **record}
+
+
+def _require_one_kind(count: int | None, together: int | None, opposed: bool, recording: Path | None) -> None:
+    """Raise ConfigError for options that do not go together."""
+    if opposed and together is None:
+        raise ConfigError("--opposed needs the number of touches; give --together 2")
+    if together is not None and count is not None:
+        raise ConfigError("--together gives the number of touches; leave out --count")
+    if together is not None and recording is not None:
+        raise ConfigError("--recording writes a slide over the object; leave out --together")
 
 
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
@@ -111,6 +147,7 @@ def _write_recording(path: Path, localizer: Localizer, images: int, optics: Opti
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
     """Write the touches, their poses and their picture; return the contents of poses.json."""
     from tactile_loc.drawing.pictures import draw_touches, save_figure
+    from tactile_loc.io.touch_lists import write_touch_list
     from tactile_loc.io.touches import OVERVIEW, TRUE_POSES, write_touch
 
     try:
@@ -127,15 +164,30 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
         "configuration": localizer.config.resolve(),
         "T_sensor_object": {t.name: t.T_sensor_object.tolist() for t in touches if t.T_sensor_object is not None},
     }
-    write_json(out / TRUE_POSES, record)
+    if rest := _describe_rest(touches):
+        write_touch_list(out / LIST, {f"{t.name}.npz": t.T_base_sensor for t in touches if t.T_base_sensor is not None})
+    write_json(out / TRUE_POSES, record | rest)
     name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
     save_figure(out / OVERVIEW, draw_touches(touches, title))
-    return record
+    return record | rest
 
 
-def _warn_of_others(out: Path, names: list[str]) -> None:
-    """Warn about older touches in the folder."""
+def _describe_rest(touches: list[Touch]) -> dict[str, Any]:
+    """Return the poses, in the base frame, of an object at rest and of the sensors that touch it, as JSON values.
+
+    Nothing is returned if the touches have no sensor poses.
+    """
+    first, sensors = touches[0], {t.name: t.T_base_sensor.tolist() for t in touches if t.T_base_sensor is not None}
+    if first.T_base_sensor is None or first.T_sensor_object is None:
+        return {}
+    return {"T_base_object": (first.T_base_sensor @ first.T_sensor_object).tolist(), "T_base_sensor": sensors}
+
+
+def _warn_of_others(out: Path, names: list[str], listed: bool) -> None:
+    """Warn about older touches in the folder, and about an older list of them."""
+    if not listed and (out / LIST).exists():
+        logger.warning("%s is older than the touches, and does not fit them; remove it", out / LIST)
     others = sorted(path.name for path in out.glob("*.npz") if path.stem not in names)
     if others:
         logger.warning(

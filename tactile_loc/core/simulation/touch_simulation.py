@@ -42,28 +42,21 @@ def draw_touches(
     Raises TouchError if the press depth is beyond the sensor's range, or if hardly any press leaves an imprint. Raises
     GridError if hardly any pose touches.
     """
-    deepest = scene.geometry.max_depth_m
-    press = deepest if press_depth_m is None else press_depth_m
-    if not 0 < press <= deepest:
-        raise TouchError(
-            f"the press depth cannot be {press * 1e3:.3g} mm on this sensor; give more than 0 and at most "
-            f"{deepest * 1e3:.3g} mm"
-        )
-    press_noise = PressNoise(noise or TouchNoise(), scene.use_pressed_drawing(), press_depth_m, rng.spawn(1)[0])
+    presses = PressNoise.of(scene, rng, press_depth_m, noise)
     touches: list[Touch] = []
     rounds = tried = 0
     while len(touches) < count:
         if rounds == MOST_ROUNDS:
             raise TouchError(
-                f"hardly any press of {scene.object.name} by {press * 1e3:.3g} mm leaves an imprint with an edge or a "
-                "feature; press deeper or choose another face"
+                f"hardly any press of {scene.object.name} by {presses.deepest_m * 1e3:.3g} mm leaves an imprint "
+                "with an edge or a feature; press deeper or choose another face"
             )
         rounds += 1
         poses = draw_contact_poses(sampler, scene, count - len(touches), rng)
         tried += len(poses)
         percent = sampler.options.min_contact_percent
-        for T, shape in zip(*press_noise.press(poses, percent), strict=True):
-            touch = _make_touch(shape, scene, T, f"touch-{len(touches):04d}")
+        for T, shape in zip(*presses.press(poses, percent), strict=True):
+            touch = make_touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
     return touches, tried - len(touches)
 
@@ -77,6 +70,27 @@ class PressNoise:
 
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
+
+    @classmethod
+    def of(
+        cls, scene: Scene, rng: np.random.Generator, press_depth_m: float | None, noise: TouchNoise | None
+    ) -> PressNoise:
+        """Make the presses of simulated touches, with a random generator of their own.
+
+        Raises TouchError if the press depth is beyond the sensor's range.
+        """
+        deepest = scene.geometry.max_depth_m
+        if press_depth_m is not None and not 0 < press_depth_m <= deepest:
+            raise TouchError(
+                f"the press depth cannot be {press_depth_m * 1e3:.3g} mm on this sensor; give more than 0 and at most "
+                f"{deepest * 1e3:.3g} mm"
+            )
+        return cls(noise or TouchNoise(), scene.use_pressed_drawing(), press_depth_m, rng.spawn(1)[0])
+
+    @property
+    def deepest_m(self) -> float:
+        """The depth of the deepest press, metres."""
+        return self.scene.geometry.max_depth_m if self.press_depth_m is None else self.press_depth_m
 
     def press(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
         """Press an object at poses (N, 4, 4), metres, where it just touches. Return the pressed poses and their shapes.
@@ -128,7 +142,7 @@ def lower(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
     return T
 
 
-def _make_touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
+def make_touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
     """Make one touch. Return None if there is no contact, or if a flat face covers the sensor."""
     try:
         return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)

@@ -26,6 +26,8 @@ from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.verdict import Verdict, explain_verdict, judge
 from tactile_loc.store.files import lock_folder
 
+ALIKE = 0.02  # difference of imprint IoUs, below which poses explain touches equally well
+
 
 @dataclass(frozen=True)
 class _Source:
@@ -141,6 +143,20 @@ class Localization:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
         return judge(self.best.probability, iou, self.posterior.elsewhere)
+
+    @property
+    def equal_explanations(self) -> tuple[Hypothesis, ...]:
+        """The hypotheses that explain the touches as well as the one that explains them best, which is one of them."""
+        best = max(h.imprint_iou for h in self.hypotheses)
+        return tuple(h for h in self.hypotheses if h.imprint_iou >= best - ALIKE)
+
+    def count_explanations(self) -> str:
+        """State in words how many of the listed poses explain the touches equally well."""
+        count, touched = len(self.equal_explanations), "touches" if self.others else "touch"
+        if count == 1:
+            return f"one pose explains the {touched} best"
+        least = "at least " if count == len(self.hypotheses) else ""
+        return f"{least}{count} poses explain the {touched} equally well"
 
     def summary(self) -> str:
         """Return the result in words: the verdict and its meaning, and the first pose in mm and degrees."""
