@@ -24,9 +24,9 @@ help: ## list the targets
 setup: $(STAMP) ## make .venv with everything pinned; does nothing when it is up to date
 	@echo "setup: $(VENV) is ready"
 
-demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in out/demo
-	@echo "demo: one touch, where is the object?"
-	@$(VENV)/bin/tactile-loc run --seed 7 --out out/demo
+demo: $(STAMP) ## locate a shipped object from three simulated touches, and draw it in out/demo
+	@echo "demo: three touches, where is the object?"
+	@$(VENV)/bin/tactile-loc run --out out/demo
 	@for picture in out/demo/*.png; do if [ -e "$$picture" ]; then echo "demo: the picture is $$picture"; fi; done
 
 test: $(STAMP) ## lint, check the types and run all tests that are not slow
