@@ -25,8 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry.rigid import invert, transform_points
-from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -34,18 +32,17 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.metrics import compute_surface_distances
+from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.store import StageStore
 
 MM = 1e3
 VERY_THICK_MM = 1e3  # acts as a half-space
 SIZES_PX = {"gelsight-mini": (160, 120), "gelslim": (160, 160)}  # at which ContactMechanics solves a touch in a second
 CASES = ("elastic, located as elastic", "elastic, taken for rigid", "rigid")
-POINTS = 2000  # of the surface, whose distances are averaged
 RIGHT_MM = 0.5
-AS_WELL = 0.02  # a pose whose imprint IoU is not lower by more explains the touches as well as the true pose
 Columns = tuple[list[float], list[float], list[float], list[float], list[float]]
 
 
@@ -82,25 +79,6 @@ def press_elastic(touch: Touch, source: RobotTouches, gel: Gel) -> Touch:
     return dataclasses.replace(touch, contact_shape=ContactShape(shown, press_m), geometry=elastic)
 
 
-def measure_surface_mm(mesh: TriangleMesh, T: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Return the mean distance, mm, of the surface at pose T (4, 4) from the surface at the true pose (4, 4)."""
-    import trimesh
-
-    points_m = mesh.sample(POINTS, np.random.default_rng(0))
-    surface = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
-    return MM * float(
-        np.mean(trimesh.proximity.closest_point(surface, transform_points(invert(truth) @ T, points_m))[1])
-    )
-
-
-def is_determined(localizer: Localizer, touches: list[Touch], found: Localization) -> bool:
-    """Whether no listed pose with a wrong surface explains the touches as well as the true pose."""
-    truth, mesh = np.asarray(touches[0].T_sensor_object), localizer.object.mesh
-    true = [localizer.scene.match_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
-    rivals = [h.T_sensor_object for h in found.hypotheses if h.imprint_iou >= np.mean(true) - AS_WELL]
-    return all(measure_surface_mm(mesh, T, truth) < RIGHT_MM for T in rivals)
-
-
 def measure(localizer: Localizer, examples: list[list[Touch]]) -> Columns:
     """Return, of each example, the errors, mm, the times, ms, and whether all touches determine the pose, 0 or 1.
 
@@ -122,8 +100,10 @@ def measure(localizer: Localizer, examples: list[list[Touch]]) -> Columns:
             kept_ms.append(1e3 * (time.perf_counter() - start))
             poses = np.stack([h.T_sensor_object for h in found.hypotheses])
             if kept is surface_mm:
-                kept.append(measure_surface_mm(localizer.object.mesh, poses[0], truth))
-                determined.append(float(is_determined(localizer, touches, found)))
+                surface_m = compute_surface_distances(localizer.object, poses, truth)
+                kept.append(MM * float(surface_m[0]))
+                observations = [(localizer, touch) for touch in touches]
+                determined.append(float(is_determined(observations, found.hypotheses, surface_m, RIGHT_MM / MM)))
             else:
                 kept.append(MM * float(metric.symmetric_distance(poses, np.broadcast_to(truth, poses.shape)).min()))
     return columns

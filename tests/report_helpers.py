@@ -17,6 +17,10 @@ from tactile_loc.evaluation.fusion import FusionEvaluation
 from tactile_loc.evaluation.fusion_tables import FusionRun, write_fusion_tables
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
+from tactile_loc.evaluation.recall.evaluation import METRICS as RECALL_METRICS
+from tactile_loc.evaluation.recall.evaluation import RecallEvaluation
+from tactile_loc.evaluation.recall.summary import RecallRun
+from tactile_loc.evaluation.recall.tables import write_recall_tables
 from tactile_loc.evaluation.tables import Run, write_tables
 from tactile_loc.io.streams.records import write_record
 from tactile_loc.locate.localizer import Localizer
@@ -70,6 +74,34 @@ def write_contacts(folder: Path) -> Path:
     alone[:4, 2] = True
     run = FusionRun("pin", "none", "pixel", 100, FusionEvaluation((1, 2, 5), errors, alone, np.arange(9)))
     write_fusion_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
+    return folder
+
+
+def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 12) -> list[RecallRun]:
+    """Runs of 1 and 3 touches with random results: noises none and strong, the second example without a pose."""
+    runs = []
+    for seed, (name, noise) in enumerate(itertools.product(names, ("none", "strong"))):
+        rng = np.random.default_rng(seed)
+        shape = (examples, 2, 4)
+        errors_m = 10 ** rng.uniform(-4.5, -1.5, (*shape, len(RECALL_METRICS)))
+        probabilities = np.sort(rng.uniform(0, 0.5, shape))[..., ::-1]
+        poses = np.broadcast_to(np.eye(4), (*shape, 4, 4)).copy()
+        verdict = rng.choice(["certain", "ambiguous"], shape[:2])
+        problem, seconds = np.full(shape[:2], "", "U40"), rng.uniform(0.1, 1, shape[:2])
+        errors_m[1], poses[1], probabilities[1], seconds[1] = np.inf, np.nan, np.nan, np.nan
+        verdict[1], problem[1] = "refused", "the file is damaged"
+        found = RecallEvaluation(
+            (1, 3), poses, probabilities, errors_m, verdict, problem, rng.random(shape[:2]) < 0.7, seconds,
+            poses[:, 0, 0], np.ones(examples, int),
+        )  # fmt: skip
+        runs.append(RecallRun(name, "z2", 0.05, "pixel", noise, 5, found, {"grid": {"name": "whole"}}))
+    return runs
+
+
+def write_recall(folder: Path) -> Path:
+    """Write the files of an evaluation of what `run` answers, with random results."""
+    about = {"examples": 12, "noises": ["none", "strong"], "seeds": [5], "images": False}
+    write_recall_tables(folder, make_recall_runs(), about, "title")
     return folder
 
 

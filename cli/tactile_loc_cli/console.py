@@ -46,7 +46,7 @@ def say_written(paths: Iterable[Path]) -> list[str]:
 
 def format_count(number: int, noun: str) -> str:
     """Write a number with its noun: 1 touch, 2 touches, 3 entries."""
-    endings = {"ch": "ches", "y": "ies", "sis": "ses"}
+    endings = {"ch": "ches", "y": "ies", "sis": "ses", "ss": "sses"}
     short = next((end for end in endings if noun.endswith(end)), "")
     plural = noun.removesuffix(short) + endings.get(short, "s")
     return f"{number} {noun if number == 1 else plural}"

@@ -13,7 +13,6 @@ from tactile_loc_cli.command import Quiet, Verbose, make_command
 from tactile_loc_cli.commands import store as store_commands
 from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
-from tactile_loc_cli.commands.evaluate import evaluate
 from tactile_loc_cli.commands.identify import identify
 from tactile_loc_cli.commands.live import live
 from tactile_loc_cli.commands.mount import mount
@@ -25,6 +24,7 @@ from tactile_loc_cli.commands.run import run
 from tactile_loc_cli.commands.simulate import simulate
 from tactile_loc_cli.commands.sweep import sweep
 from tactile_loc_cli.doctor.command import doctor
+from tactile_loc_cli.evaluate.command import evaluate
 from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, describe_usage_error, tell
 from tactile_loc_cli.scaffold.command import new_plugin
 

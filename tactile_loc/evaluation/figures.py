@@ -119,10 +119,10 @@ def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> No
     axes.set_title(f"{runs[0].object} (random: {scale} on average)", size=11)
     axes.set_xticks(range(len(DRAWN)), [line.capitalize() for line in DRAWN], size=9)
     axes.set_xlim(-0.6, len(DRAWN) - 0.4)
-    _draw_grid(axes, axis="y")
+    draw_grid(axes, axis="y")
 
 
-def _draw_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
+def draw_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
     """Draw grid lines behind everything, and remove the panel's upper and right borders."""
     axes.set_axisbelow(True)
     axes.grid(axis=axis, color="#e2e8f0", lw=0.8)
@@ -203,7 +203,7 @@ def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
     entropy.set_xlabel("entropy of the posterior (nats)")
     entropy.set_ylabel("ADD of the most probable pose, refined (mm)")
     for axes in (coverage, entropy):
-        _draw_grid(axes)
+        draw_grid(axes)
     figure.legend(loc="outside right center", frameon=False, fontsize=9)
     return figure
 
@@ -247,7 +247,7 @@ def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str,
     right.set_yticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
     right.minorticks_off()
     right.set_ylabel("ADD (mm)")
-    _draw_grid(axes)
+    draw_grid(axes)
     axes.spines["right"].set_visible(True)
 
 

@@ -4,18 +4,24 @@ All errors take symmetry into account: an estimate is compared with every pose t
 the mean distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest distance (Hodan et al., ECCV
 2020). ADD-S is the mean distance to the nearest surface point, which ignores all differences between similar views. The
 metrics of a posterior are likelihood, credible level, entropy, spread and coverage.
+
+The surface distance is the mean distance of the surface at the estimate from the surface at the true pose. It is ADD-S
+with the nearest point of the surface instead of the nearest sampled point, so it is 0 for the true pose.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import Poses, transform_points
-from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation.rolls import find_least_largest, find_least_mean
@@ -26,6 +32,7 @@ TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, po
 AT_ONCE = 32  # transforms applied to all points at once
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)
+GAP_POINTS, FAR_POINTS = 2000, 20_000  # averaged by the surface distance; stand for a surface that is far away
 STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
 Points = NDArray[np.float64]
@@ -79,6 +86,40 @@ def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: in
 
     tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
+
+
+def compute_surface_distances(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
+    """Return the surface distances (K,), metres, of estimates (K, 4, 4) from the true pose (4, 4).
+
+    The distance is the mean over GAP_POINTS points of the surface, which are always the same. Each point is
+    compared with the nearest surface point at the true pose, or at the pose symmetric to it that is nearest to the
+    estimate.
+    """
+    truths = np.broadcast_to(T_true, T_estimates.shape)
+    truths = PoseMetric(obj).nearest_equivalents(truths, T_estimates, STEP_M)
+    points_m = obj.mesh.sample(GAP_POINTS, np.random.default_rng(0))
+    moves = (invert(truth) @ T for truth, T in zip(truths, T_estimates, strict=True))
+    return np.array([_measure_gaps(obj.mesh, transform_points(move, points_m)).mean() for move in moves])
+
+
+def _measure_gaps(mesh: TriangleMesh, points_m: Points) -> NDArray[np.float64]:
+    """Return the distances (P,), metres, of points (P, 3) from a surface.
+
+    Points beyond the reach of the surface's field are compared with FAR_POINTS of its points.
+    """
+    closest_m, _ = build_surface_field(mesh).find_closest(points_m)
+    gaps_m = np.linalg.norm(points_m - closest_m, axis=1)
+    far = np.isnan(gaps_m)
+    if far.any():
+        gaps_m[far] = _build_tree(mesh).query(points_m[far])[0]
+    return gaps_m
+
+
+@lru_cache(maxsize=8)
+def _build_tree(mesh: TriangleMesh) -> Any:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(mesh.sample(FAR_POINTS, np.random.default_rng(0)))
 
 
 def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:

@@ -55,7 +55,7 @@ class SimulatedTouches:
             if not self.images:
                 return drawn, refused
             try:
-                return _read_image(localizer, drawn, np.random.default_rng(self.seed_touch(number, 2))), refused
+                return read_image(localizer, drawn, np.random.default_rng(self.seed_touch(number, 2))), refused
             except TouchError as error:
                 refused += 1
                 log.warning(
@@ -101,11 +101,11 @@ def require_true_pose(touch: Touch) -> NDArray[np.float64]:
     return touch.T_sensor_object
 
 
-def _read_image(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
+def read_image(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
     """Return the touch that the sensor reads from a simulated image of `touch`.
 
     Raises TouchError if the image shows no contact.
     """
     image = localizer.sensor.simulated_image(touch.contact_shape, rng)
     shape = localizer.sensor.contact_shape(image)
-    return Touch(shape, touch.geometry, touch.name, T_sensor_object=touch.T_sensor_object, image=image)
+    return dataclasses.replace(touch, contact_shape=shape, image=image)

@@ -45,7 +45,7 @@ class ListedTouch:
     and `kind` their meaning.
     `T_base_sensor` (4, 4), metres, comes from the list, or from the flange's pose `T_base_flange` (4, 4) and `mount`,
     or from the touch's file. `T_base_sensor_std_m` and `T_base_sensor_std_rad` are the standard deviations of the
-    pose's error, without the error of the mount.
+    pose's error, without the error of the mount. `T_sensor_object` (4, 4), metres, is the true pose, for evaluations.
     """
 
     path: Path
@@ -58,6 +58,7 @@ class ListedTouch:
     T_base_flange: Pose | None = None
     mount: Mount | None = None
     kind: DepthKind | None = None
+    T_sensor_object: Pose | None = None
 
 
 class _TouchTable(PoseKeys):
@@ -67,6 +68,7 @@ class _TouchTable(PoseKeys):
     kind: DepthKind | None = Field(None, description="'distance', 'indentation' or 'height'")
     press_depth_mm: Positive | None = Field(None, description=POSITIVE_MM)
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
+    T_sensor_object: Matrix | None = Field(None, description=MATRIX)
     T_base_flange: Matrix | None = Field(None, description=MATRIX)
     mount: str | None = Field(None, min_length=1, description="a mount's .toml file, relative to the list, in quotes")
     T_base_sensor_std_mm: Positive | None = Field(None, description=POSITIVE_MM)
@@ -129,6 +131,7 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
     return ListedTouch(
         file, _find_sensor(keys.sensor, folder), keys.unit, scale(keys.press_depth_mm), T,
         scale(keys.T_base_sensor_std_mm), scale(keys.T_base_sensor_std_deg, math.pi / 180), F, used, keys.kind,
+        read_pose(PoseKeys(), keys.T_sensor_object, "T_sensor_object"),
     )  # fmt: skip
 
 

@@ -154,13 +154,20 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, str]]
 
 def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
     """Read every touch of a list, each with the localizer of its sensor. Raises TactileLocError for bad input."""
+    listed = read_touch_list(path)
+    localizers = match_localizers(localizer, listed)
+    return [(own, read_listed_touch(own, one)) for own, one in zip(localizers, listed, strict=True)]
+
+
+def match_localizers(localizer: Localizer, listed: Iterable[ListedTouch]) -> list[Localizer]:
+    """Return the localizer of each touch's sensor: one for each sensor, and `localizer` for touches without one."""
     of_sensor = {None: localizer, localizer.config.sensor.name: localizer}
-    observations: list[Observation] = []
-    for listed in read_touch_list(path):
-        if listed.sensor not in of_sensor:
-            of_sensor[listed.sensor] = _replace_sensor(localizer, str(listed.sensor))
-        observations.append((of_sensor[listed.sensor], read_listed_touch(of_sensor[listed.sensor], listed)))
-    return observations
+    found = []
+    for one in listed:
+        if one.sensor not in of_sensor:
+            of_sensor[one.sensor] = _replace_sensor(localizer, str(one.sensor))
+        found.append(of_sensor[one.sensor])
+    return found
 
 
 def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
@@ -175,7 +182,7 @@ def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
     asked = localizer.config.touch
     unit, kind = listed.unit or asked.unit, listed.kind or asked.kind
     touch = localizer.read_touch(listed.path, unit, listed.press_depth_m, kind)
-    names = ("T_base_sensor", "T_base_sensor_std_m", "T_base_sensor_std_rad")
+    names = ("T_base_sensor", "T_base_sensor_std_m", "T_base_sensor_std_rad", "T_sensor_object")
     given = {name: value for name in names if (value := getattr(listed, name)) is not None}
     touch = dataclasses.replace(touch, **given)
     return touch if listed.mount is None else _add_mount_error(touch, listed.mount)

@@ -28,7 +28,7 @@ Run = Mapping[str, Any]
 
 def make_evaluation_page(path: Path) -> Page:
     """Return the page of an evaluation from its results.json. Raises ResultError if the file's version differs."""
-    document, runs = _read(path, tables.SCHEMA_VERSION)
+    document, runs = read_runs(path, tables.SCHEMA_VERSION)
     lines, metrics = list(runs[0]["errors_m"]), list(next(iter(runs[0]["errors_m"].values())))
     sections = [
         Section("summary", "", {"numbers": _list_numbers(runs, _choose_first(lines))}),
@@ -37,7 +37,7 @@ def make_evaluation_page(path: Path) -> Page:
         Section("posterior", "Calibration of the probabilities", _tabulate_posteriors(runs)),
         Section("times", "Times", _tabulate_times(runs)),
         Section("gallery", "Best, median and worst touches", {"pictures": _collect_gallery(path.parent, runs)}),
-        _describe_settings(document, runs),
+        describe_settings(document, runs),
     ]
     shown = [section for section in sections if section.values.get("pictures", True)]
     objects = list(dict.fromkeys(run["object"] for run in runs))
@@ -53,12 +53,12 @@ def make_contacts_page(path: Path) -> Page:
 
     Raises ResultError if the file's version differs.
     """
-    document, runs = _read(path, fusion_tables.SCHEMA_VERSION)
+    document, runs = read_runs(path, fusion_tables.SCHEMA_VERSION)
     sections = [
         Section("summary", "", {"numbers": [_summarise_contacts(run) for run in runs]}),
         Section("curves", "Errors by number of contacts", {"lines": ["all", *runs[0]["lines"]]}),
         Section("medians", "Medians", _tabulate_contacts(runs)),
-        _describe_settings(document, runs),
+        describe_settings(document, runs),
     ]
     title = f"Several contacts: {', '.join(dict.fromkeys(run['object'] for run in runs))}"
     data = {"runs": [_collect_quartiles(run) for run in runs]}
@@ -66,7 +66,7 @@ def make_contacts_page(path: Path) -> Page:
     return Page("contacts", title, about, sections, data, ["errors.js", "contacts.js"])
 
 
-def _read(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
+def read_runs(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
     """Return a document and its runs. A run's "name" is its object, followed by its encoder if encoders differ."""
     document = read_document(path)
     found = document.get("schema_version")
@@ -81,17 +81,21 @@ def _read(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
     ]
 
 
-def _describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Section:
+def describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Section:
     """Return the section with the object and configuration of every run, and with the software versions."""
     settings = [
         (
             run["name"],
-            f"{run['name']}: {run['grid_poses']} grid poses, symmetry {run['symmetry']}, encoder {run['encoder']}",
+            f"{run['name']}: {_describe_grid(run)}symmetry {run['symmetry']}, encoder {run['encoder']}",
             format_toml(run.get("configuration", {})),
         )
         for run in runs
     ]
     return Section("made", "Settings", {"runs": settings, "versions": list(document["versions"].items())})
+
+
+def _describe_grid(run: Run) -> str:
+    return f"{run['grid_poses']} grid poses, " if "grid_poses" in run else ""
 
 
 def _describe_protocol(document: Mapping[str, Any], counted: str, what: str) -> str:

@@ -11,7 +11,7 @@ from tactile_loc.core.errors import OutputError, ResultError
 from tactile_loc.reports.page import JSON_OPTIONS, Page, name_damage, render
 from tactile_loc.store.files import write_atomically
 
-KINDS = {"result": "run", "results": "evaluation", "contacts": "contacts", "sweep": "sweep"}
+KINDS = {"result": "run", "recall": "recall", "results": "evaluation", "contacts": "contacts", "sweep": "sweep"}
 SUFFIXES = (".json", ".npz", ".csv", ".md", ".png")
 DEFAULT_NAME = "report.html"
 
@@ -48,11 +48,11 @@ def find_source(path: Path) -> Source:
 
 def make_page(source: Source) -> Page:
     """Return the page of a result. Raises ResultError if the result's files cannot be used."""
-    from tactile_loc.reports import evaluation, run, sweep
+    from tactile_loc.reports import evaluation, recall, run, sweep
 
     makers = {
         "run": run.make_run_page, "evaluation": evaluation.make_evaluation_page,
-        "contacts": evaluation.make_contacts_page, "sweep": sweep.make_sweep_page,
+        "contacts": evaluation.make_contacts_page, "recall": recall.make_recall_page, "sweep": sweep.make_sweep_page,
     }  # fmt: skip
     with name_damage(source.path):
         page = makers[source.kind](source.path)

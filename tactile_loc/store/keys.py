@@ -32,6 +32,7 @@ MEANINGS = {  # what a stage makes, for messages
     "glances": "touches to compare objects quickly",
     "evaluation": "evaluated touches",
     "contact-evaluation": "evaluated sets of touches",
+    "recall-evaluation": "evaluated examples",
     "board-presses": "simulated presses for a calibration",
     "calibration": "training of a calibration",
 }

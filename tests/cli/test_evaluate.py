@@ -1,160 +1,126 @@
-"""`tactile-loc evaluate`."""
+"""`tactile-loc evaluate`: what `run` answers, from simulated and own touches."""
 
 from __future__ import annotations
 
 import csv
 import json
-import re
+from pathlib import Path
 
+import numpy as np
 import pytest
-from cli_helpers import FLAT_SENSOR, TINY, assert_refused, write_box
+from cli_helpers import TINY, assert_refused
 from PIL import Image
 
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-
-FEW = ["--count", 3, "--refiner", "none", *TINY]
+SEARCH = ["-o", "grid.directions=300", "-o", "temperature=0.05"]
+FILES = {"recall.json", "recall.csv", "recall.md", "recall.png", "bop"}
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
-def test_results_of_several_objects_are_written(cli, tmp_path):
-    done = cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
+def test_results_of_noises_and_numbers_of_touches_are_written(cli, tmp_path):
+    words = ["--object", "hook", "--count", 2, "--together", "1..2", "--noise", "none", "--noise", "mild"]
+    done = cli("evaluate", *words, "--seed", 2, "--seed", 3, *SEARCH)
     assert done.exit_code == 0, done.stderr
     out = tmp_path / "evaluation"
-    pictures = {"violins.png", "reliability.png", "gallery-pin-pixel.png", "gallery-head-pixel.png"}
-    assert {path.name for path in out.iterdir()} == {"results.json", "results.csv", "results.md", *pictures}
-    record = json.loads((out / "results.json").read_text())
-    assert record["protocol"] == {"version": 3, "touches": 3, "noise": "strong", "seed": 2, "images": False}
-    assert [run["object"] for run in record["runs"]] == ["pin", "head"]
-    configuration = record["runs"][0]["configuration"]
-    assert configuration["grid"]["options"]["spacing_mm"] == 8
-    assert configuration["touch"]["noise"] == "strong"
-    with (out / "results.csv").open() as file:
-        assert {row["object"] for row in csv.DictReader(file)} == {"pin", "head"}
-    for name in pictures:
-        with Image.open(out / name) as picture:
-            assert min(picture.size) > 300
-    lines = [line.split() for line in done.stdout.splitlines()]
-    median_m = record["runs"][0]["lines"]["best-1"]["add"]["metres"]["median"]
-    in_mm, shares, ambiguity, area, trust = [line for line in lines if line[:2] == ["pin", "pixel"]]
-    assert float(in_mm[2]) == pytest.approx(1e3 * median_m, rel=0.01)
-    assert float(shares[2]) == pytest.approx(median_m / record["runs"][0]["random_mean_m"]["add"], abs=1e-3)
-    assert ambiguity[2] == f"{100 * record['runs'][0]['ambiguity']['ambiguous']:.0f}"
-    assert int(area[2]) == record["runs"][0]["refused"]
-    assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["posterior"]["coverage"]]
-    assert max(map(len, done.stdout.splitlines()[:4])) <= 80
-    for name in ("results.json", *pictures):
-        assert name in done.stdout
+    assert {path.name for path in out.iterdir()} == FILES
+    record = json.loads((out / "recall.json").read_text())
+    assert record["protocol"]["together"] == [1, 2]
+    assert [(run["noise"], run["seed"]) for run in record["runs"]] == [
+        ("none", 2), ("none", 3), ("mild", 2), ("mild", 3)
+    ]  # fmt: skip
+    assert record["runs"][0]["configuration"]["grid"]["name"] == "whole"
+    with (out / "recall.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["noise"], row["touches"], row["examples"]) for row in rows] == [
+        ("none", "1", "4"), ("none", "2", "4"), ("mild", "1", "4"), ("mild", "2", "4")
+    ]  # fmt: skip
+    with Image.open(out / "recall.png") as picture:
+        assert min(picture.size) > 300
+    assert len(list((out / "bop").glob("*.csv"))) == 2
+    assert "recall.json" in done.stdout
+    assert cli("report", "evaluation").exit_code == 0
+    again = cli("evaluate", *words, "--seed", 2, "--seed", 3, *SEARCH, "--out", "again")
+    assert again.exit_code == 0
+    assert (tmp_path / "again" / "recall.csv").read_text() == (out / "recall.csv").read_text()
 
 
-@pytest.mark.slow
-def test_images_are_evaluated_with_a_calibrated_sensor(cli, tmp_path):
-    (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
-    learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
-    made = cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine")
-    assert made.exit_code == 0, made.stderr
-    done = cli("evaluate", "--object", "pin", "--touches", "images", "--sensor", "mine", *FEW)
+def test_touches_of_simulate_are_evaluated(cli, tmp_path):
+    assert cli("simulate", "--object", "pin", "--count", 3, "--out", "touches", *TINY).exit_code == 0
+    (tmp_path / "touches" / "touch-0001.npz").write_bytes(b"")
+    words = ["--object", "pin", *TINY, "--refiner", "none"]
+    assert_refused(cli("evaluate", "--touches", "touches", "--out", "out"), "--object")
+    done = cli("evaluate", *words, "--touches", "touches", "--out", "out")
     assert done.exit_code == 0, done.stderr
-    record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
-    assert record["protocol"] == {"version": 3, "touches": 3, "noise": "none", "seed": 0, "images": True}
-    assert re.search(r"\b3 simulated touches\b.*images", (tmp_path / "evaluation" / "results.md").read_text())
+    assert "touch-0001.npz" in done.stdout
+    record = json.loads((tmp_path / "out" / "recall.json").read_text())
+    (run,) = record["runs"]
+    (result,) = run["results"]
+    assert (result["touches"], result["examples"], result["verdicts"]["refused"]) == (1, 3, 1)
+    assert (run["noise"], run["seed"]) == ("own touches", None)
+    errors = result["each_example"]["errors_m"]["surface"]
+    assert [error is None for error in errors] == [False, True, False]
 
 
-def test_a_repeated_command_gives_the_same_table(cli, tmp_path):
-    tables = []
-    for out in ("a", "b"):
-        assert cli("evaluate", "--object", "pin", *FEW, "--noise", "mild", "--out", out).exit_code == 0
-        tables.append((tmp_path / out / "results.csv").read_text())
-    assert tables[0] == tables[1]
+def test_a_table_of_own_touches_is_evaluated_together(cli, tmp_path):
+    assert cli("simulate", "--object", "pin", "--count", 2, "--out", "touches", *TINY).exit_code == 0
+    poses = json.loads((tmp_path / "touches" / "poses.json").read_text())["T_sensor_object"]
+    header = "touch,x_mm,y_mm,z_mm,qw,qx,qy,qz,example"
+    rows = []
+    from tactile_loc.core.geometry.rigid import rotation_to_quaternion
+
+    for name, T in poses.items():
+        numbers = [*(1e3 * np.array(T)[:3, 3]), *rotation_to_quaternion(np.array(T)[:3, :3])]
+        rows.append(f"{name}.npz,{','.join(map(str, numbers))},one")
+    Path("touches/poses.csv").write_text("\n".join([header, *rows]))
+    words = ["--object", "pin", *TINY, "--refiner", "none", "--touches", "touches/poses.csv", "--out", "out"]
+    done = cli("evaluate", *words)
+    assert done.exit_code == 0, done.stderr
+    record = json.loads((tmp_path / "out" / "recall.json").read_text())
+    assert [result["touches"] for result in record["runs"][0]["results"]] == [1, 2]
+    assert_refused(cli("evaluate", *words, "--together", "3"), "3 touches")
+
+
+def test_json_has_the_summary_without_single_examples(cli, tmp_path):
+    words = ["--object", "pin", *TINY, "--refiner", "none", "--count", 1, "--together", "1", "--noise", "none"]
+    done = cli("evaluate", *words, "--json")
+    assert done.exit_code == 0, done.stderr
+    (run,) = json.loads(done.stdout)["runs"]
+    assert run["results"][0]["examples"] == 1
+    assert "each_example" not in run["results"][0]
 
 
 def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
-    from tactile_loc.evaluation.protocol import TouchEvaluator
+    from tactile_loc.evaluation.recall import evaluation
 
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    line = ["evaluate", "--object", "pin", *FEW, "--noise", "none", "--seed", 77]
+    line = ["evaluate", "--object", "pin", *TINY, "--refiner", "none", "--count", 1, "--together", "1",
+            "--noise", "none", "--seed", 77]  # fmt: skip
     with monkeypatch.context() as patched:
-        patched.setattr(TouchEvaluator, "measure", interrupt)
+        patched.setattr(evaluation._ExampleLocator, "_locate", interrupt)
         stopped = cli(*line)
     assert stopped.exit_code == 130
     assert stopped.stderr.startswith("interrupted: ")
-    assert not (tmp_path / "evaluation" / "results.json").exists()
+    assert not (tmp_path / "evaluation" / "recall.json").exists()
     assert cli(*line).exit_code == 0
-
-
-def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
-    (tmp_path / "run.toml").write_text(
-        '[object]\npath = "pin"\n[touch]\nnoise = "mild"\n[grid]\nspacing_mm = 8\n'
-        '[encoder]\nname = "pixel"\ncells = 12\n'
-    )
-    assert cli("evaluate", "--config", "run.toml", "--count", 1).exit_code == 0
-    record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
-    (run,) = record["runs"]
-    assert (run["object"], record["protocol"]["noise"]) == ("pin", "mild")
-    assert run["configuration"]["encoder"]["options"]["cells"] == 12
-
-
-def test_the_default_is_all_demo_objects():
-    from tactile_loc_cli.commands.evaluate import TouchKind, _choose_touches, _list_jobs
-    from tactile_loc_cli.options import RunOptions
-
-    touches = _choose_touches(RunOptions(), TouchKind.SHAPES, 5)
-    assert touches == SimulatedTouches("strong", 5)
-    jobs = _list_jobs(RunOptions(), None, None, touches)
-    assert [obj.name for _, obj in jobs] == list(DEMO_OBJECTS)
-    assert {settings.encoder.name for settings, _ in jobs} == {"pixel"}
-    assert {settings.touch.noise for settings, _ in jobs} == {"strong"}
-
-
-def test_an_encoder_option_goes_only_to_encoders_that_have_it(monkeypatch):
-    from tactile_loc_cli.commands.evaluate import _choose_options
-
-    from tactile_loc.core.slots.component import ComponentOptions
-    from tactile_loc.core.slots.registry import Registry
-
-    class Learned:
-        class Options(ComponentOptions):
-            epochs: int = 3
-
-    load = Registry.load
-    monkeypatch.setattr(
-        Registry, "load", lambda self, slot, name: Learned if name == "learned" else load(self, slot, name)
-    )
-    words = ["grid.spacing_mm=8", "encoder.epochs=1", "encoder.cells=9", "encoder.nonsense=1"]
-    overrides = {"epochs": 1, "cells": 9, "nonsense": 1}
-    both = ["pixel", "learned"]
-    assert _choose_options("pixel", both, words, overrides) == [words[0], *words[2:]]
-    assert _choose_options("learned", both, words, overrides) == [*words[:2], words[3]]
-    assert _choose_options("pixel", ["pixel"], words, overrides) == words
 
 
 @pytest.mark.parametrize(
     ("words", "mentioned"),
     [
         (["--object", "hok"], ("hok",)),
-        (["--object", "pin", "--encoder", "pixl"], ("pixl",)),
-        (["--object", "pin", "--object", "hook", "--symmetry", "none"], ("--symmetry",)),
         (["--object", "pin", "--noise", "loud"], ("loud",)),
-        (["--object", "pin", "--count", "0"], ("count",)),
-        (["--object", "pin", "-o", "encoder.sells=3"], ("sells",)),
-        (["--object", "pin", "--config", "none.toml"], ("none.toml",)),
+        (["--object", "pin", "--images"], ("gelslim", "calibrate --simulated")),
+        (["--object", "pin", "--touches", "none.csv"], ("none.csv",)),
+        (["--object", "pin", "--touches", "file", "--noise", "mild"], ("--noise", "--touches")),
+        (["--object", "pin", "--touches", "file", "--count", "2"], ("--count",)),
+        (["--object", "pin", "--touches", "file", "--seed", "0"], ("--seed",)),
+        (["--object", "pin", "--touches", "file", "--paper"], ("--paper",)),
+        (["--object", "pin", "--object", "hook", "--touches", "file"], ("one --object",)),
         (["--object", "pin", "--out", "file"], ("--out",)),
-        (["--object", "pin", "--touches", "photos"], ("photos",)),
-        (["--object", "pin", "--touches", "images"], ("gelslim", "calibrate --simulated")),
-        (["--object", "pin", "--touches", "images", "--noise", "mild"], ("'mild'", "--noise")),
     ],
 )
 def test_bad_input_is_one_sentence(cli, tmp_path, words, mentioned):
     (tmp_path / "file").touch()
     assert_refused(cli("evaluate", *words, *TINY), *mentioned)
-
-
-def test_two_objects_with_the_same_name_are_refused(cli, tmp_path):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        write_box(tmp_path / folder / "part.obj")
-    done = cli("evaluate", "--object", "a/part.obj", "--object", "b/part.obj", "--units", "mm", *FEW)
-    assert_refused(done, "a/part.obj", "b/part.obj", "part")

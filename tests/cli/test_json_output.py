@@ -103,7 +103,7 @@ def test_run_of_a_folder_reports_every_touch(cli, document):
 
 
 def test_evaluate_reports_its_file_without_single_touches(document):
-    found = document("evaluate", *PIN, "--count", 2, "--refiner", "none", "--out", "out")
+    found = document("evaluate", "--paper", *PIN, "--count", 2, "--refiner", "none", "--out", "out")
     (written, *_) = [path for path in found["written"] if path.endswith("results.json")]
     stored = json.loads(Path(written).read_text())
     (run,), (stored_run,) = found["runs"], stored["runs"]

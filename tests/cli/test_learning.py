@@ -23,7 +23,7 @@ MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"e
 PIXEL = ["--object", "pin", *TINY, "--sensor", "flat.toml"]
 PIN = [*PIXEL, *MOCO]
 SURE = ["-o", "temperature=0.05"]  # no temperature is fitted
-EVALUATE = ["evaluate", *PIN, *SURE, "--encoder", "pixel", "--refiner", "none", "--count", 2]
+EVALUATE = ["evaluate", "--paper", *PIN, *SURE, "--encoder", "pixel", "--refiner", "none", "--count", 2]
 
 
 @pytest.fixture(scope="module")

@@ -50,11 +50,11 @@ def test_the_report_contains_all_touches(cli):
 
 @pytest.mark.slow
 def test_evaluations_have_reports(cli):
-    done = cli("evaluate", *PIN, "--count", 3, "--out", "evaluation")
+    done = cli("evaluate", "--paper", *PIN, "--count", 3, "--out", "evaluation")
     assert done.exit_code == 0, done.stderr
     assert cli("report", "evaluation").exit_code == 0
     assert not missing(Path("evaluation/report.html").read_text(), "3 simulated touches")
-    done = cli("evaluate", *PIN, "--count", 3, "--contacts", "1,2", "--out", "contacts")
+    done = cli("evaluate", "--paper", *PIN, "--count", 3, "--together", "1,2", "--out", "contacts")
     assert done.exit_code == 0, done.stderr
     assert cli("report", "contacts").exit_code == 0
     assert "2 contacts" in Path("contacts/report.html").read_text()

@@ -13,6 +13,7 @@ from tactile_loc.evaluation.metrics import (
     compute_add_s,
     compute_adds,
     compute_mssd,
+    compute_surface_distances,
 )
 
 SHIFT_M = np.array([0.003, -0.004, 0.012])
@@ -131,3 +132,25 @@ def test_add_s_is_at_most_adds_and_adds_at_most_mssd(box, points_m, true_pose):
     mean = compute_adds(box, points_m, poses, true_pose)
     assert (compute_add_s(points_m, poses, true_pose) <= mean + 1e-12).all()
     assert (mean <= compute_mssd(box, box.mesh.hull_corners_m, poses, true_pose) + 1e-12).all()
+
+
+def test_the_surface_distance_is_zero_for_the_true_pose_and_its_equivalents(cylinder, true_pose):
+    rolled = true_pose @ cylinder.symmetry.list_elements(0.1)[7]
+    assert compute_surface_distances(cylinder, np.stack([true_pose, rolled]), true_pose) == pytest.approx(0, abs=1e-7)
+
+
+def test_the_surface_distance_of_a_small_shift_is_that_along_the_normals(box, true_pose):
+    shifted = true_pose @ make_translation([1e-4, 0, 0])  # the faces across x move by 0.1 mm, the others slide
+    areas = np.array([box.mesh.extents_m[1] * box.mesh.extents_m[2], box.mesh.extents_m[0] * box.mesh.extents_m[2],
+                      box.mesh.extents_m[0] * box.mesh.extents_m[1]])  # fmt: skip
+    expected_m = 1e-4 * areas[0] / areas.sum()
+    assert compute_surface_distances(box, shifted[None], true_pose) == pytest.approx(expected_m, rel=0.1)
+
+
+def test_the_surface_distance_is_right_far_beyond_the_field_of_the_surface(box, points_m, true_pose):
+    far = make_translation([0, 0, 0.1]) @ true_pose
+    few = box.mesh.sample(500, np.random.default_rng(1))
+    moved = few + true_pose[:3, :3].T @ [0, 0, 0.1]
+    dense = box.mesh.sample(40_000, np.random.default_rng(2))
+    expected_m = np.mean([np.linalg.norm(dense - point, axis=1).min() for point in moved])
+    assert compute_surface_distances(box, far[None], true_pose) == pytest.approx(expected_m, rel=0.01)

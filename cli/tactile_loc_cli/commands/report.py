@@ -21,7 +21,7 @@ Out = Annotated[
 def report(result: Result, out: Out = None) -> dict[str, Any]:
     """Show a result as one HTML file.
 
-    The result may be a run, an evaluation (also with --contacts), or a sweep. The file is self-contained and works
+    The result may be a run, an evaluation, or a sweep. The file is self-contained and works
     offline.
     """
     from tactile_loc.reports import find_source, write_report

@@ -1,4 +1,4 @@
-"""`tactile-loc evaluate --contacts`."""
+"""`tactile-loc evaluate --paper --together`."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import json
 import pytest
 from cli_helpers import TINY, assert_refused
 from PIL import Image
-from tactile_loc_cli.commands import evaluate
-from tactile_loc_cli.commands.evaluate import parse_contacts
+from tactile_loc_cli.evaluate import paper
+from tactile_loc_cli.evaluate.command import parse_together
 
-FEW = ["--count", 3, "--refiner", "none", *TINY]
+FEW = ["--paper", "--count", 3, "--refiner", "none", *TINY]
 
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_results_by_number_of_contacts_are_written(cli, tmp_path):
-    done = cli("evaluate", "--contacts", "1..3", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
+    done = cli("evaluate", "--together", "1..3", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
     assert done.exit_code == 0, done.stderr
     out = tmp_path / "evaluation"
     assert {path.name for path in out.iterdir()} == {f"contacts.{kind}" for kind in ("json", "csv", "md", "png")}
@@ -43,7 +43,7 @@ def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    line = ["evaluate", "--contacts", "2", "--object", "pin", *FEW, "--seed", 77]
+    line = ["evaluate", "--together", "2", "--object", "pin", *FEW, "--seed", 77]
     with monkeypatch.context() as patched:
         patched.setattr(fusion._Examples, "_locate_example", interrupt)
         stopped = cli(*line)
@@ -55,8 +55,8 @@ def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
 
 def test_the_default_is_a_hundred_examples(cli, monkeypatch):
     asked = []
-    monkeypatch.setattr(evaluate, "_evaluate_fusion", lambda *arguments: asked.append(arguments))
-    assert cli("evaluate", "--contacts", "1..7", "--object", "pin", *TINY).exit_code == 0
+    monkeypatch.setattr(paper, "_evaluate_fusion", lambda *arguments: asked.append(arguments))
+    assert cli("evaluate", "--paper", "--together", "1..7", "--object", "pin", *TINY).exit_code == 0
     ((jobs, contacts, plan),) = asked
     assert (len(jobs), contacts, plan.count) == (1, (1, 2, 3, 4, 5, 6, 7), 100)
 
@@ -66,9 +66,9 @@ def test_the_default_is_a_hundred_examples(cli, monkeypatch):
     [("1..7", (1, 2, 3, 4, 5, 6, 7)), ("3", (3,)), ("1, 2,5", (1, 2, 5)), ("5,1..2,2", (1, 2, 5)), ("20..20", (20,))],
 )
 def test_ranges_and_lists_of_contacts_are_parsed(text, numbers):
-    assert parse_contacts(text) == numbers
+    assert parse_together(text) == numbers
 
 
 @pytest.mark.parametrize("text", ["", "0", "7..1", "1..21", "1-7", "one", "1,,2", "1..", "-1", "1.5", "0..3"])
 def test_malformed_numbers_of_contacts_are_refused_in_one_sentence(cli, text):
-    assert_refused(cli("evaluate", f"--contacts={text}", "--object", "pin", *TINY), "--contacts", "1..7")
+    assert_refused(cli("evaluate", f"--together={text}", "--object", "pin", *TINY), "--together", "1..7")

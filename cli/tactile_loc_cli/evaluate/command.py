@@ -1,0 +1,161 @@
+"""`tactile-loc evaluate`: measure what `run` answers, or follow the paper's protocol."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.store.files import require_writable
+from tactile_loc_cli import options
+from tactile_loc_cli.options import RunOptions
+
+DEFAULT_OUT = Path("evaluation")
+
+_PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
+
+Objects = Annotated[
+    list[str] | None,
+    options.declare("--object", "FILE|DEMO", "Mesh file or demo object; may be repeated. Default: all demo objects."),
+]
+Encoders = Annotated[
+    list[str] | None, options.declare("--encoder", "NAME", "Encoder; may be repeated. Default: pixel.")
+]
+Count = Annotated[
+    int | None,
+    options.declare(
+        "--count", "N",
+        "Number of simulated examples for each object, noise and seed. Default: 20. With --paper: 100, or 150 single "
+        "touches.",
+        min=1, max=100_000,
+    ),
+]  # fmt: skip
+Together = Annotated[
+    str | None,
+    options.declare(
+        "--together", "RANGE",
+        "Locate from these numbers of touches together: 1..7, or 1,2,3 (at most 20). Default: 1..3; of your own "
+        "touches, all. With --paper: single touches.",
+    ),
+]  # fmt: skip
+OwnTouches = Annotated[
+    list[Path] | None,
+    options.declare(
+        "--touches", "FILE|FOLDER",
+        "Your own touches with known poses: a CSV table, the folder that `simulate` wrote, or a list of touches "
+        "(.toml); may be repeated. Default: simulated touches.",
+    ),
+]  # fmt: skip
+Images = Annotated[
+    bool,
+    typer.Option(
+        "--images", help="Simulate images of the touches, for a sensor that was calibrated on simulated images."
+    ),
+]
+Noises = Annotated[
+    list[options.Noise] | None,
+    options.declare(
+        "--noise",
+        "<none|mild|strong>",
+        "Noise of simulated touches; may be repeated. Default: none and strong.",
+    ),
+]
+Paper = Annotated[
+    bool, typer.Option("--paper", help="Follow the protocol of the paper, on a grid that lists its poses.")
+]
+Seeds = Annotated[
+    list[int] | None,
+    options.declare("--seed", "N", "Seed of the simulated touches; may be repeated. Default: 0.", min=0),
+]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of the results and pictures.")]
+Given = Annotated[
+    RunOptions,
+    options.Takes(
+        "units", "symmetry", "touch_unit", "touch_kind", "sensor", "zero", "grid", "renderer", "matcher", "refiner",
+        "fuser", "option", "config", "top",
+        grid="Poses to search. Default: whole. With --paper: face.",
+    ),
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is evaluated: the command's own options. An option that was not given is None, or empty."""
+
+    objects: list[str] | None
+    encoders: list[str] | None
+    count: int | None
+    together: tuple[int, ...] | None
+    touches: tuple[Path, ...]
+    images: bool
+    noises: tuple[options.Noise, ...]
+    seeds: tuple[int, ...]
+    out: Path
+    store: Path | None
+
+
+def evaluate(
+    object: Objects = None,
+    *,
+    given: Given,
+    touches: OwnTouches = None,
+    count: Count = None,
+    together: Together = None,
+    noise: Noises = None,
+    seed: Seeds = None,
+    images: Images = False,
+    paper: Paper = False,
+    encoder: Encoders = None,
+    out: Out = DEFAULT_OUT,
+    store: options.Store = None,
+) -> dict[str, Any]:
+    """Measure how often `run` is right.
+
+    Each object is located from 1 to N touches with known poses, simulated or your own. Errors are surface distances.
+    The results are recall, verdicts and times (docs/evaluation.md). With several encoders, an option goes to the
+    encoders that have it. After an interruption, the same command resumes.
+    """
+    from tactile_loc_cli.evaluate.paper import evaluate_paper
+    from tactile_loc_cli.evaluate.recall import evaluate_answers
+
+    numbers = None if together is None else parse_together(together)
+    noises, seeds = tuple(dict.fromkeys(noise or ())), tuple(dict.fromkeys(seed or (0,)))
+    asked = Asked(object, encoder, count, numbers, tuple(touches or ()), images, noises, seeds, out, store)
+    if asked.touches:
+        _require_no_simulation(asked, seed is not None, paper)
+    require_writable(out)
+    return evaluate_paper(given, asked) if paper else evaluate_answers(given, asked)
+
+
+def _require_no_simulation(asked: Asked, seeded: bool, paper: bool) -> None:
+    """Raise ConfigError if an option for simulated touches is given with touches from files."""
+    simulated = {"--noise": asked.noises, "--count": asked.count, "--seed": seeded, "--images": asked.images}
+    for flag, given in {**simulated, "--paper": paper}.items():
+        if given:
+            raise ConfigError(
+                f"{flag} needs simulated touches; leave it out, or leave out --touches {asked.touches[0]}"
+            )
+
+
+def parse_together(text: str) -> tuple[int, ...]:
+    """Return the numbers of touches in a text such as "1..7" or "1,2,5..7", in ascending order.
+
+    Raises ConfigError if the text cannot be read.
+    """
+    from tactile_loc.evaluation.fusion import MOST_FUSED
+
+    numbers: set[int] = set()
+    for part in text.replace(" ", "").split(","):
+        match = _PART.fullmatch(part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+        if not 1 <= first <= last <= MOST_FUSED:
+            raise ConfigError(
+                f"--together cannot be {text!r}; give a range or a list of numbers from 1 to {MOST_FUSED}, "
+                "such as 1..7 or 1,2,3"
+            )
+        numbers.update(range(first, last + 1))
+    return tuple(sorted(numbers))

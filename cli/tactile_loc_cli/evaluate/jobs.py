@@ -1,0 +1,93 @@
+"""The objects and encoders that are evaluated, each with its settings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc_cli import options
+from tactile_loc_cli.options import RunOptions
+
+if TYPE_CHECKING:
+    from tactile_loc.core.objects.mesh import ObjectModel
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+    from tactile_loc.io.config import RunConfig
+
+Job = tuple["RunConfig", "ObjectModel"]
+
+
+def list_jobs(
+    given: RunOptions, objects: list[str] | None, encoders: list[str] | None, touches: SimulatedTouches | None
+) -> list[Job]:
+    """Return every object with every encoder. The sensor must be able to read the simulated `touches`, if any.
+
+    Bad input raises its error here, before the first evaluation.
+    """
+    from tactile_loc.io.config import parse_overrides, parse_settings
+    from tactile_loc.io.meshes import load_object
+
+    in_file = read_setting(given.config, "object", "path")
+    paths = objects or ([in_file] if in_file else list(DEMO_OBJECTS))
+    if given.symmetry is not None and len(paths) > 1:
+        raise ConfigError("--symmetry needs a single object; give one --object")
+    words = list(given.option or [])
+    names: list[str | None] = [*encoders] if encoders else [None]
+    overrides = parse_overrides(parse_settings(words)[1]).get("encoder", {})
+    if touches is not None:
+        given = dataclasses.replace(given, noise=options.Noise(touches.noise))
+    jobs = []
+    for path in dict.fromkeys(paths):
+        asked = [
+            dataclasses.replace(given, object=path, encoder=name, option=choose_options(name, names, words, overrides))
+            for name in dict.fromkeys(names)
+        ]
+        settings = [options.make_config(one) for one in asked]
+        chosen = settings[0].object
+        obj = load_object(chosen.path, chosen.units, chosen.symmetry)
+        for setting in settings:
+            if touches is not None:
+                touches.require_readable(options.open_localizer(setting, None, obj))
+            jobs.append((setting, obj))
+    _require_names(jobs)
+    return jobs
+
+
+def choose_options(
+    encoder: str | None, encoders: Sequence[str | None], words: list[str], overrides: dict[str, Any]
+) -> list[str]:
+    """Return the options for one of several encoders, without the options that only other encoders have."""
+    if encoder is None or len(set(encoders)) == 1 or not overrides:
+        return words
+    known = {name: set(registry().load("encoder", str(name)).Options.model_fields) for name in encoders}
+    foreign = {
+        option for option in overrides if option not in known[encoder] and any(option in k for k in known.values())
+    }
+    return [word for word in words if not any(word.replace(" ", "").startswith(f"encoder.{o}=") for o in foreign)]
+
+
+def read_setting(path: Path | None, table: str, key: str) -> str | None:
+    """Return a text from a table of the configuration file, or None if it is missing.
+
+    If a slot is only a component's name instead of a table, return this name.
+    """
+    from tactile_loc.io.toml import read_toml
+
+    found = {} if path is None else read_toml(path).get(table, {})
+    value = found.get(key) if isinstance(found, dict) else found if table in SLOTS else None
+    return value if isinstance(value, str) else None
+
+
+def _require_names(jobs: Sequence[Job]) -> None:
+    """Raise ConfigError if two objects have the same name."""
+    found: dict[str, str] = {}
+    for settings, obj in jobs:
+        other = found.setdefault(obj.name, settings.object.path)
+        if other != settings.object.path:
+            raise ConfigError(
+                f"{other} and {settings.object.path} are both called {obj.name}; rename one, or run them separately"
+            )

@@ -1,0 +1,159 @@
+"""The evaluation of what `run` answers: simulated or own touches of the whole object, refined."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from tactile_loc_cli import options
+from tactile_loc_cli.console import format_count, say, say_reasons, say_table, say_written
+from tactile_loc_cli.evaluate.command import Asked
+from tactile_loc_cli.evaluate.jobs import Job, list_jobs, read_setting
+from tactile_loc_cli.options import RunOptions
+
+if TYPE_CHECKING:
+    from tactile_loc.evaluation.recall.examples import Examples
+    from tactile_loc.evaluation.recall.summary import RecallRun
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+    from tactile_loc.locate.localizer import Localizer
+
+DEFAULT_COUNT, DEFAULT_TOGETHER, DEFAULT_NOISES = 20, (1, 2, 3), ("none", "strong")
+
+
+def evaluate_answers(given: RunOptions, asked: Asked) -> dict[str, Any]:
+    """Evaluate each object with each encoder, noise and seed; write, show and return the results."""
+    if asked.touches:
+        runs, about = _evaluate_own(given, asked)
+    else:
+        runs, about = _evaluate_simulated(given, asked)
+    return _report(runs, about, asked)
+
+
+def _evaluate_simulated(given: RunOptions, asked: Asked) -> tuple[list[RecallRun], dict[str, Any]]:
+    """Return the results of simulated touches, and what was simulated."""
+    from tactile_loc.evaluation.recall.examples import DrawnExamples
+
+    count, together = asked.count or DEFAULT_COUNT, asked.together or DEFAULT_TOGETHER
+    sources = list(_list_sources(given, asked))
+    jobs = list_jobs(given, asked.objects, asked.encoders, sources[0])
+    runs = []
+    for job in jobs:
+        localizer = options.open_localizer(job[0], asked.store, job[1])
+        for source in sources:
+            examples = DrawnExamples(localizer, source, count, together[-1])
+            runs.append(_evaluate(job, localizer, examples, together, source.noise, source.seed))
+    noises = list(dict.fromkeys(source.noise for source in sources))
+    return runs, {"examples": count, "noises": noises, "seeds": list(asked.seeds), "images": asked.images}
+
+
+def _list_sources(given: RunOptions, asked: Asked) -> Iterator[SimulatedTouches]:
+    """Yield the simulated touches for each noise and seed."""
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+
+    in_file = read_setting(given.config, "touch", "noise")
+    default = ("none",) if asked.images else (in_file,) if in_file else DEFAULT_NOISES
+    for noise in asked.noises or default:
+        for seed in asked.seeds:
+            yield SimulatedTouches(str(noise), seed, asked.images)
+
+
+def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[RecallRun], dict[str, Any]]:
+    """Return the results of the user's own touches, and where they come from."""
+    from tactile_loc.evaluation.fusion import MOST_FUSED
+    from tactile_loc.evaluation.recall.labelled import KIND, LabelledExamples
+
+    jobs = list_jobs(given, asked.objects, asked.encoders, None)
+    _require_one_object(jobs, asked)
+    runs = []
+    for job in jobs:
+        localizer = options.open_localizer(job[0], asked.store, job[1])
+        examples = LabelledExamples.read(localizer, asked.touches)
+        together = asked.together or tuple(range(1, min(examples.most, MOST_FUSED) + 1))
+        examples.require_touches(together)
+        runs.append(_evaluate(job, localizer, examples, together, KIND, None))
+    return runs, {"examples": examples.count, "touches": [str(path) for path in asked.touches]}
+
+
+def _require_one_object(jobs: Sequence[Job], asked: Asked) -> None:
+    """Raise ConfigError unless the touched object is given, and only one object."""
+    from tactile_loc.core.errors import ConfigError
+
+    options.require_object(jobs[0][0], f"--touches {asked.touches[0]}")
+    if len({obj.name for _, obj in jobs}) > 1:
+        raise ConfigError(f"--touches {asked.touches[0]} are of one object; give one --object")
+
+
+def _evaluate(
+    job: Job, localizer: Localizer, examples: Examples, together: Sequence[int], noise: str, seed: int | None
+) -> RecallRun:
+    from tactile_loc.evaluation.recall.evaluation import evaluate_recall
+    from tactile_loc.evaluation.recall.summary import RecallRun, measure_diameter
+
+    settings, obj = job
+    found = evaluate_recall(localizer, examples, together)
+    about = obj.name, str(obj.symmetry), measure_diameter(obj.mesh), settings.encoder.name
+    return RecallRun(*about, noise, seed, found, settings.resolve())
+
+
+def _report(runs: Sequence[RecallRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
+    """Write the results and their pictures, print the tables, and return the results as JSON values."""
+    from tactile_loc.drawing.pictures import save_figure
+    from tactile_loc.evaluation.recall import tables
+    from tactile_loc.evaluation.recall.bop import write_bop
+    from tactile_loc.evaluation.recall.figure import draw_recall
+
+    heading = _write_heading(about)
+    written = tables.write_recall_tables(asked.out, runs, about, heading)
+    written.append(save_figure(asked.out / f"{tables.NAME}.png", draw_recall(runs, heading)))
+    written += write_bop(asked.out, runs)
+    groups = tables.group_runs(runs)
+    for title, table in (
+        (
+            "share of examples with a smaller surface distance: first pose (any listed pose)",
+            tables.tabulate_recall(groups),
+        ),
+        ("verdicts; certain: share within 1 mm (95 % interval)", tables.tabulate_verdicts(groups)),
+        ("probability of the first pose: mean, share within 1 mm (examples)", tables.tabulate_bins(groups)),
+    ):
+        say(title)
+        say_table(_drop_single(table), left=2)
+        say()
+    _say_left_out(runs)
+    document = tables.record_runs(runs, about)
+    for run in document["runs"]:
+        for result in run["results"]:
+            del result[tables.EACH]
+    return {**document, "written": say_written(written)}
+
+
+def _write_heading(about: dict[str, Any]) -> str:
+    from tactile_loc.evaluation.recall.tables import name_noise
+
+    if "touches" in about:
+        return f"Localisation of the whole object: {format_count(about['examples'], 'example')} of your own touches"
+    kind = "images" if about["images"] else ", ".join(map(name_noise, about["noises"]))
+    seeds = ", ".join(map(str, about["seeds"]))
+    return (
+        f"Localisation of the whole object: {format_count(about['examples'], 'simulated example')} for each object "
+        f"({kind}), seed {seeds}"
+    )
+
+
+def _drop_single(table: list[list[str]]) -> list[list[str]]:
+    """Return a table without the column of encoders if all are the same."""
+    column = table[0].index("encoder")
+    if len({row[column] for row in table[1:]}) > 1:
+        return table
+    return [[*row[:column], *row[column + 1 :]] for row in table]
+
+
+def _say_left_out(runs: Sequence[RecallRun]) -> None:
+    """Report how many presses made no touch, and why examples have no pose."""
+    from tactile_loc.evaluation.recall.tables import count_refused, list_problems
+
+    refused = count_refused(runs)
+    if refused:
+        say(f"{format_count(refused, 'press')} without a usable touch, replaced by other presses")
+    others = say_reasons(list_problems(runs))
+    if others:
+        say(f"and {format_count(others, 'other reason')}, in recall.md")

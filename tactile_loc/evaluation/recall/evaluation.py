@@ -1,0 +1,236 @@
+"""Evaluation of what `run` answers: examples are located from 1 to N touches, and every listed pose is measured."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.evaluation.fusion import MOST_FUSED
+from tactile_loc.evaluation.metrics import compute_adds, compute_mssd, compute_surface_distances
+from tactile_loc.evaluation.protocol import sample_surface, save_in_shards
+from tactile_loc.evaluation.recall.examples import Example, Examples
+from tactile_loc.evaluation.simulated_touches import require_true_pose
+from tactile_loc.locate.localizer import Localizer, Observation, localize_together
+from tactile_loc.locate.model import STAGE_VERSIONS
+from tactile_loc.locate.results.localization import Hypothesis, Localization
+from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.verdict import REFUSED, Verdict
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.workspace import Workspace
+
+RECALL_VERSION = 1  # increase if the same localizer gets other results
+METRICS = ("surface", "add", "mssd")
+RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
+AS_WELL = 0.02  # a pose whose imprint IoU is lower by at most this explains the touches as well as the true pose
+SHARD = 5  # examples located and saved at once
+ABSENT = ""  # verdict of an example that has too few touches
+VERDICTS = (*(verdict.value for verdict in Verdict), REFUSED)
+
+
+class Located(NamedTuple):
+    """The result of one example located from some of its touches, with up to K listed poses.
+
+    `T_sensor_object` (K, 4, 4), metres, are the listed poses in the frame of the example's first sensor, the most
+    probable first, with `probabilities` (K,). `errors_m` (K, M) are their METRICS, metres. Missing poses are NaN, with
+    infinite errors. `verdict` is a verdict's word, "refused", or ABSENT. `problem` is the reason if there is no pose.
+    `determined` is false if a listed wrong pose explains the touches as well as the true pose. `seconds` is the time to
+    locate the example, NaN if there is no pose.
+    """
+
+    T_sensor_object: Poses
+    probabilities: NDArray[np.float64]
+    errors_m: NDArray[np.float64]
+    verdict: str
+    problem: str
+    determined: bool
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class RecallEvaluation:
+    """The results of E examples, each located from its first touches, for C numbers of touches `together`.
+
+    The arrays have an item for each field of `Located`. `T_true` (E, 4, 4), metres, are the true poses in the frame of
+    each example's first sensor; NaN if this touch cannot be read. `refused` (E,) is the number of presses that made no
+    touch; they do not count.
+    """
+
+    together: tuple[int, ...]
+    T_sensor_object: Poses
+    probabilities: NDArray[np.float64]
+    errors_m: NDArray[np.float64]
+    verdict: NDArray[np.str_]
+    problem: NDArray[np.str_]
+    determined: NDArray[np.bool_]
+    seconds: NDArray[np.float64]
+    T_true: Poses = field(default_factory=lambda: np.empty((0, 4, 4)))
+    refused: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+
+    def __len__(self) -> int:
+        return len(self.errors_m)
+
+
+ARRAYS = (*Located._fields, "T_true", "refused")
+
+
+def evaluate_recall(localizer: Localizer, examples: Examples, together: Sequence[int]) -> RecallEvaluation:
+    """Locate each example from its first n touches, for each n of `together`, and measure all listed poses.
+
+    The result is kept in the localizer's store, in shards of SHARD examples. An interrupted evaluation resumes. An
+    example that cannot be located is kept, with its reason. Raises ConfigError unless all numbers are from 1 to
+    MOST_FUSED.
+    """
+    numbers = tuple(sorted(set(together)))
+    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
+        raise ConfigError(f"the numbers of touches cannot be {list(together)}; give numbers from 1 to {MOST_FUSED}")
+
+    def run(work: Workspace) -> None:
+        locator = _ExampleLocator(localizer, examples, numbers)
+        locator.warm_up()
+        save_in_shards(work, ARRAYS, examples.count, SHARD, locator.locate_examples)
+
+    artifact = localizer.store.build(make_recall_key(localizer, examples, numbers), run)
+    return RecallEvaluation(numbers, *(artifact.load_array(name, mmap=False) for name in ARRAYS))
+
+
+def make_recall_key(localizer: Localizer, examples: Examples, together: Sequence[int]) -> StageKey:
+    """Return the store key of an evaluation, made from all inputs of its results."""
+    settings = {key: value for key, value in localizer.config.resolve().items() if key not in ("object", "touch")}
+    fitted = localizer.probabilities
+    scalings = [asdict(fitted.temperature_scaling), *([asdict(fitted.fused_scaling)] if together[-1] > 1 else [])]
+    inputs = {
+        **localizer.describe_scores(), "object": localizer.object.describe(), "settings": settings,
+        "stages": dict(STAGE_VERSIONS), "scalings": scalings, "examples": examples.describe(),
+        "count": examples.count, "together": list(together),
+    }  # fmt: skip
+    return StageKey("recall-evaluation", RECALL_VERSION, inputs, localizer.object.name)
+
+
+@dataclass(frozen=True, eq=False)
+class _ExampleLocator:
+    """Locates examples, and measures the listed poses."""
+
+    localizer: Localizer
+    examples: Examples
+    together: tuple[int, ...]
+
+    def locate_examples(self, numbers: range) -> list[NDArray[Any]]:
+        """Return the ARRAYS of some examples."""
+        drawn = [self.examples.draw(number) for number in numbers]
+        rows = []
+        task = f"locating {self.localizer.object.name}, examples {numbers[0] + 1} to {numbers[-1] + 1}"
+        with self.localizer.progress.task(task, len(numbers) * len(self.together)) as advance:
+            for example in drawn:
+                row = []
+                for n in self.together:
+                    row.append(self._locate(example, n))
+                    advance(1)
+                rows.append(row)
+        columns = [np.array([[getattr(one, name) for one in row] for row in rows]) for name in Located._fields]
+        truths = np.array([_find_truth(example) for example in drawn])
+        return [*columns, truths, np.array([example.refused for example in drawn])]
+
+    def warm_up(self) -> None:
+        """Locate the first example, so that no measured time includes the building of what is stored and loaded."""
+        first = self.examples.draw(0).observations
+        for n in self.together:
+            with suppress(GridError, TouchError):
+                localize_together(first[:n])
+
+    def _locate(self, example: Example, n: int) -> Located:
+        """Locate an example from its first n touches."""
+        some = example.observations[:n]
+        if len(some) < n:
+            return self._fail(REFUSED if example.problem else ABSENT, example.problem)
+        start = time.perf_counter()
+        try:
+            found = localize_together(some)
+        except (GridError, TouchError) as error:
+            return self._fail(LocatedFrame.of_error(error).word, str(error))
+        seconds = time.perf_counter() - start
+        poses = _view_from_first(some, found)[: self._most]
+        errors_m = self._measure_errors(poses, require_true_pose(some[0][1]))
+        p = np.array([hypothesis.probability for hypothesis in found.hypotheses[: self._most]])
+        determined = is_determined(some, found.hypotheses[: self._most], errors_m[:, METRICS.index("surface")])
+        verdict = found.verdict.value
+        return Located(
+            self._pad(poses, np.nan),
+            self._pad(p, np.nan),
+            self._pad(errors_m, np.inf),
+            verdict,
+            "",
+            determined,
+            seconds,
+        )
+
+    def _fail(self, verdict: str, problem: str) -> Located:
+        """Return the result of an example without a pose. It counts as determined."""
+        empty = np.empty((0, len(METRICS)))
+        poses, p, errors_m = self._pad(np.empty((0, 4, 4)), np.nan), self._pad(np.empty(0), np.nan), empty
+        return Located(poses, p, self._pad(errors_m, np.inf), verdict, problem, True, np.nan)
+
+    def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
+        """Return the METRICS (K, M), metres, of poses (K, 4, 4)."""
+        obj = self.localizer.object
+        errors = (
+            compute_surface_distances(obj, poses, T_true),
+            compute_adds(obj, self._points_m, poses, T_true),
+            compute_mssd(obj, obj.mesh.hull_corners_m, poses, T_true),
+        )
+        return np.stack(errors, axis=1)
+
+    def _pad(self, values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
+        """Return values (k, ...) with `missing` values up to the number of listed poses (K, ...)."""
+        rest = np.full((self._most - len(values), *values.shape[1:]), missing)
+        return np.concatenate([values, rest])
+
+    @property
+    def _most(self) -> int:
+        return self.localizer.config.top
+
+    @cached_property
+    def _points_m(self) -> NDArray[np.float64]:
+        return sample_surface(self.localizer.object)
+
+
+def is_determined(
+    observations: Sequence[Observation], hypotheses: Sequence[Hypothesis], surface_m: NDArray[np.float64],
+    right_m: float = RIGHT_M,
+) -> bool:  # fmt: skip
+    """Return whether no listed wrong pose explains the touches as well as the true poses do.
+
+    `surface_m` (K,), metres, are the hypotheses' surface distances. A pose is wrong from `right_m`, metres. Raises
+    TouchError if a touch has no true pose.
+    """
+    true = [
+        localizer.scene.match_touch(touch).imprint_ious(require_true_pose(touch)[None], touch)[0]
+        for localizer, touch in observations
+    ]
+    ious = np.array([hypothesis.imprint_iou for hypothesis in hypotheses])
+    return not bool(((surface_m >= right_m) & (ious >= np.mean(true) - AS_WELL)).any())
+
+
+def _view_from_first(observations: Sequence[Observation], found: Localization) -> Poses:
+    """Return the listed poses (K, 4, 4), metres, in the frame of the first touch's sensor.
+
+    They are already in this frame, unless the first touch was left out as an outlier.
+    """
+    poses = np.stack([hypothesis.T_sensor_object for hypothesis in found.hypotheses])
+    first, used = observations[0][1], found.touch
+    if used is first:
+        return poses
+    return invert(np.asarray(first.T_base_sensor)) @ np.asarray(used.T_base_sensor) @ poses
+
+
+def _find_truth(example: Example) -> Poses:
+    """Return the true pose (4, 4), metres, in the frame of the first sensor; NaN if this touch cannot be read."""
+    return require_true_pose(example.observations[0][1]) if example.observations else np.full((4, 4), np.nan)

@@ -1,0 +1,113 @@
+"""Examples from a user's own touches, whose poses are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.evaluation.recall.examples import Example
+from tactile_loc.io.labelled_touches import LabelledTouch, read_labelled_touches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.touch_files import match_localizers, read_listed_touch
+from tactile_loc.store.keys import hash_arrays
+
+KIND = "own touches"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledExamples:
+    """Examples of touches with known poses, each of one object at rest.
+
+    If no touch of an example has a sensor pose, the known poses give the sensors' poses relative to the object.
+    """
+
+    localizer: Localizer
+    examples: tuple[tuple[LabelledTouch, ...], ...]
+
+    @classmethod
+    def read(cls, localizer: Localizer, paths: Iterable[Path]) -> LabelledExamples:
+        """Read the examples of all paths, as `read_labelled_touches` does. Raises TouchError for bad input."""
+        return cls(localizer, tuple(example for path in paths for example in read_labelled_touches(path)))
+
+    @property
+    def count(self) -> int:
+        """The number of examples."""
+        return len(self.examples)
+
+    @property
+    def most(self) -> int:
+        """The largest number of touches of an example."""
+        return max(map(len, self.examples))
+
+    def require_touches(self, together: Iterable[int]) -> None:
+        """Raise ConfigError if no example has as many touches as the largest of the numbers `together`."""
+        if max(together) > self.most:
+            raise ConfigError(
+                f"there are no {max(together)} touches to locate together: an example has at most {self.most}; name "
+                "the touches of one object at rest alike in the column 'example', or give a list of touches (.toml)"
+            )
+
+    def draw(self, number: int) -> Example:
+        """Return an example by its number. It ends before the first touch that cannot be read.
+
+        Raises TouchError if only some of several touches have a sensor pose.
+        """
+        localizers, touches, problem = self._localizers[number], [], ""
+        for localizer, one in zip(localizers, self.examples[number], strict=True):
+            try:
+                touch = read_listed_touch(localizer, one.listed)
+            except TouchError as error:
+                problem = str(error)
+                break
+            touches.append(dataclasses.replace(touch, T_sensor_object=one.T_sensor_object))
+        return Example(tuple(zip(localizers, _place_sensors(touches), strict=False)), problem=problem)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what determines the examples, as JSON values."""
+        return {"examples": [_describe_example(self.draw(number)) for number in range(self.count)]}
+
+    @cached_property
+    def _localizers(self) -> list[list[Localizer]]:
+        """The localizer of each touch of each example."""
+        every = [one.listed for example in self.examples for one in example]
+        found = iter(match_localizers(self.localizer, every))
+        return [[next(found) for _ in example] for example in self.examples]
+
+
+def _place_sensors(touches: list[Touch]) -> list[Touch]:
+    """Return touches with sensor poses in the object's frame, from their known poses, unless they have sensor poses.
+
+    Raises TouchError if only some of several touches have a sensor pose.
+    """
+    known = [touch.T_base_sensor is not None for touch in touches]
+    if len(touches) == 1 or all(known):
+        return touches
+    if any(known):
+        missing = touches[known.index(False)].name
+        raise TouchError(
+            f"{missing} has no T_base_sensor, but other touches of its example do; give it, or leave all out"
+        )
+    return [dataclasses.replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))) for touch in touches]
+
+
+def _describe_example(example: Example) -> list[Any]:
+    return [*(_describe_touch(touch) for _, touch in example.observations), example.problem]
+
+
+def _describe_touch(touch: Touch) -> dict[str, Any]:
+    poses = {"true": touch.T_sensor_object, "sensor": touch.T_base_sensor}
+    arrays = {name: np.asarray(T) for name, T in poses.items() if T is not None}
+    return {
+        "touch": hash_arrays(depth=touch.contact_shape.depth_m, **arrays), "sensor": touch.geometry.describe(),
+        "depths_m": [touch.press_depth_m, touch.indentation_m],
+        "std": [touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad],
+    }  # fmt: skip

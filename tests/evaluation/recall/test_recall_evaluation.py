@@ -1,0 +1,153 @@
+"""Evaluation of what `run` answers, on a coarse search: errors, verdicts, examples without a pose, and resuming."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, NoContactError
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.evaluation.recall import evaluation as module
+from tactile_loc.evaluation.recall.evaluation import (
+    METRICS,
+    RecallEvaluation,
+    evaluate_recall,
+    make_recall_key,
+)
+from tactile_loc.evaluation.recall.examples import DrawnExamples, Example
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.store.store import StageStore
+
+SETTINGS = {"grid": {"name": "whole", "directions": 300}, "temperature": 0.05, "top": 3}
+COUNT = 3
+
+
+@pytest.fixture(scope="module")
+def hook(store: StageStore) -> Localizer:
+    return Localizer.create("hook", store=store, **SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def examples(hook: Localizer) -> DrawnExamples:
+    return DrawnExamples(hook, SimulatedTouches("none", 3), COUNT, 2)
+
+
+@pytest.fixture(scope="module")
+def found(hook: Localizer, examples: DrawnExamples) -> RecallEvaluation:
+    return evaluate_recall(hook, examples, (1, 2))
+
+
+def test_the_listed_poses_are_those_of_run(hook, examples, found):
+    observations = examples.draw(1).observations
+    told = localize_together(observations)
+    poses = np.stack([one.T_sensor_object for one in told.hypotheses])
+    kept = len(poses)
+    assert np.array_equal(found.T_sensor_object[1, 1, :kept], poses)
+    assert np.isnan(found.T_sensor_object[1, 1, kept:]).all()
+    assert found.probabilities[1, 1, :kept].tolist() == [one.probability for one in told.hypotheses]
+    assert found.verdict[1, 1] == told.verdict
+    assert np.array_equal(found.T_true[1], observations[0][1].T_sensor_object)
+
+
+def test_errors_are_ordered_as_their_definitions(hook, found):
+    known = np.isfinite(found.errors_m[..., 0])
+    surface, add, mssd = (found.errors_m[..., METRICS.index(name)][known] for name in METRICS)
+    assert (surface <= add + 1e-9).all()
+    assert (add <= mssd + 1e-9).all()
+    T = found.T_sensor_object[known]
+    truths = np.broadcast_to(found.T_true[:, None, None], found.T_sensor_object.shape)[known]
+    rms = PoseMetric(hook.object).symmetric_distance(T, truths)
+    assert (rms <= mssd + 1e-9).all()
+
+
+def test_a_wrong_pose_that_explains_the_touches_as_well_makes_them_undetermined(found):
+    wrong = found.errors_m[:, 0, :, 0] > module.RIGHT_M
+    assert (~found.determined[:, 0]).any()
+    assert wrong[~found.determined[:, 0]].any(axis=1).all()
+
+
+def test_an_interrupted_evaluation_resumes_with_the_same_results(hook, examples, found, tmp_path, monkeypatch):
+    fresh = Localizer.create("hook", store=StageStore(tmp_path), **SETTINGS)
+    again = dataclasses.replace(examples, localizer=fresh)
+    monkeypatch.setattr(module, "SHARD", 2)
+    located = module._ExampleLocator._locate
+    calls = []
+
+    def locate(self, example, n):
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        calls.append(n)
+        return located(self, example, n)
+
+    monkeypatch.setattr(module._ExampleLocator, "_locate", locate)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_recall(fresh, again, (1, 2))
+    calls.clear()
+    result = evaluate_recall(fresh, again, (1, 2))
+    assert len(calls) == 2  # of the third example; the first two were kept
+    assert np.array_equal(result.errors_m, found.errors_m)
+
+
+@dataclasses.dataclass(frozen=True)
+class Troubled:
+    """Three examples: one complete, one whose second touch cannot be read, one with a single touch."""
+
+    examples: DrawnExamples
+    count: int = 3
+
+    def draw(self, number: int) -> Example:
+        observations = self.examples.draw(number).observations
+        return [
+            Example(observations),
+            Example(observations[:1], problem="b.npz is damaged"),
+            Example(observations[:1]),
+        ][number]
+
+    def describe(self) -> dict[str, str]:
+        return {"kind": "troubled"}
+
+
+def test_examples_that_cannot_be_located_are_kept_with_their_reason(hook, examples, monkeypatch):
+    def refuse(observations, *rest):
+        if len(observations) == 1 and observations[0][1].name.startswith("example-0002"):
+            raise NoContactError("nothing touches the gel")
+        return localize_together(observations, *rest)
+
+    monkeypatch.setattr(module, "localize_together", refuse)
+    found = evaluate_recall(hook, Troubled(examples), (1, 2))
+    assert found.verdict[1, 1] == "refused"
+    assert found.problem[1, 1] == "b.npz is damaged"
+    assert found.verdict[2].tolist() == ["no contact", module.ABSENT]
+    assert found.problem[2, 0] == "nothing touches the gel"
+    assert np.isinf(found.errors_m[2, 0]).all()
+    assert np.isfinite(found.errors_m[0, 1, 0]).all()
+    assert np.isnan(found.seconds[2, 0])
+
+
+def test_poses_are_in_the_first_sensor_s_frame_if_the_first_touch_is_left_out(examples):
+    observations = examples.draw(0).observations
+    first, second = (touch for _, touch in observations)
+    told = localize_together(observations[1:])
+    T = module._view_from_first(observations, told)[0]
+    T_base_object = second.T_base_sensor @ told.best.T_sensor_object
+    assert np.allclose(T, invert(first.T_base_sensor) @ T_base_object)
+
+
+def test_the_key_depends_on_settings_examples_and_numbers(hook, examples, store):
+    keys = [
+        make_recall_key(hook, examples, (1, 2)),
+        make_recall_key(hook, examples, (1,)),
+        make_recall_key(hook, dataclasses.replace(examples, source=SimulatedTouches("none", 4)), (1, 2)),
+        make_recall_key(Localizer.create("hook", store=store, **{**SETTINGS, "top": 4}), examples, (1, 2)),
+    ]
+    assert len({key.digest for key in keys}) == len(keys)
+
+
+@pytest.mark.parametrize("together", [(), (0, 1), (21,)])
+def test_impossible_numbers_of_touches_are_refused(hook, examples, together):
+    with pytest.raises(ConfigError):
+        evaluate_recall(hook, examples, together)

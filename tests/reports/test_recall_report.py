@@ -1,0 +1,58 @@
+"""The page of an evaluation of what `run` answers agrees with its JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from report_helpers import Elements, html_of, page_in, write_recall
+
+from tactile_loc.core.errors import ResultError
+from tactile_loc.evaluation.recall import tables
+from tactile_loc.reports import find_source
+from tactile_loc.reports.report import make_page
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return write_recall(tmp_path_factory.mktemp("recall"))
+
+
+@pytest.fixture(scope="module")
+def groups(folder) -> list[tables.Group]:
+    return tables.read_groups(json.loads((folder / "recall.json").read_text()))
+
+
+def test_the_page_shows_the_tables_of_the_file(folder, groups):
+    rows = Elements(html_of(folder)).rows
+    for tabulate in (tables.tabulate_recall, tables.tabulate_verdicts, tables.tabulate_bins):
+        for row in tabulate(groups):
+            assert row in rows
+
+
+def test_the_main_numbers_are_those_of_all_objects(folder, groups):
+    text = html_of(folder)
+    for group in groups[-4:]:
+        share = f"{100 * group.outcomes.measure_recall([1e-3])[0]:.0f} %"
+        assert f"<dd>{share}</dd>" in text
+
+
+def test_scripts_draw_the_errors_of_every_example_in_mm(folder, groups):
+    drawn = page_in(folder).data["groups"]
+    assert [(g["object"], g["noise"], g["touches"]) for g in drawn] == [(g.object, g.noise, g.touches) for g in groups]
+    errors_mm = sorted(1e3 * groups[0].outcomes.select_errors())
+    assert drawn[0]["errors_mm"]["first"]["surface"][:-1] == pytest.approx(errors_mm[:-1], rel=1e-4)
+    assert drawn[0]["errors_mm"]["first"]["surface"][-1] == 1e6  # without a pose
+
+
+def test_examples_without_a_pose_are_listed_with_their_reason(folder):
+    assert ["the file is damaged", "8"] in Elements(html_of(folder)).rows
+
+
+def test_another_version_is_refused(folder, tmp_path):
+    document = json.loads((folder / "recall.json").read_text())
+    document["schema_version"] += 1
+    (tmp_path / "recall.json").write_text(json.dumps(document))
+    with pytest.raises(ResultError):
+        make_page(find_source(tmp_path))
