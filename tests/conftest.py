@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import trimesh
-from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_run, write_sweep
+from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
 
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -200,6 +200,12 @@ def unfriendly_run(localizer: Localizer, tmp_path_factory: pytest.TempPathFactor
 @pytest.fixture(scope="session")
 def evaluation_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_evaluation(tmp_path_factory.mktemp("evaluation"))
+
+
+@pytest.fixture(scope="session")
+def recall_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An evaluation of what `run` answers, with random results."""
+    return write_recall(tmp_path_factory.mktemp("recall"))
 
 
 @pytest.fixture(scope="session")

@@ -188,8 +188,10 @@ def run(words: list[str]) -> None:
         words = words[4:]
     assert words[0] == "tactile-loc", f"no test knows how to run {words[0]}"
     cheaper = CHEAPER.get(words[1], [])
-    if "--together" in words:  # this gives the number of touches
+    if words[1] == "simulate" and "--together" in words:  # this gives the number of touches
         cheaper = COARSE
+    if "--touches" in words:  # your own touches have their own number
+        cheaper = [*COARSE, *SURE]
     if "moco" in words:
         cheaper = [*cheaper, *TINY_TRAINING]
     if "--ball-radius" in words:  # the ball of the furnished folders

@@ -1,4 +1,4 @@
-"""The TOML files in docs/files.md can be read."""
+"""The TOML and CSV files in docs/files.md can be read."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import is_rigid
+from tactile_loc.io.labelled_touches import read_labelled_touches
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import write_touch
@@ -18,8 +19,8 @@ PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 
 
 def block(first: str) -> str:
-    """The TOML block of the page that begins with `first`."""
-    (found,) = [b for b in re.findall(r"```toml\n(.*?)```", PAGE.read_text(), re.DOTALL) if b.startswith(first)]
+    """The TOML or CSV block of the page that begins with `first`."""
+    (found,) = [b for b in re.findall(r"```(?:toml|csv)\n(.*?)```", PAGE.read_text(), re.DOTALL) if b.startswith(first)]
     return found
 
 
@@ -39,6 +40,16 @@ def test_the_list_of_touches_can_be_read(localizer, tmp_path):
     assert Path(str(second.sensor)).name == "my_sensor"
     assert is_rigid(np.stack([np.asarray(t.T_base_sensor) for t in (first, second)]))
     assert np.asarray(first.T_base_sensor)[:3, 3] == pytest.approx([0.4, 0.0, 0.12])
+
+
+def test_the_table_of_known_poses_can_be_read(tmp_path):
+    for name in ("first", "second", "third"):
+        (tmp_path / f"{name}.npz").touch()
+    (tmp_path / "poses.csv").write_text(block("touch,"))
+    examples = read_labelled_touches(tmp_path / "poses.csv")
+    assert [len(example) for example in examples] == [2, 1]
+    assert is_rigid(np.stack([touch.T_sensor_object for example in examples for touch in example]))
+    assert examples[0][0].T_sensor_object[:3, 3] == pytest.approx([-0.012, 0.0035, 0.0246])
 
 
 def test_the_prior_can_be_read(localizer, tmp_path):

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation.rolls import find_least_largest, find_least_mean
@@ -32,7 +31,7 @@ TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, po
 AT_ONCE = 32  # transforms applied to all points at once
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)
-GAP_POINTS, FAR_POINTS = 2000, 20_000  # averaged by the surface distance; stand for a surface that is far away
+GAP_POINTS = 2000  # points of the surface, whose distances are averaged
 STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
 Points = NDArray[np.float64]
@@ -103,23 +102,24 @@ def compute_surface_distances(obj: ObjectModel, T_estimates: Poses, T_true: Pose
 
 
 def _measure_gaps(mesh: TriangleMesh, points_m: Points) -> NDArray[np.float64]:
-    """Return the distances (P,), metres, of points (P, 3) from a surface.
+    """Return the distances (P,), metres, of points (P, 3) from a surface."""
+    from open3d.core import Tensor
 
-    Points beyond the reach of the surface's field are compared with FAR_POINTS of its points.
-    """
-    closest_m, _ = build_surface_field(mesh).find_closest(points_m)
-    gaps_m = np.linalg.norm(points_m - closest_m, axis=1)
-    far = np.isnan(gaps_m)
-    if far.any():
-        gaps_m[far] = _build_tree(mesh).query(points_m[far])[0]
-    return gaps_m
+    points_mm = (1e3 * (points_m - mesh.centroid_m)).astype(np.float32)
+    gaps_mm: NDArray[np.float32] = _build_scene(mesh).compute_distance(Tensor.from_numpy(points_mm)).numpy()
+    return 1e-3 * gaps_mm.astype(float)
 
 
 @lru_cache(maxsize=8)
-def _build_tree(mesh: TriangleMesh) -> Any:
-    from scipy.spatial import cKDTree
+def _build_scene(mesh: TriangleMesh) -> Any:
+    """Return a mesh's search structure in mm about its centroid, because its numbers have single precision."""
+    from open3d.core import Tensor
+    from open3d.t.geometry import RaycastingScene
 
-    return cKDTree(mesh.sample(FAR_POINTS, np.random.default_rng(0)))
+    scene = RaycastingScene()
+    vertices_mm = (1e3 * (mesh.vertices_m - mesh.centroid_m)).astype(np.float32)
+    scene.add_triangles(Tensor.from_numpy(vertices_mm), Tensor.from_numpy(mesh.faces.astype(np.uint32)))
+    return scene
 
 
 def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 from cli_helpers import FLAT_SENSOR, TINY, assert_refused, write_box
 from PIL import Image
-from tactile_loc_cli.evaluate.command import Asked
-from tactile_loc_cli.evaluate.jobs import choose_options, list_jobs
+from tactile_loc_cli.evaluate.jobs import Asked, choose_options, list_jobs
 from tactile_loc_cli.evaluate.paper import choose_touches
 
 from tactile_loc.data import DEMO_OBJECTS

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from report_helpers import Elements, html_of, page_in, write_recall
+from report_helpers import Elements, html_of, page_in
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.evaluation.recall import tables
@@ -14,12 +14,12 @@ from tactile_loc.reports import find_source
 from tactile_loc.reports.report import make_page
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    return write_recall(tmp_path_factory.mktemp("recall"))
+@pytest.fixture
+def folder(recall_folder) -> Path:
+    return recall_folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def groups(folder) -> list[tables.Group]:
     return tables.read_groups(json.loads((folder / "recall.json").read_text()))
 

@@ -198,6 +198,24 @@ def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_
 
 
 @pytest.mark.slow
+def test_the_page_of_what_run_answers_is_drawn_and_its_menus_work(show, recall_folder):
+    browser = show(recall_folder)
+    assert set(plots(browser)) == {"curves", "verdicts-plot", "reliability-plot"}
+    assert min(plots(browser).values()) > 0
+    document = json.loads((recall_folder / "recall.json").read_text())
+    (run,) = [run for run in document["runs"] if (run["object"], run["noise"]) == ("hook", "strong")]
+    for name, value in (("object", "hook"), ("noise", "strong"), ("kind", "listed"), ("metric", "mssd")):
+        choose(browser, name, value)
+    x, y = browser.execute_script(
+        "const t = document.getElementById('curves').data[1]; return [Array.from(t.x), Array.from(t.y)]"
+    )
+    errors = run["results"][1]["each_example"]["listed_errors_m"]["mssd"]
+    known = sorted(1e3 * e for e in errors if e is not None and 1e3 * e <= 50)
+    assert x[1:-1] == pytest.approx([max(e, 0.02) for e in known], rel=1e-4)
+    assert y[-1] == pytest.approx(100 * len(known) / len(errors))
+
+
+@pytest.mark.slow
 def test_the_page_of_several_contacts_is_drawn(show, contacts_folder):
     browser = show(contacts_folder)
     medians = "return document.getElementById('curves').data.filter(t => t.mode === 'lines+markers').length"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +11,7 @@ import typer
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
+from tactile_loc_cli.evaluate.jobs import Asked
 from tactile_loc_cli.options import RunOptions
 
 DEFAULT_OUT = Path("evaluation")
@@ -80,22 +80,6 @@ Given = Annotated[
         grid="Poses to search. Default: whole. With --paper: face.",
     ),
 ]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What is evaluated: the command's own options. An option that was not given is None, or empty."""
-
-    objects: list[str] | None
-    encoders: list[str] | None
-    count: int | None
-    together: tuple[int, ...] | None
-    touches: tuple[Path, ...]
-    images: bool
-    noises: tuple[options.Noise, ...]
-    seeds: tuple[int, ...]
-    out: Path
-    store: Path | None
 
 
 def evaluate(

@@ -1,9 +1,10 @@
-"""The objects and encoders that are evaluated, each with its settings."""
+"""What is evaluated: the command's own options, and the objects and encoders, each with its settings."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,22 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
 
 Job = tuple["RunConfig", "ObjectModel"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is evaluated: the command's own options. An option that was not given is None, or empty."""
+
+    objects: list[str] | None
+    encoders: list[str] | None
+    count: int | None
+    together: tuple[int, ...] | None
+    touches: tuple[Path, ...]
+    images: bool
+    noises: tuple[options.Noise, ...]
+    seeds: tuple[int, ...]
+    out: Path
+    store: Path | None
 
 
 def list_jobs(

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_table, say_written
-from tactile_loc_cli.evaluate.command import Asked
-from tactile_loc_cli.evaluate.jobs import Job, list_jobs, read_setting
+from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -72,8 +72,8 @@ class RecallEvaluation:
     problem: NDArray[np.str_]
     determined: NDArray[np.bool_]
     seconds: NDArray[np.float64]
-    T_true: Poses = field(default_factory=lambda: np.empty((0, 4, 4)))
-    refused: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    T_true: Poses
+    refused: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.errors_m)
@@ -159,24 +159,22 @@ class _ExampleLocator:
         seconds = time.perf_counter() - start
         poses = _view_from_first(some, found)[: self._most]
         errors_m = self._measure_errors(poses, require_true_pose(some[0][1]))
-        p = np.array([hypothesis.probability for hypothesis in found.hypotheses[: self._most]])
-        determined = is_determined(some, found.hypotheses[: self._most], errors_m[:, METRICS.index("surface")])
-        verdict = found.verdict.value
-        return Located(
-            self._pad(poses, np.nan),
-            self._pad(p, np.nan),
-            self._pad(errors_m, np.inf),
-            verdict,
-            "",
-            determined,
-            seconds,
-        )
+        listed = found.hypotheses[: self._most]
+        determined = is_determined(some, listed, errors_m[:, METRICS.index("surface")])
+        p = np.array([hypothesis.probability for hypothesis in listed])
+        return self._record(poses, p, errors_m, found.verdict.value, "", determined, seconds)
 
     def _fail(self, verdict: str, problem: str) -> Located:
         """Return the result of an example without a pose. It counts as determined."""
-        empty = np.empty((0, len(METRICS)))
-        poses, p, errors_m = self._pad(np.empty((0, 4, 4)), np.nan), self._pad(np.empty(0), np.nan), empty
-        return Located(poses, p, self._pad(errors_m, np.inf), verdict, problem, True, np.nan)
+        none = np.empty((0, 4, 4)), np.empty(0), np.empty((0, len(METRICS)))
+        return self._record(*none, verdict, problem, True, np.nan)
+
+    def _record(
+        self, poses: Poses, probabilities: NDArray[np.float64], errors_m: NDArray[np.float64], *rest: Any
+    ) -> Located:
+        """Return a result with K listed poses, from k poses, their probabilities and errors, and the other fields."""
+        padded = (self._pad(poses, np.nan), self._pad(probabilities, np.nan), self._pad(errors_m, np.inf))
+        return Located(*padded, *rest)
 
     def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
         """Return the METRICS (K, M), metres, of poses (K, 4, 4)."""

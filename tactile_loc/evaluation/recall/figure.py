@@ -38,9 +38,9 @@ def draw_recall(runs: Sequence[RecallRun], title: str) -> Figure:
     styles = dict(zip(dict.fromkeys((g.encoder, g.noise) for g in groups), itertools.cycle(DASHES), strict=False))
     for group in groups:
         _draw_curves(recall, group, colours[group.touches], styles[group.encoder, group.noise])
-    for touches, colour in colours.items():
+    for number, (touches, colour) in enumerate(colours.items()):
         joined = Outcomes.join(g.outcomes for g in groups if g.touches == touches)
-        _draw_reliability(reliability, joined, colour)
+        _draw_reliability(reliability, joined, colour, -10 * (number + 1))
     _label_recall(recall)
     _label_reliability(reliability)
     handles, labels = recall.get_legend_handles_labels()
@@ -66,14 +66,15 @@ def _draw_curves(axes: Axes, group: Group, colour: str, dash: Any) -> None:
     axes.plot(thresholds_mm, first, lw=2, label=label, color=colour, ls=dash)
 
 
-def _draw_reliability(axes: Axes, outcomes: Outcomes, colour: str) -> None:
+def _draw_reliability(axes: Axes, outcomes: Outcomes, colour: str, below: int) -> None:
+    """Draw the reliability, with the number of examples of each bin `below` its dot, in points."""
     bins = [b for b in bin_probabilities(outcomes) if b.examples >= FEW]
     if not bins:
         return
     stated, right = (100 * np.array([getattr(b, name) for b in bins], float) for name in ("stated", "right"))
     axes.plot(stated, right, "o-", color=colour, lw=1.4, ms=6, clip_on=False, zorder=3)
     for b, x, y in zip(bins, stated, right, strict=True):
-        axes.annotate(str(b.examples), (x, y), (5, -10), textcoords="offset points", size=8, color=colour)
+        axes.annotate(str(b.examples), (x, y), (5, below), textcoords="offset points", size=8, color=colour)
 
 
 def _label_recall(axes: Axes) -> None:
