@@ -29,7 +29,7 @@ from tactile_loc.store.files import read_json
 
 Pose = NDArray[np.float64]
 
-NAMES = ("poses.csv", "poses.json")  # looked for in a folder
+NAMES = ("poses.csv", "touches.toml", "poses.json")  # looked for in a folder, in this order
 PLACE = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
 TURN = ("turn_deg", "axis_x", "axis_y", "axis_z")
@@ -53,8 +53,8 @@ Example = tuple[LabelledTouch, ...]
 def read_labelled_touches(path: str | Path) -> tuple[Example, ...]:
     """Read touches with known poses, as examples: an example has one or several touches of one object at rest.
 
-    `path` is a .csv table, a poses.json, a list of touches (.toml, one example), or a folder with poses.csv or
-    poses.json. Raises TouchError when a file, a column or a pose is missing or wrong.
+    `path` is a .csv table, a poses.json, a list of touches (.toml, one example), or a folder with poses.csv,
+    touches.toml or poses.json. Raises TouchError when a file, a column or a pose is missing or wrong.
     """
     path = _find_table(Path(path))
     readers = {".csv": _read_csv, ".json": _read_poses, ".toml": _read_list}
@@ -68,7 +68,9 @@ def _find_table(path: Path) -> Path:
     if os.path.isdir(path):
         found = [path / name for name in NAMES if (path / name).is_file()]
         if not found:
-            raise TouchError(f"{path} has no {' or '.join(NAMES)}; give the poses of its touches in one of these files")
+            raise TouchError(
+                f"{path} has no {', '.join(NAMES[:-1])} or {NAMES[-1]}; give its touches' poses in such a file"
+            )
         return found[0]
     if not os.path.isfile(path):
         raise TouchError(f"there is no file {path}; check the path")

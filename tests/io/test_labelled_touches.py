@@ -80,6 +80,13 @@ def test_a_list_is_one_example_and_poses_follow_from_the_sensors_poses(folder):
     np.testing.assert_allclose(a.T_sensor_object, invert(moved) @ BASE @ T, atol=1e-12)
 
 
+def test_in_a_folder_a_list_comes_before_the_poses_of_simulate(folder):
+    (folder / "poses.json").write_text(json.dumps({"T_sensor_object": {"a": T.tolist(), "b": T.tolist()}}))
+    rows = [f'[[touch]]\npath = "{name}.npz"\nT_base_sensor = {BASE.tolist()}\n' for name in "ab"]
+    (folder / "touches.toml").write_text("".join(rows))
+    assert [len(example) for example in read_labelled_touches(folder)] == [2]
+
+
 def test_a_list_states_the_true_pose_of_a_touch(folder):
     path = folder / "touches.toml"
     path.write_text(f'[[touch]]\npath = "a.npz"\nT_sensor_object = {T.tolist()}\n')
