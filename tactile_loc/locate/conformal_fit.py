@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 STAGE, STAGE_VERSION = "conformal", 4
 # The examples of each number of touches, with each of the three levels of noise. Strong noise takes longest, and its
 # touches seldom have a pose that is listed.
-EXAMPLES = {1: (12, 12, 6), 2: (10, 10, 4), 3: (10, 10, 4), 5: (6, 6, 2)}
+EXAMPLES = {1: (12, 12, 6), 2: (10, 10, 3), 3: (10, 8, 3), 5: (5, 4, 1)}
 NOISE = SEARCHED_NOISE
 LISTED = 40  # fewest poses to refine for a set, if there are that many
 RIGHT_M = 1e-3  # surface distance within which a refined pose counts as the true pose
