@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -371,12 +372,7 @@ def _record_hypotheses(localization: Located, errors_m: NDArray[np.float64] | No
 
 
 def _record_pose_set(found: PoseSet | None) -> PoseSetRecord | None:
-    if found is None:
-        return None
-    return PoseSetRecord(
-        coverage=found.coverage, poses=found.poses, radius_m=found.radius_m, elsewhere=found.elsewhere,
-        missed=found.missed, promised=found.promised, reason=found.reason, level=found.level, examples=found.examples,
-    )  # fmt: skip
+    return None if found is None else PoseSetRecord(**asdict(found))
 
 
 def _record_errors(localization: Located, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:
