@@ -18,7 +18,7 @@ from tactile_loc.locate import misses
 from tactile_loc.locate.conformal import ELSEWHERE, POWER, RARE, ConformalSets, Ranking
 from tactile_loc.locate.fitted_probabilities import Simulate
 from tactile_loc.locate.hypotheses import compute_nats
-from tactile_loc.locate.probabilities import SEARCHED_NOISE
+from tactile_loc.locate.probabilities import FUSED_VERSION, SEARCHED_NOISE
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -61,7 +61,7 @@ class ConformalFit:
         inputs = {
             **self.described, "examples": examples, "noise": [level.describe() for level in NOISE], "seed": SEED,
             "weights": compute_nats(WEIGHED, 2).round(6).tolist(), "misses": list(misses.WEIGHTS),
-            "power": POWER, "rare": RARE, "radius_m": self.radius_m,
+            "power": POWER, "rare": RARE, "radius_m": self.radius_m, "fused": FUSED_VERSION,
         }  # fmt: skip
         key = StageKey(STAGE, STAGE_VERSION, inputs, self.metric.object.name)
         return ConformalSets(**self.store.build(key, self._fit).load_json(STAGE))
