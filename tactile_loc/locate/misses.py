@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED
-from tactile_loc.locate.results.localization import Hypothesis
+from tactile_loc.locate.results.hypothesis import Hypothesis
 
 WEIGHTS = (0.16, -0.68, 0.34, -2.46, 0.76)  # for 1, and for each value of `list_observed`
 
