@@ -3,9 +3,8 @@
 
 For each object there are examples of 1, 2, 3 and 7 simulated touches with strong noise. No example was used for a fit.
 The truth is the grid pose nearest to the true pose. For every number of touches, the table has the share of truths in
-the 50, 80 and 95 % credible sets of the fused posterior, and of the uncalibrated product of probabilities. For split
-conformal sets, it has the share of truths in the sets over all examples, the same share over the quarter of examples
-with the greatest entropy, and the median number of poses in a set.
+the 50, 80 and 95 % credible sets of the fused posterior, and of the uncalibrated product of probabilities.
+`conformal_sets.py` measures the sets that a requested coverage gives.
 
 `--whole` searches the whole object. A truth that was not found counts as the least likely pose, with the probability
 that the posterior gives to poses elsewhere. The share of found truths and their mean probability are printed. Meshes
@@ -27,7 +26,6 @@ from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.store.store import StageStore
 
@@ -65,18 +63,11 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
     rng = np.random.default_rng(arguments.seed)
     found = draw_examples(localizer, touches, arguments.examples, arguments.seed)
     fused, product, truths = [list(column) for column in zip(*found, strict=True)]
-    sets = [PoseSet.of(p, localizer.probabilities.conformal_sets(touches), arguments.coverage) for p in fused]
-    held = np.array([t in s.indices if t >= 0 else s.elsewhere for s, t in zip(sets, truths, strict=True)])
-    entropy = np.array([p.entropy for p in fused])
-    uncertain = entropy >= np.quantile(entropy, 0.75)
     return {
         "object": localizer.object.name, "touches": touches, "examples": len(found),
         "without_common_pose": arguments.examples - len(found), "poses": float(np.median([len(p.grid) for p in fused])),
         "exponent": localizer.probabilities.fused_scaling.exponent, "levels": LEVELS,
         "fused": measure_coverage(fused, truths, rng), "product": measure_coverage(product, truths, rng),
-        "conformal": float(held.mean()),
-        "conformal_uncertain": float(held[uncertain].mean()), "held": held.tolist(), "entropy": entropy.tolist(),
-        "set_poses": float(np.median([len(s.indices) for s in sets])),
         "found": float(np.mean(np.array(truths) >= 0)), "said_found": float(np.mean([1 - p.elsewhere for p in fused])),
     }  # fmt: skip
 
@@ -90,12 +81,11 @@ def main() -> None:
     parser.add_argument("--spacing-mm", type=float, default=4.0)
     parser.add_argument("--whole", action="store_true")
     parser.add_argument("--sensor", default="gelslim")
-    parser.add_argument("--coverage", type=float, default=0.95)
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    print(f"{'object':14s} touches   fused 50 80 95 %     product 50 80 95 %   conformal, uncertain quarter, poses")
+    print(f"{'object':14s} touches   fused 50 80 95 %     product 50 80 95 %")
     for mesh in arguments.meshes:
         path, _, units = mesh.partition(":")
         with tempfile.TemporaryDirectory() as store:
@@ -107,8 +97,7 @@ def main() -> None:
                 rows.append(row := measure(localizer, touches, arguments))
                 shares = "   ".join(" ".join(f"{share:5.0%}" for share in row[name]) for name in ("fused", "product"))
                 print(
-                    f"{row['object']:14s} {touches:7d}  {shares}   {row['conformal']:5.0%} "
-                    f"{row['conformal_uncertain']:5.0%} {row['set_poses']:6.0f} of {row['poses']:.0f}"
+                    f"{row['object']:14s} {touches:7d}  {shares}   {row['poses']:.0f} poses"
                     f"   found {row['found']:.0%}, said {row['said_found']:.0%}", flush=True,
                 )  # fmt: skip
                 if arguments.out:
@@ -116,10 +105,8 @@ def main() -> None:
     for touches in arguments.touches:
         of_all = [row for row in rows if row["touches"] == touches]
         fused = np.average([row["fused"] for row in of_all], axis=0, weights=[row["examples"] for row in of_all])
-        held = np.concatenate([row["held"] for row in of_all])
-        quarter = np.concatenate([np.array(r["entropy"]) >= np.quantile(r["entropy"], 0.75) for r in of_all])
         shares = " ".join(f"{share:5.1%}" for share in fused)
-        print(f"{'all':14s} {touches:7d}  {shares}   conformal {held.mean():.1%}, quarter {held[quarter].mean():.1%}")
+        print(f"{'all':14s} {touches:7d}  {shares}")
 
 
 if __name__ == "__main__":

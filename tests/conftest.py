@@ -20,8 +20,7 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing import pictures, pose_panel
-from tactile_loc.locate import conformal as coverage
-from tactile_loc.locate import probabilities
+from tactile_loc.locate import conformal_fit, probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
@@ -76,7 +75,7 @@ def shipped_touches() -> Iterator[int]:
         patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
         patch.setattr(probabilities, "SEARCHED", 9)
         patch.setattr(probabilities, "SEARCHED_EXAMPLES", 1)
-        patch.setattr(coverage, "EXAMPLES", 40)
+        patch.setattr(conformal_fit, "EXAMPLES", {1: (10, 8, 4), 2: (2, 2, 0)})
         yield shipped
 
 

@@ -51,7 +51,7 @@ optional. Unknown entries are errors. Paths are relative to the current folder.
 top = 10               # number of poses to list
 seed = 0
 shape_px = 64          # the longer image side of the grid's contact shapes, pixels
-# coverage = 0.95      # list all modes of a set that contains the true pose with this probability
+# coverage = 0.95      # list the poses of a set that contains the true pose with this probability
 # drop_outliers = true # with several touches: leave out those that contradict the others
 # temperature = 1e-3   # of the softmax over scores; by default fitted to simulated touches
 # drawing = "paper"    # draw the object where it just touches the gel; default: "pressed", pressed into the gel

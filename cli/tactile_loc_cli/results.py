@@ -69,11 +69,7 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
         f"{record.searched}"
     )
     if (found := record.pose_set) is not None:
-        yield (
-            f"{100 * found.coverage:.1f} % set: {found.grid_poses} of these poses, listed as "
-            f"{format_count(len(record.hypotheses), 'hypothesis')}. It holds the grid pose nearest to the truth with "
-            f"this probability, measured on {found.examples} simulated examples"
-        )
+        yield f"{found.title}: {found.size}. {found.meaning}"
     unlisted = 1 - record.elsewhere - sum(h.probability for h in record.hypotheses)
     if unlisted > LEAST_SHOWN and record.pose_set is None:
         yield f"{100 * unlisted:.0f} % of the probability belongs to poses not listed; --top N lists more"

@@ -90,7 +90,7 @@ class RunConfig(_Strict):
     `shape_px` is the longer image side of the grid's contact shapes, pixels.
     `together` selects how several touches refine a pose: "joint" (all at once), or "each" (touch by touch).
     `drop_outliers` leaves out touches that contradict the others.
-    `coverage` (0 to 1) returns all modes of a set of poses that contains the true pose with this probability.
+    `coverage` (0 to 1) returns a set of poses that contains the true pose with this probability.
     `encoder` has a default that depends on the grid.
     `search`, `hypotheses` and `tracker` hold options to tune: see their classes.
     `drawing` selects how the object is drawn for comparison with a touch: "pressed" into the gel, or just touching the

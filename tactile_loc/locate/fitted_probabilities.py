@@ -1,4 +1,4 @@
-"""Fitted probabilities: temperatures and calibrated sets, fitted to simulated touches of the object and stored."""
+"""Fitted probabilities: temperatures, fitted to simulated touches of the object and stored."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.scene import Scene, View
-from tactile_loc.locate import conformal, probabilities
-from tactile_loc.locate.conformal import ConformalSets
+from tactile_loc.locate import probabilities
 from tactile_loc.locate.probabilities import FusedExample, FusedScaling, TemperatureScaling
 from tactile_loc.locate.scoring import Scores
 from tactile_loc.locate.search import search_together
@@ -30,7 +29,6 @@ from tactile_loc.store.workspace import Workspace
 
 EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
 EACH_LEVEL = 10_000  # step between the seeds of two noise levels
-UNKNOWN = 1e3  # nats: the entropy of an example without a posterior
 
 Simulate = Callable[[int, int, TouchNoise], list[Touch]]  # takes a count, a seed and the noise
 
@@ -50,11 +48,11 @@ class Example:
 
 
 class FittedProbabilities:
-    """The temperature, the tempering of fused touches and the calibrated sets of one localizer, fitted at first use.
+    """The temperature and the tempering of fused touches of one localizer, fitted at first use.
 
     `source` scores poses with an exact matcher. `described` returns all inputs of the scores except the touch, and
-    `drawn` describes the sampler of the simulated touches, both as JSON values. If the user gives a `temperature`, only
-    the calibrated sets are fitted.
+    `drawn` describes the sampler of the simulated touches, both as JSON values. If the user gives a `temperature`,
+    nothing is fitted.
     """
 
     def __init__(
@@ -117,29 +115,6 @@ class FittedProbabilities:
             if example.fused is not None
         ]
         work.save_json(probabilities.FUSED_STAGE, asdict(probabilities.fit_fused_scaling(fused, self.source.searched)))
-
-    def conformal_sets(self, touches: int) -> ConformalSets:
-        """Return the calibrated sets for this number of touches, fitted now or loaded from the store."""
-        number = min(touches, conformal.MOST_TOUCHES)
-        described = self._describe_examples([number], conformal.EXAMPLES, conformal.SEED)
-        key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
-        artifact = self.store.build(key, lambda work: self._score_sets(work, number))
-        return ConformalSets(**artifact.load_json(conformal.STAGE))
-
-    def _score_sets(self, work: Workspace, touches: int) -> None:
-        """Save the total probability of all poses likelier than the true pose, for each held-out example."""
-        power = 1.0 if touches == 1 else self.fused_scaling.power(touches)
-        scores, entropies = [], []
-        for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):
-            posterior = None if example.fused is None else example.fused.temper(power)
-            if posterior is not None and self.source.searched and touches > 1:
-                posterior = dataclasses.replace(
-                    posterior, elsewhere=self.fused_scaling.elsewhere(example.best, touches)
-                )
-            found = posterior is not None and example.truth >= 0
-            scores.append(posterior.credible_level(example.truth) if posterior and found else conformal.NOT_FOUND)
-            entropies.append(UNKNOWN if posterior is None else posterior.entropy)
-        work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
     def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
         return {

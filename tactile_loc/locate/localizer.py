@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
@@ -34,7 +34,8 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate.agreement import explain_alone, find_agreement, require_within_reach
-from tactile_loc.locate.conformal import PoseSet
+from tactile_loc.locate.conformal import ConformalSets, PoseSet
+from tactile_loc.locate.conformal_fit import LISTED, RIGHT_M, ConformalFit, rank
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
@@ -193,13 +194,34 @@ class Localizer:
 
     @cached_property
     def probabilities(self) -> FittedProbabilities:
-        """The fitted probabilities: temperatures and calibrated sets, each fitted at first use and stored."""
+        """The fitted probabilities: temperatures, each fitted at first use and stored."""
         exact = self._create("matcher").capabilities.top_k_only
         source = self._make_source(ExactMatcher) if exact else self.source
         return FittedProbabilities(
             source, self.scene, self.fuser, self._simulate_to_fit, self.describe_scores,
             {"sampler": self.sampler.describe()}, self.config.temperature, self.store, self.progress,
         )  # fmt: skip
+
+    @cached_property
+    def conformal_sets(self) -> ConformalSets:
+        """The conformal sets for a coverage, fitted at first use and stored: see `PoseSet`."""
+        config = self.config
+        temperature = self.probabilities.temperature_scaling  # fitted first, with its own progress
+        described = {
+            **self.describe_scores(), "temperature": asdict(temperature), "sampler": self.sampler.describe(),
+            "fuser": self.fuser.describe(), "refiner": self.refinement.refiner.describe(), "together": config.together,
+            "hypotheses": config.hypotheses.model_dump(mode="json"), "listed": LISTED,
+        }  # fmt: skip
+        radius_m = RIGHT_M if self.refinement.refiner.capabilities.refines else self.mode_radius_m
+        return ConformalFit(
+            self._simulate_to_fit, self._locate_example, PoseMetric(self.object), radius_m, described, self.store,
+            self.progress,
+        ).load()  # fmt: skip
+
+    def _locate_example(self, touches: Sequence[Touch]) -> Localization:
+        query = _Query.of([(self, touch) for touch in touches], None, LISTED, None, StageTimes())
+        query = replace(query, coverage=None)
+        return query.answer(query.score_each())
 
     def _simulate_to_fit(self, count: int, seed: int, noise: TouchNoise) -> list[Touch]:
         return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
@@ -237,8 +259,8 @@ class Localizer:
     ) -> Localization:
         """Return the posterior over poses given a touch, and its `top` distinct hypotheses, refined.
 
-        `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are all
-        modes of a set that contains the true pose with that probability: see `PoseSet`. Raises TactileLocError if no
+        `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are a
+        set that contains the true pose with that probability: see `PoseSet`. Raises TactileLocError if no
         pose fits the touch.
         """
         return localize_together([(self, touch)], prior, top, coverage)
@@ -438,19 +460,20 @@ class _Query:
         Adds stage durations to `times`.
         """
         posterior = self.fuse(alone)
-        pose_set = self._calibrate(posterior)
         with self.times.stage("modes"):
-            indices = None if pose_set is None else pose_set.indices
-            modes = self.first.source.propose(self.views, alone, posterior, self.top, indices)
+            top = self.top if self.coverage is None else max(self.top, LISTED)
+            modes = self.first.source.propose(self.views, alone, posterior, top)
         hypotheses, agreement = self._refine(modes, alone, posterior)
-        with self.times.stage("choose"):
-            kept = hypotheses if pose_set is not None else hypotheses[: self.top]
-            listed = self.first.refinement.add_covariances(self.views, kept)
         touch, *others = self.touches
-        listed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
-        return Localization(
-            touch, posterior, listed, self.times.seconds, tuple(others), pose_set, agreement, config=self.first.config
+        found = Localization(
+            touch, posterior, hypotheses, self.times.seconds, tuple(others), None, agreement, config=self.first.config
         )
+        pose_set = self._choose_set(found)
+        with self.times.stage("choose"):
+            kept = hypotheses[: self.top if pose_set is None else pose_set.poses]
+            listed = self.first.refinement.add_covariances(self.views, kept)
+        placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
+        return replace(found, hypotheses=placed, pose_set=pose_set)
 
     @property
     def known(self) -> Prior | None:
@@ -461,10 +484,12 @@ class _Query:
         power = self.first.probabilities.fused_scaling.power
         return temper(self.prior, lambda count: power(len(self.observations) + told) / power(count))
 
-    def _calibrate(self, posterior: PosePosterior) -> PoseSet | None:
+    def _choose_set(self, found: Localization) -> PoseSet | None:
+        """Return the hypotheses that a requested coverage needs; None if no coverage was requested."""
         if self.coverage is None:
             return None
-        return PoseSet.of(posterior, self.first.probabilities.conformal_sets(posterior.touches), self.coverage)
+        contradictory = found.agreement.contradictory
+        return PoseSet.of(rank(found), self.first.conformal_sets, self.coverage, contradictory)
 
     def _refine(
         self, modes: Sequence[Mode], alone: Sequence[PosePosterior], posterior: PosePosterior

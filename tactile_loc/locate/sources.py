@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
@@ -58,13 +57,11 @@ class PoseSource(ABC):
 
     @abstractmethod
     def propose(
-        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
-        pose_set: NDArray[np.int64] | None,
-    ) -> list[Mode]:  # fmt: skip
+        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
+    ) -> list[Mode]:
         """Return the modes of the `fused` posterior to refine, at least `top` if there are that many.
 
-        `alone` are the touches' own posteriors. `pose_set` (K,) are indices of poses in the fused grid; all modes of
-        these poses are returned, too.
+        `alone` are the touches' own posteriors.
         """
 
     @abstractmethod
@@ -98,17 +95,14 @@ class PlaceSource(PoseSource):
         return [self.search.score(touch, times, prior) for touch in touches]
 
     def propose(
-        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
-        pose_set: NDArray[np.int64] | None,
-    ) -> list[Mode]:  # fmt: skip
-        """Return the most probable poses that are far enough apart, and the modes of the pose set, if there is one.
+        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
+    ) -> list[Mode]:
+        """Return the most probable poses that are far enough apart.
 
-        The number of poses, without the set's modes, is at most the greatest of `top`, the option `refined` and a tenth
-        of all poses.
+        The number of poses is at most the greatest of `top`, the option `refined` and a tenth of all poses.
         """
         count = max(top, self.options.refined, len(fused.grid) // 10)
-        modes = choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
-        return modes if pose_set is None else modes + fused.modes(self.mode_radius_m, None, core=pose_set)
+        return choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
         """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
@@ -176,17 +170,13 @@ class GridSource(PoseSource):
         return list(zip(map(self.press_grid, touches), scores, strict=True))
 
     def propose(
-        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
-        pose_set: NDArray[np.int64] | None,
-    ) -> list[Mode]:  # fmt: skip
+        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
+    ) -> list[Mode]:
         """Return the modes of the fused posterior; for several touches, the poses that explain all of them best."""
-        modes = []
         if len(views) > 1:
             radius_m = self.options.start_radius * self.mode_radius_m
-            modes = propose_together(views, alone, fused, radius_m, self.options)
-        if pose_set is not None:
-            return modes + fused.modes(self.mode_radius_m, None, core=pose_set)
-        return modes or fused.modes(self.mode_radius_m, top)
+            return propose_together(views, alone, fused, radius_m, self.options)
+        return fused.modes(self.mode_radius_m, top)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
         """Return the index of the grid pose nearest to a touch's true pose."""

@@ -115,12 +115,7 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         yield "verdict", name_verdict(record.verdict), explain_verdict(record.verdict)
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
     if (found := record.pose_set) is not None:
-        size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
-        size += ", or a pose that was not found" if found.elsewhere else ""
-        holds = (
-            f"it holds the grid pose nearest to the truth with this probability, measured on {found.examples} examples"
-        )
-        yield f"{100 * found.coverage:.1f} % set", size, holds
+        yield found.title, found.size, found.meaning
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
     probability = format_percent(best.probability)

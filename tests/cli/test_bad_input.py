@@ -23,8 +23,7 @@ def refused(cli: Cli):
     return run
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("coverage", [0.999, 1.5])
+@pytest.mark.parametrize("coverage", [0, 1.5])
 def test_an_impossible_coverage_is_refused(refused, coverage):
     refused("--coverage", coverage, mentions=("coverage",))
 

@@ -70,6 +70,16 @@ def test_run_reuses_the_stages_of_build(cli, tmp_path):
     assert sorted((tmp_path / "store").rglob("*.np[yz]")) == before
 
 
+@pytest.mark.slow
+def test_build_also_fits_the_sets_of_poses(cli, tmp_path):
+    words = ("build", *TINY, "--store", tmp_path / "store", "--coverage")
+    first, again = cli(*words), cli(*words)
+    assert first.exit_code == again.exit_code == 0
+    assert stages(first.stdout)["conformal"] == "built"
+    assert stages(again.stdout)["conformal"] == "reused"
+    assert cli("run", *TINY, "--store", tmp_path / "store", "--coverage", 0.8).exit_code == 0
+
+
 @pytest.mark.usefixtures("drawn_pictures")
 def test_simulate_writes_touches_that_run_reads(cli):
     done = cli("simulate", "--count", 3, "--press-depth", 1.5, "--seed", 4, "--out", "out")

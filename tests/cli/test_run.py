@@ -274,7 +274,7 @@ def test_an_unknown_noise_level_is_refused(cli):
     assert_refused(cli("run", "--config", "run.toml"), "touch.noise", "weak", "mild")
 
 
-def test_the_result_lists_all_modes_of_the_pose_set(cli, tmp_path):
+def test_the_result_lists_the_poses_of_the_set(cli, tmp_path):
     assert cli("simulate", *TINY, "--count", 1, "--out", "touches").exit_code == 0
     touch = ["--object", "hook", "--touch", "touches/touch-0000.npz"]
     done = cli("run", *TINY, *touch, "--top", 1, "--coverage", 0.9, "--out", "out")
@@ -282,8 +282,9 @@ def test_the_result_lists_all_modes_of_the_pose_set(cli, tmp_path):
     result = json.loads((tmp_path / "out/result.json").read_text())
     found = result["pose_set"]
     assert found["coverage"] == 0.9
-    assert found["grid_poses"] == sum(h["grid_poses"] for h in result["hypotheses"])
-    assert re.search(rf"90\.0 ?%.*\b{found['grid_poses']}\b", done.stdout)
+    assert found["poses"] == len(result["hypotheses"])
+    assert found["promised"] == (found["reason"] == "")
+    assert re.search(rf"90 ?% set: {found['poses']} pose", done.stdout)
 
 
 def test_a_rerun_file_is_written_beside_the_result(cli):

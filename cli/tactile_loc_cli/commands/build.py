@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from tactile_loc.core.errors import TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say
@@ -19,13 +21,19 @@ MOST_MEASURED = 2000  # approximate number of poses that give the mean spacing o
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "option", "config",
-        "seed", press_depth="Press depth in mm for which the model is built. Default: the sensor's maximal depth.",
+        "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "refiner", "fuser",
+        "option", "config", "seed",
+        press_depth="Press depth in mm for which the model is built. Default: the sensor's maximal depth.",
     ),
 ]  # fmt: skip
 
 
-def build(given: Given, store: options.Store = None) -> dict[str, Any]:
+Coverage = Annotated[
+    bool, typer.Option("--coverage", help="Also fit the sets of poses that `run --coverage` lists; it takes seconds.")
+]
+
+
+def build(given: Given, coverage: Coverage = False, store: options.Store = None) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
     Without this command, the first `run` builds the model. Stages in the store are reused.
@@ -34,7 +42,9 @@ def build(given: Given, store: options.Store = None) -> dict[str, Any]:
     localizer = options.open_localizer(settings, store)
     start = time.perf_counter()
     build_model(localizer, _require_press_depth_m(localizer))
-    return _report(localizer, time.perf_counter() - start)
+    if coverage:
+        _ = localizer.conformal_sets  # fits the sets
+    return _report(localizer, coverage, time.perf_counter() - start)
 
 
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
@@ -57,11 +67,11 @@ def _require_press_depth_m(localizer: Localizer) -> float:
     return deepest_m if asked_m is None else asked_m
 
 
-def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
+def _report(localizer: Localizer, coverage: bool, seconds: float) -> dict[str, Any]:
     obj, store = localizer.object, localizer.store
     from tactile_loc.store.keys import MEANINGS
 
-    extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer)
+    extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer, coverage)
     size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
     grid = _describe_grid(localizer)
@@ -88,12 +98,14 @@ def _describe_grid(localizer: Localizer) -> dict[str, Any]:
     return {"poses": len(grid), "mean_spacing_m": spacing_m}
 
 
-def _list_stages(localizer: Localizer) -> dict[str, str]:
+def _list_stages(localizer: Localizer, coverage: bool) -> dict[str, str]:
     """Return "built" or "reused" for each stage."""
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     fitted = ("temperature",) if localizer.config.temperature is None else ()
     model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places", *learned)
+    if coverage:
+        fitted = (*fitted, "conformal")
     return {stage: "built" if stage in built else "reused" for stage in (*model, *fitted)}
 
 

@@ -40,7 +40,7 @@ class Localization:
     """The result: the posterior, its distinct hypotheses, the best first, and the seconds of each stage.
 
     Poses are in the sensor frame of the first touch, `touch`; `others` are the other touches. If a coverage was
-    requested, `pose_set` contains the true pose with this probability, and the hypotheses are the modes of the set.
+    requested, the hypotheses are a set that contains the true pose with this probability, and `pose_set` describes it.
 
     The posterior includes outliers (see `agreement`), but the hypotheses do not. Touches that were `left_out` because
     they contradict the others affect neither the posterior nor the hypotheses.

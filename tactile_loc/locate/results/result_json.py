@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ResultError
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
@@ -24,7 +26,8 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.results.verdict import Verdict
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+SETS_OF_GRID_POSES = 2  # the version that differs only in sets for a coverage, so files without a set are read
 
 
 class ObjectRecord(Record):
@@ -108,13 +111,42 @@ class HypothesisRecord(Record):
 
 
 class PoseSetRecord(Record):
-    """A set of grid poses that contains the one nearest to the true pose with a known probability."""
+    """A set of hypotheses that contains the true pose with a known probability."""
 
     coverage: float = Field(description="the requested probability, 0 to 1")
-    level: float = Field(description="the credible level that this coverage takes, 0 to 1")
+    poses: int = Field(description="number of hypotheses in the set; they are the listed ones")
+    radius_m: float = Field(
+        description="a hypothesis counts as the true pose if its surface distance to it is at most this, m"
+    )
+    elsewhere: bool = Field(
+        default=False, description="whether the set also contains `elsewhere`: the true pose may be none of the poses"
+    )
+    missed: float = Field(description="predicted probability that the true pose is none of the poses found, 0 to 1")
+    promised: bool = Field(description="whether the listed poses alone have the coverage")
+    reason: str = Field(default="", description="why the listed poses alone do not have the coverage; empty if they do")
+    level: float = Field(description="total probability up to which poses are in the set, 0 to 1")
     examples: int = Field(description="number of simulated, held-out examples from which the level was computed")
-    grid_poses: int = Field(description="number of poses in the set; they are the first poses in `result.npz`")
-    elsewhere: bool = Field(default=False, description="whether the true pose may be one that the search did not find")
+
+    @property
+    def title(self) -> str:
+        """The name of the set: 95 % set."""
+        return f"{100 * self.coverage:g} % set"
+
+    @property
+    def size(self) -> str:
+        """The number of poses, and whether the set contains "elsewhere", in words."""
+        poses = "1 pose" if self.poses == 1 else f"{self.poses} poses"
+        return f"{poses} or elsewhere" if self.elsewhere else poses
+
+    @property
+    def meaning(self) -> str:
+        """The probability that the set contains the true pose, or the reason why that is unknown, in words."""
+        if not self.promised:
+            return self.reason
+        return (
+            f"The true pose is within {format_mm(self.radius_m)} mm of one of these poses with this probability, "
+            f"measured on {self.examples} simulated examples."
+        )
 
 
 class ErrorRecord(Record):
@@ -165,7 +197,7 @@ class ResultRecord(Record):
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
     hypotheses: list[HypothesisRecord] = Field(min_length=1, description="distinct explanations, the best first")
     pose_set: PoseSetRecord | None = Field(
-        description="the set of poses whose modes are the hypotheses; null unless a coverage was requested"
+        description="the set that the hypotheses are; null unless a coverage was requested"
     )
     errors: ErrorRecord | None = Field(description="errors of the answer; null if the true pose is unknown")
     seconds: dict[str, float] = Field(description="duration of each stage, s")
@@ -195,6 +227,8 @@ def read_record(path: Path) -> ResultRecord:
     """Read result.json. Raises ResultError if the file cannot be used."""
     document = read_document(path)
     version = document.get("schema_version")
+    if version == SETS_OF_GRID_POSES and document.get("pose_set") is None:
+        version = SCHEMA_VERSION
     if version != SCHEMA_VERSION:
         reads = f"this tactile-loc reads version {SCHEMA_VERSION}"
         raise ResultError(f"{path} has version {version}, but {reads}; run tactile-loc again")
@@ -338,12 +372,7 @@ def _record_hypotheses(localization: Located, errors_m: NDArray[np.float64] | No
 
 
 def _record_pose_set(found: PoseSet | None) -> PoseSetRecord | None:
-    if found is None:
-        return None
-    return PoseSetRecord(
-        coverage=found.coverage, level=found.level, examples=found.examples, grid_poses=len(found.indices),
-        elsewhere=found.elsewhere,
-    )  # fmt: skip
+    return None if found is None else PoseSetRecord(**asdict(found))
 
 
 def _record_errors(localization: Located, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:

@@ -89,11 +89,8 @@ def _build_refined(h: HypothesisRecord, T_base_sensor: Float64 | None) -> Refine
 
 
 def build_pose_set(record: ResultRecord) -> PoseSet | None:
-    """Return the set of poses, if one was requested. Its poses come first in the stored posterior."""
-    found = record.pose_set
-    if found is None:
-        return None
-    return PoseSet(found.coverage, found.level, found.examples, np.arange(found.grid_poses), found.elsewhere)
+    """Return the set that the hypotheses are, if a coverage was requested."""
+    return None if record.pose_set is None else PoseSet(**record.pose_set.model_dump())
 
 
 def build_agreement(record: ResultRecord) -> Agreement:

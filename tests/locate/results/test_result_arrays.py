@@ -28,7 +28,7 @@ from tactile_loc.locate.results.result_arrays import (
     unpack_arrays,
     write_arrays,
 )
-from tactile_loc.locate.results.result_json import read_record
+from tactile_loc.locate.results.result_json import SETS_OF_GRID_POSES, read_record
 
 
 @pytest.fixture
@@ -196,6 +196,16 @@ def test_a_damaged_record_gives_a_one_sentence_error(copy, key, value):
 def test_a_record_of_another_version_gives_a_one_sentence_error(copy):
     (copy / "result.json").write_text('{"schema_version": 7}')
     with pytest.raises(ResultError, match=naming("result.json", "version 7")):
+        read_record(copy / "result.json")
+
+
+def test_a_record_of_the_previous_version_is_read_unless_it_has_a_set(copy):
+    document = json.loads((copy / "result.json").read_text())
+    old = {**document, "schema_version": SETS_OF_GRID_POSES}
+    (copy / "result.json").write_text(json.dumps(old))
+    assert read_record(copy / "result.json").hypotheses
+    (copy / "result.json").write_text(json.dumps({**old, "pose_set": {"grid_poses": 3}}))
+    with pytest.raises(ResultError, match=naming("result.json", f"version {SETS_OF_GRID_POSES}")):
         read_record(copy / "result.json")
 
 

@@ -14,6 +14,7 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.streams.records import read_versions, write_record
+from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.doubts import list_doubts
 from tactile_loc.locate.results.result_json import SCHEMA_VERSION, ResultRecord, make_record
 
@@ -68,6 +69,20 @@ def test_errors_equal_the_distances_to_the_truth(record, localizer, localization
     grid = localization.posterior.grid.T_sensor_object
     closest = metric.symmetric_distance(grid, np.broadcast_to(T_true, grid.shape)).min()
     assert record.errors.closest_in_grid_m == pytest.approx(closest, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (PoseSet(0.95, 0.9, 84, 1, 1e-3), ("95 % set", "1 pose", "1.00 mm", "84")),
+        (PoseSet(0.9, 0.9, 84, 7, 1e-3, 0.3, True, False, "Too often."), ("90 % set", "7 poses or elsewhere", "Too")),
+    ],
+)
+def test_a_set_for_a_coverage_is_written_and_put_into_words(localizer, localization, found, said):
+    written = make_record(localizer, dataclasses.replace(localization, pose_set=found)).pose_set
+    assert written.model_dump() == dataclasses.asdict(found)
+    text = f"{written.title}: {written.size}. {written.meaning}"
+    assert all(words in text for words in said)
 
 
 def test_a_symmetric_equivalent_of_the_truth_has_no_error(localizer, localization):
