@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from tactile_loc.core.errors import SensorError
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
+GelKind = Literal["rigid", "layer"]
+GEL_KINDS: tuple[GelKind, ...] = get_args(GelKind)
 FAR_M = np.float32(-1.0)  # reach of an object that is nowhere near a pixel
 THINNEST_M = 2e-4
 LEAST_K = 1e-4  # wave number times thickness, below which the limit is used
@@ -67,6 +69,11 @@ class Gel:
     def is_elastic(self) -> bool:
         """Whether the gel is an elastic layer or half-space."""
         return self.thickness_m is not None
+
+    @property
+    def kind(self) -> GelKind:
+        """The kind of gel, as in files: "rigid", or "layer" for an elastic layer or half-space."""
+        return "layer" if self.is_elastic else "rigid"
 
     def find_compared_m(self, press_depth_m: float) -> float:
         """Return the depth, metres from the deepest point, up to which touches and poses are compared.
