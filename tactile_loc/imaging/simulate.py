@@ -50,8 +50,8 @@ def render_touches(
 ) -> Image:
     """Return images (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at press depths (N,), metres.
 
-    `softness_m` is the softness of the gel (see `press_gel`). By default, it is SOFTNESS_M for a rigid gel, and 0 for an
-    elastic gel, whose contact depths already show the gel's surface. `background` (H, W, 3) uint8 is a photo of the
+    `softness_m` is the softness of the gel (see `press_gel`). By default, it is SOFTNESS_M for a rigid gel. It is 0 for
+    an elastic gel, whose contact depths already show the gel's surface. `background` (H, W, 3) uint8 is a photo of the
     unpressed sensor (see `render_images`). Raises ConfigError for sizes that do not fit.
     """
     if softness_m is None:
