@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
@@ -30,7 +31,7 @@ MOST_ROUNDS = 100  # largest number of attempts to draw presses with enough cont
 class BoardPresses(NamedTuple):
     """Presses of a board: `images` (N, H, W, 3) uint8 RGB, and the true indentations and press depths in metres.
 
-    `indentation_m` (N, H, W) float32 is 0 outside the contact. `press_depth_m` is (N,) float64.
+    `indentation_m` (N, H, W) float32 is 0 where the gel is not pressed in. `press_depth_m` is (N,) float64.
     """
 
     images: Image
@@ -44,14 +45,17 @@ def render_touches(
     geometry: SensorGeometry,
     optics: Optics,
     rng: np.random.Generator,
-    softness_m: float = SOFTNESS_M,
+    softness_m: float | None = None,
     background: Image | None = None,
 ) -> Image:
     """Return images (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at press depths (N,), metres.
 
-    `softness_m` is the softness of the gel (see `press_gel`). `background` (H, W, 3) uint8 is a photo of the unpressed
-    sensor (see `render_images`). Raises ConfigError for sizes that do not fit.
+    `softness_m` is the softness of the gel (see `press_gel`). By default, it is SOFTNESS_M for a rigid gel. It is 0 for
+    an elastic gel, whose contact depths already show the gel's surface. `background` (H, W, 3) uint8 is a photo of the
+    unpressed sensor (see `render_images`). Raises ConfigError for sizes that do not fit.
     """
+    if softness_m is None:
+        softness_m = 0.0 if geometry.gel.is_elastic else SOFTNESS_M
     surface = press_gel(depth_m, press_depth_m, geometry, softness_m)
     return render_images(surface, geometry, optics, rng, background)
 
@@ -81,14 +85,18 @@ def press_boards(
 
 
 def _draw_presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Float32, NDArray[np.float64]]:
-    """Draw contact depths (count, H, W) of a board and their press depths (count,), metres, all with enough contact."""
+    """Draw contact depths (count, H, W) that the gel shows of a board, and their press depths (count,), metres.
+
+    All presses have enough contact.
+    """
     geometry = scene.geometry
     depths, presses = np.empty((0, *geometry.shape), np.float32), np.empty(0)
     for _ in range(MOST_ROUNDS):
         T, touching = scene.bring_to_contact(draw_board_poses(scene.object, geometry, count - len(depths), rng))
         press = geometry.max_depth_m * rng.uniform(LIGHTEST, 1.0, len(T))
-        depth = np.minimum(scene.render_gel_depths(T), press.astype(np.float32)[:, None, None])
+        depth = np.minimum(scene.render_contact_depths(T), press.astype(np.float32)[:, None, None])
         contact = (depth < press.astype(np.float32)[:, None, None]) & geometry.observed_mask
+        depth = deform_gel(depth, press, geometry)
         shows = touching & (contact.sum(axis=(1, 2)) >= max(1.0, LEAST_CONTACT * geometry.observed_mask.sum()))
         depths, presses = np.concatenate([depths, depth[shows]]), np.concatenate([presses, press[shows]])
         if len(depths) == count:

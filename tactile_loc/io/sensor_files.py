@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError, SensorError
-from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.gel import RIGID, Gel, GelKind
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.core.slots.depth_sensor import GelOptions
 from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
@@ -45,7 +45,7 @@ class _SensorFile(BaseModel):
     )
     mask: str | None = Field(None, description="the path of a PNG, relative to the sensor file, in quotes")
     surface: str | None = Field(None, description="the path of a .npy file, relative to the sensor file, in quotes")
-    gel: Literal["rigid", "layer"] = Field("rigid", description="'rigid' or 'layer'")
+    gel: GelKind = Field("rigid", description="'rigid' or 'layer'")
     gel_thickness_mm: Positive | None = Field(None, description="a positive number (mm), by default 4")
     poisson: Annotated[float, Field(ge=0, lt=0.5)] | None = Field(
         None, description="a number from 0 to 0.5, by default 0.48"
@@ -179,9 +179,10 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     if geometry.observed is not None:
         values |= {"mask": f"{path.stem}_mask.png"}
         write_image(path.with_name(values["mask"]), geometry.observed.astype(np.uint8) * 255)
-    if geometry.gel.thickness_m is not None:
-        values |= {"gel": "layer", "gel_thickness_mm": mm * geometry.gel.thickness_m, "poisson": geometry.gel.poisson}
-        values |= {"gel_coating_mm": mm * geometry.gel.coating_m}
+    gel = geometry.gel
+    if gel.thickness_m is not None:
+        values |= {"gel": gel.kind, "gel_thickness_mm": mm * gel.thickness_m, "poisson": gel.poisson}
+        values |= {"gel_coating_mm": mm * gel.coating_m}
     if geometry.relief_m is not None:
         values |= {"surface": f"{path.stem}_surface.npy"}
         np.save(path.with_name(values["surface"]), geometry.relief_m)

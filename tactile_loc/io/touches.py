@@ -6,6 +6,7 @@ Pickles are never loaded, and units are never guessed.
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +15,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import OutputError, TouchError
+from tactile_loc.core.errors import OutputError, TouchError, advise_choice
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
-from tactile_loc.core.sensing.gel import RIGID
+from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import (
     FROM_DEPTH,
@@ -42,8 +43,11 @@ from tactile_loc.store.files import replace_file
 if TYPE_CHECKING:
     from tactile_loc.core.slots.sensor import SensorModel
 
+logger = logging.getLogger(__name__)
+
 LARGEST_INDENTATION_M = 0.05
 OVERVIEW, TRUE_POSES = "touches.png", "poses.json"  # a picture of simulated touches, and their poses, beside them
+GEL_NAMES = {"rigid": "a rigid gel", "layer": "an elastic gel"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +55,7 @@ class FileContents:
     """The contents of a touch file. A value that the file does not give is None.
 
     `depth` (H, W), `press_depth` and `indentation` are in `unit`. `kind` is the meaning of `depth`, as in
-    `Touch.from_depth`. The poses (4, 4) are in metres.
+    `Touch.from_depth`. `gel` is the kind of gel that it shows. The poses (4, 4) are in metres.
     """
 
     depth: NDArray[Any]
@@ -61,6 +65,7 @@ class FileContents:
     T_base_sensor: NDArray[np.float64] | None = None
     indentation: float | None = None
     kind: str | None = None
+    gel: str | None = None
 
 
 def read_contents(path: Path) -> FileContents:
@@ -86,11 +91,11 @@ def _explain_image(path: Path) -> str:
 
 def _read_npz(path: Path) -> FileContents:
     arrays = load_npz(path)
-    unit, kind = (str(arrays[name]) if name in arrays else None for name in ("unit", "kind"))
+    unit, kind, gel = (str(arrays[name]) if name in arrays else None for name in ("unit", "kind", "gel"))
     return FileContents(
         _find_depth(arrays, path), unit, _find_number(arrays, "press_depth", path),
         _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
-        _find_number(arrays, "indentation", path), kind,
+        _find_number(arrays, "indentation", path), kind, gel,
     )  # fmt: skip
 
 
@@ -160,8 +165,9 @@ def read_touch(
 ) -> Touch:  # fmt: skip
     """Read a touch of `sensor` from a file with a contact shape (see `read_contact_shape`) or a colour image.
 
-    A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. Raises
-    TouchError when the file is not a touch, does not fit the sensor, shows no contact, or is in contact everywhere.
+    A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. A file that
+    states another kind of gel than the sensor's is logged as a warning. Raises TouchError when the file is not a touch,
+    does not fit the sensor, shows no contact, or is in contact everywhere.
     """
     path = Path(path)
     geometry = sensor.geometry
@@ -173,6 +179,7 @@ def read_touch(
             raise TouchError(f"{path}: {error}") from error
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path)
+    _compare_gels(contents.gel, geometry.gel, path)
     shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m, kind, geometry)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
 
@@ -203,6 +210,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
         "depth": touch.contact_shape.depth_m.astype(np.float32),
         "unit": np.array("m"),
         "kind": np.array("distance"),
+        "gel": np.array(touch.geometry.gel.kind),
         "press_depth": np.array(touch.press_depth_m, np.float64),
         "indentation": np.array(touch.indentation_m, np.float64),
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
@@ -239,6 +247,18 @@ def _build_shape(
     if contents.indentation is not None:
         shape = dataclasses.replace(shape, indentation_m=_check_depth_m(contents.indentation * scale, shape, path))
     return _cut(shape, str(path), press_depth_m)
+
+
+def _compare_gels(stated: str | None, gel: Gel, path: Path) -> None:
+    """Warn if a file states another kind of gel than the sensor's. Raises TouchError if there is no such kind."""
+    if stated is None or stated == gel.kind:
+        return
+    if stated not in GEL_KINDS:
+        raise TouchError(f"there is no gel {stated!r}, which {path} states; {advise_choice(stated, GEL_KINDS)}")
+    logger.warning(
+        "%s shows %s, but the sensor has %s, so the pose will probably be wrong; set the sensor's gel to %r",
+        path, GEL_NAMES[stated], GEL_NAMES[gel.kind], stated,
+    )  # fmt: skip
 
 
 def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path) -> float:

@@ -56,7 +56,7 @@ def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | Non
     touch, T = result.touch, result.located.T_sensor_object
     if touch is None or T is None:
         return None
-    depths_m = localizer.scene.match_touch(touch).render_depths_to_compare(T[None], touch)
+    depths_m = localizer.scene.match_touch(touch).render_what_touch_shows(T[None], touch)
     return ContactShape(depths_m[0], touch.press_depth_m)
 
 

@@ -25,7 +25,8 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer
 
 MILD = NOISE["mild"]
-SETTINGS = RunConfig.from_dict({"sensor": "gelsight-mini", "grid": {"name": "face", "spacing_mm": 2.5, "face": "+z"}})
+SENSOR, GRID = {"name": "gelsight-mini", "gel": "rigid"}, {"name": "face", "spacing_mm": 2.5, "face": "+z"}
+SETTINGS = RunConfig.from_dict({"sensor": SENSOR, "grid": GRID})
 
 
 def ratios(localizer: Localizer, touches: list[Touch], seed: int = 0) -> np.ndarray:

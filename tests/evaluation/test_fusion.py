@@ -29,9 +29,8 @@ SOURCE = SimulatedTouches("strong", 3)
 
 
 def fresh(store: StageStore, **settings) -> Localizer:
-    return Localizer.create(
-        "elbow_pipe", grid={"name": "face", "spacing_mm": 8}, refiner="none", store=store, **settings
-    )
+    grid, sensor = {"name": "face", "spacing_mm": 8}, {"name": "gelslim", "gel": "rigid"}
+    return Localizer.create("elbow_pipe", grid=grid, sensor=sensor, refiner="none", store=store, **settings)
 
 
 @pytest.fixture(scope="module")

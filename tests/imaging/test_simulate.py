@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from imaging_helpers import ball_depth, presses, rng, sensor, tip_depth
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.imaging.boards import make_board
 from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
@@ -18,6 +22,11 @@ from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 GELSLIM = OPTICS["gelslim"]
 
 
+def elastic(side_px: int):
+    """A sensor with an elastic gel of 4 mm."""
+    return dataclasses.replace(sensor(side_px), gel=Gel(4e-3))
+
+
 def test_the_picture_of_a_touch_is_the_shaded_gel():
     geometry = sensor()
     depth = np.concatenate([ball_depth(geometry), tip_depth(geometry)])
@@ -26,6 +35,27 @@ def test_the_picture_of_a_touch_is_the_shaded_gel():
         picture = render_touches(depth, presses(2), geometry, GELSLIM, rng(5), 5e-4, own)
         surface = press_gel(depth, presses(2), geometry, 5e-4)
         assert np.array_equal(picture, render_images(surface, geometry, GELSLIM, rng(5), own))
+
+
+def test_the_picture_of_an_elastic_gel_is_its_surface():
+    """The contact depths of an elastic gel are not pressed into a soft gel again."""
+    geometry = elastic(64)
+    depth = deform_gel(tip_depth(geometry), presses(), geometry)
+    surface = press_gel(depth, presses(), geometry, 0.0)
+    picture = render_touches(depth, presses(), geometry, GELSLIM, rng(5))
+    assert np.array_equal(picture, render_images(surface, geometry, GELSLIM, rng(5)))
+
+
+def test_boards_are_pressed_into_an_elastic_gel():
+    """The same presses displace the gel in a larger area, and as deep."""
+    rigid, soft = (
+        next(press_boards(one, 4, GELSLIM, rng(2), HeightmapRenderer())) for one in (sensor(64), elastic(64))
+    )
+    np.testing.assert_array_equal(soft.press_depth_m, rigid.press_depth_m)
+    deepest = [presses.indentation_m.max(axis=(1, 2)) for presses in (rigid, soft)]
+    np.testing.assert_allclose(deepest[1], deepest[0], rtol=0.05)
+    assert ((soft.indentation_m > 0).sum(axis=(1, 2)) > 1.2 * (rigid.indentation_m > 0).sum(axis=(1, 2))).all()
+    assert (soft.indentation_m >= rigid.indentation_m - 1e-7).all()
 
 
 def test_a_softer_gel_changes_more_of_the_picture():
@@ -59,8 +89,9 @@ def test_board_presses_come_in_batches_with_their_true_shapes():
     assert len(np.unique(first)) == BATCH + 3
 
 
-def test_the_picture_of_a_board_press_shows_its_indentation():
-    geometry, optics = sensor(64), GELSLIM.remove_noise()
+@pytest.mark.parametrize("make", [sensor, elastic])
+def test_the_picture_of_a_board_press_shows_its_indentation(make):
+    geometry, optics = make(64), GELSLIM.remove_noise()
     images, indentation_m, press_m = next(press_boards(geometry, 4, optics, rng(2), HeightmapRenderer()))
     depth = press_m.astype(np.float32)[:, None, None] - indentation_m
     assert render_touches(depth, press_m, geometry, optics, rng()) == pytest.approx(images, abs=1)

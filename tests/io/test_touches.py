@@ -11,6 +11,7 @@ from PIL import Image
 
 from tactile_loc.core.errors import NoContactError, OutputError, TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.sensor import SensorModel
@@ -26,13 +27,13 @@ T_BASE_SENSOR = make_transform(rotation_about([0, 1, 0], 2.0), [0.4, 0.1, 0.2])
 class Sensor(SensorModel):
     """A sensor of 12 x 9 pixels; `calibrated` for images of one brightness per depth."""
 
-    def __init__(self, calibrated: bool = False) -> None:
+    def __init__(self, calibrated: bool = False, gel: Gel = RIGID) -> None:
         super().__init__()
-        self.calibrated = calibrated
+        self.calibrated, self.gel = calibrated, gel
 
     @property
     def geometry(self) -> SensorGeometry:
-        return SensorGeometry("orthographic", 12, 9, 1e4, 1e4, 6, 4.5, 0.01, MAX_DEPTH_M)
+        return SensorGeometry("orthographic", 12, 9, 1e4, 1e4, 6, 4.5, 0.01, MAX_DEPTH_M, gel=self.gel)
 
     def contact_shape(self, image: NDArray[Any]) -> ContactShape:
         if not self.calibrated:
@@ -81,6 +82,31 @@ def test_a_written_touch_is_read_back_bit_for_bit(tmp_path: Path, touch: Touch) 
     np.testing.assert_array_equal(back.T_sensor_object, T_SENSOR_OBJECT)
     np.testing.assert_array_equal(back.T_base_sensor, T_BASE_SENSOR)
     assert back.name == "a.npz"
+
+
+@pytest.mark.parametrize("read_with", [RIGID, Gel(4 * MM)], ids=["rigid", "layer"])
+@pytest.mark.parametrize("taken_with", [RIGID, Gel(4 * MM), Gel(2 * MM)], ids=["rigid", "layer", "thin layer"])
+def test_another_kind_of_gel_is_reported(
+    tmp_path: Path, touch: Touch, taken_with: Gel, read_with: Gel, caplog: pytest.LogCaptureFixture
+) -> None:
+    taken = Touch(touch.contact_shape, Sensor(gel=taken_with).geometry)
+    read_touch(write_touch(tmp_path / "a.npz", taken), Sensor(gel=read_with))
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == (taken_with.kind != read_with.kind)
+    assert all(taken_with.kind in message and "a.npz" in message for message in said)
+
+
+def test_a_file_without_a_gel_is_read_with_any_gel(
+    tmp_path: Path, depth_m: NDArray[np.float64], caplog: pytest.LogCaptureFixture
+) -> None:
+    for gel in (RIGID, Gel(4 * MM)):
+        read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit="m"), Sensor(gel=gel))
+    assert not caplog.records
+
+
+def test_an_unknown_gel_is_refused(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+    with pytest.raises(TouchError, match=naming("a.npz", "jelly", "rigid", "layer")):
+        read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit="m", gel="jelly"), SENSOR)
 
 
 def test_unknown_poses_are_absent_from_the_file(tmp_path: Path, touch: Touch) -> None:

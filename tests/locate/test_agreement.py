@@ -92,8 +92,8 @@ def test_two_outliers_of_five_touches_are_named():
 def block(make_box, store) -> Localizer:
     """A block before a sensor of few pixels; fewer hypotheses than usual are enough for it."""
     coarse = {
-        "sensor": {"name": "gelslim", "image_size_px": [100, 100]}, "grid": {"name": "face", "spacing_mm": 5.0},
-        "temperature": 1e-3, "hypotheses": {"refined_together": 8},
+        "sensor": {"name": "gelslim", "image_size_px": [100, 100], "gel": "rigid"}, "temperature": 1e-3,
+        "grid": {"name": "face", "spacing_mm": 5.0}, "hypotheses": {"refined_together": 8},
     }  # fmt: skip
     return Localizer(RunConfig.from_dict(coarse), make_box(0.024, 0.014, 0.008, symmetry="z2"), store)
 

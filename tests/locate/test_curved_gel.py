@@ -17,7 +17,8 @@ from tactile_loc.locate.localizer import Localizer, localize_together
 
 @pytest.fixture(scope="module")
 def localizer(store) -> Localizer:
-    return Localizer.create("cotter", store=store, sensor="digit-curved", grid="whole")
+    sensor = {"name": "digit-curved", "gel": "rigid"}
+    return Localizer.create("cotter", store=store, sensor=sensor, grid="whole")
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from tactile_loc.locate.results.verdict import judge
 from tactile_loc.locate.scoring import MOST_MATCHERS
 from tactile_loc.store.store import StageStore
 
-SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]}}
+SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100], "gel": "rigid"}}
 AMPLE = {"name": "face", "min_contact_percent": 2.0}  # enough contact to locate the object
 FINE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 3.0}}
 COARSE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 7.0}}

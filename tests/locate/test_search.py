@@ -25,7 +25,7 @@ from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.search import PlaceSearch, search_together
 from tactile_loc.store.store import StageStore
 
-WHOLE = {"grid": {"name": "whole"}, "sensor": "gelsight-mini"}
+WHOLE = {"grid": {"name": "whole"}, "sensor": {"name": "gelsight-mini", "gel": "rigid"}}
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.streams.frame_sources import SourceFrame
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.verdict import MEANINGS, Verdict, explain_verdict
 from tactile_loc.reports.live_server import Board, LiveServer
@@ -117,7 +118,10 @@ def test_numbers_are_in_millimetres_and_degrees(localizer):
     assert (texts["verdict"], texts["verdict-more"]) == ("refused", explain_verdict(None))
 
 
-def test_a_frame_shows_its_outline_and_that_of_the_true_pose(localizer):
+@pytest.mark.parametrize("gel", ["rigid", "layer"])
+def test_a_frame_shows_its_outline_and_that_of_the_true_pose(store, gel):
+    sensor = {"name": "gelslim", "gel": gel}
+    localizer = Localizer.create("pin", grid={"name": "face", "spacing_mm": 8}, sensor=sensor, store=store)
     touch = localizer.simulate(1, seed=1)[0]
     located = LocatedFrame(Verdict.CERTAIN, touch.T_sensor_object[None], np.ones(1), None, 1.0, 0.1)
     result = LiveResult(SourceFrame(0, 0.0, "0"), located, touch, 0, 0.0)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,17 @@ from tactile_loc.core.errors import SensorError
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
+GelKind = Literal["rigid", "layer"]
+GEL_KINDS: tuple[GelKind, ...] = get_args(GelKind)
 FAR_M = np.float32(-1.0)  # reach of an object that is nowhere near a pixel
 THINNEST_M = 2e-4
 LEAST_K = 1e-4  # wave number times thickness, below which the limit is used
 DEFAULT_THICKNESS_M = 4e-3  # of a layer whose thickness is unknown
+RESOLVED_PX = 4  # thickness, pixels, from which displacements around a point load are smooth enough to be sampled
+FARTHEST = 10.0  # thicknesses beyond which a layer does not move
+STEEPEST, PLATE_NODES = 20.0, 320  # wave number times thickness at which the plate has no effect; nodes of integration
 COMPARED = 0.5  # share of the press
+SOLVER_VERSION = 2  # increase if the same object gives another surface of the gel
 ITERATIONS = 3  # leave a few micrometres for a press of 0.6 mm: see docs/method-gel.md
 
 
@@ -63,6 +69,11 @@ class Gel:
     def is_elastic(self) -> bool:
         """Whether the gel is an elastic layer or half-space."""
         return self.thickness_m is not None
+
+    @property
+    def kind(self) -> GelKind:
+        """The kind of gel, as in files: "rigid", or "layer" for an elastic layer or half-space."""
+        return "layer" if self.is_elastic else "rigid"
 
     def find_compared_m(self, press_depth_m: float) -> float:
         """Return the depth, metres from the deepest point, up to which touches and poses are compared.
@@ -108,7 +119,8 @@ class GelSolver:
     """Solves contacts on a window of `shape` (H, W) pixels with `pitch_m` (x, y) metres; make it with `make_solver`.
 
     The window is `padded` to twice its size (rows, columns), because the Fourier transform repeats it. `compliance` is
-    the transform of the displacements under a unit pressure at one pixel, metres.
+    the transform of the displacements under a unit pressure at one pixel, metres. They do not repeat either, so a gel
+    may be thicker than the window is wide. Only layers thinner than RESOLVED_PX pixels have a repeated response.
     """
 
     def __init__(self, gel: Gel, shape: tuple[int, int], pitch_m: tuple[float, float]) -> None:
@@ -118,10 +130,10 @@ class GelSolver:
             raise SensorError("a rigid gel has no elastic contact; give the sensor's gel a thickness")
         self.shape = shape
         self.padded = (fft.next_fast_len(2 * shape[0], real=True), fft.next_fast_len(2 * shape[1], real=True))
-        if math.isinf(gel.thickness_m):
-            compliance = _transform_point_loads(self.padded, pitch_m, gel.poisson)
-        else:
+        if gel.thickness_m < RESOLVED_PX * max(pitch_m):
             compliance = compute_compliance(np.hypot(*list_wave_numbers(self.padded, pitch_m)), gel)
+        else:
+            compliance = _transform_point_loads(self.padded, pitch_m, gel)
         self.compliance = compliance.astype(np.float32)
 
     def displace(self, pressure: Float32) -> Float32:
@@ -195,11 +207,11 @@ def list_wave_numbers(shape: tuple[int, int], pitch_m: tuple[float, float]) -> t
     return np.asarray(2 * np.pi * qx[None], float), np.asarray(2 * np.pi * qy[:, None], float)
 
 
-def _transform_point_loads(shape: tuple[int, int], pitch_m: tuple[float, float], poisson: float) -> Floats:
-    """Return the transform of a half-space's displacements, metres, around a pixel under unit pressure.
+def _transform_point_loads(shape: tuple[int, int], pitch_m: tuple[float, float], gel: Gel) -> Floats:
+    """Return the transform of a gel's displacements, metres, around a pixel under unit pressure.
 
-    Johnson, Contact Mechanics (1985), equation 3.25. The padded window holds every distance between two pixels, so
-    there are no repeated contacts.
+    The padded window holds every distance between two pixels, so there are no repeated contacts, however thick the gel
+    is. Half-space: Johnson, Contact Mechanics (1985), equation 3.25.
     """
     x = np.asarray(np.fft.fftfreq(shape[1], 1 / shape[1]), float)[None] * pitch_m[0]
     y = np.asarray(np.fft.fftfreq(shape[0], 1 / shape[0]), float)[:, None] * pitch_m[1]
@@ -207,7 +219,28 @@ def _transform_point_loads(shape: tuple[int, int], pitch_m: tuple[float, float],
     for right, down, sign in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
         u, v = x + right * pitch_m[0] / 2, y + down * pitch_m[1] / 2
         total += sign * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
-    return np.asarray(np.fft.rfft2((1 - poisson) / (2 * np.pi) * total).real)
+    moved_m = (1 - gel.poisson) / (2 * np.pi) * total
+    if gel.thickness_m is not None and math.isfinite(gel.thickness_m):
+        away = np.hypot(x, y) / gel.thickness_m
+        plate = np.interp(away, *_compute_plate_effect(gel.poisson)) * pitch_m[0] * pitch_m[1] / gel.thickness_m
+        moved_m = np.where(away < FARTHEST, moved_m + plate, 0.0)
+    return np.asarray(np.fft.rfft2(moved_m).real)
+
+
+@lru_cache(maxsize=8)
+def _compute_plate_effect(poisson: float) -> tuple[Floats, Floats]:
+    """Return distances from a point load, and there a layer's displacement minus a half-space's, in thicknesses.
+
+    The load has the size of the shear modulus times the squared thickness. The difference of both compliances is
+    integrated: a Hankel transform. It vanishes for wave numbers above STEEPEST over the thickness.
+    """
+    from scipy.special import j0
+
+    nodes, weights = np.polynomial.legendre.leggauss(PLATE_NODES)
+    k = STEEPEST / 2 * (nodes + 1)
+    difference = k * compute_compliance(k, Gel(1.0, poisson)) - (1 - poisson)
+    away = np.linspace(0.0, FARTHEST, PLATE_NODES)
+    return away, j0(np.outer(away, k)) @ (STEEPEST / 2 * weights * difference) / (2 * np.pi)
 
 
 def _sum(images: Float32) -> Float32:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import SensorError
-from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.gel import RIGID, SOLVER_VERSION, Gel
 
 Depth = NDArray[np.float32]
 
@@ -284,7 +284,8 @@ class SensorGeometry:
         if self.relief_m is None:  # so that flat sensors keep their keys in the store
             del digests["relief_m"]
         rectangle = None if self.rectangle_m is None else list(self.rectangle_m)
-        gel = {"gel": self.gel.describe()} if self.gel.is_elastic else {}  # so that rigid gels keep their keys
+        elastic = {"gel": {**self.gel.describe(), "solver": SOLVER_VERSION}}
+        gel = elastic if self.gel.is_elastic else {}  # so that rigid gels keep their keys
         return {**fields, "rectangle_m": rectangle, **digests, **gel}
 
 

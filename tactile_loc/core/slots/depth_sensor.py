@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.errors import SensorError, TouchError
-from tactile_loc.core.sensing.gel import DEFAULT_THICKNESS_M, RIGID, Gel
+from tactile_loc.core.sensing.gel import DEFAULT_THICKNESS_M, RIGID, Gel, GelKind
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import FROM_DEPTH, ContactShape, contact_shape_from_array
 from tactile_loc.core.slots.component import ComponentOptions
@@ -21,7 +21,7 @@ from tactile_loc.core.slots.sensor import SensorModel
 class GelOptions(ComponentOptions):
     """The elasticity of the sensor's gel; None keeps what the sensor says."""
 
-    gel: Literal["rigid", "layer"] | None = Field(None, description="the gel: rigid, or an elastic layer")
+    gel: GelKind | None = Field(None, description="the gel: rigid, or an elastic layer")
     gel_thickness_mm: float | None = Field(None, gt=0, description="thickness of the elastic layer, mm")
     poisson: float | None = Field(None, ge=0, lt=0.5, description="Poisson's ratio of the elastic layer")
     gel_coating_mm: float | None = Field(None, ge=0, description="depth of the visible interface in the layer, mm")

@@ -145,6 +145,32 @@ def test_a_very_thick_layer_is_a_half_space():
     np.testing.assert_allclose(compute_compliance(q, Gel(0.1, 0.45)), (1 - 0.45) / q, rtol=1e-6)
 
 
+def test_a_sphere_on_a_very_thick_layer_touches_a_half_space():
+    """The window is far narrower than the layer is thick."""
+    thick = solver(Gel(1.0, HALF_SPACE.poisson)).press(sphere(), 60)
+    u, p = solver(HALF_SPACE).press(sphere(), 60)
+    assert rms_m(thick.displacement_m, u) < 2e-3 * PRESS_M
+    assert np.count_nonzero(thick.pressure) == pytest.approx(np.count_nonzero(p), rel=0.02)
+
+
+@pytest.mark.parametrize("thickness_m", [2e-3, 4e-3, 14e-3, 0.1])
+def test_a_contact_does_not_depend_on_the_window(thickness_m):
+    """A window of four times the side has the same contact in its middle."""
+    gel, beside = Gel(thickness_m), 3 * PX // 2
+    wide = np.pad(SHAPES["block"], ((0, 0), (beside, beside), (beside, beside)), constant_values=-np.inf)
+    in_wide = make_solver(gel, wide.shape[1:], (PITCH_M, PITCH_M)).press(wide, 30).displacement_m
+    in_narrow = solver(gel).press(SHAPES["block"], 30).displacement_m
+    assert rms_m(in_narrow, in_wide[:, beside:-beside, beside:-beside]) < 1e-4 * PRESS_M
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.48])
+def test_a_layer_yields_to_a_uniform_pressure_as_its_compliance_says(poisson):
+    """The displacements around one pixel sum to the compliance at the wave number 0."""
+    gel = Gel(1.5e-3, poisson)
+    total = make_solver(gel, (160, 160), (PITCH_M, PITCH_M)).compliance[0, 0]
+    assert total == pytest.approx(compute_compliance(np.zeros(1), gel)[0], rel=0.02)
+
+
 def test_a_very_thin_compressible_layer_is_an_elastic_foundation():
     """Winkler: the layer yields by t (1 - 2 nu) / (2 (1 - nu)) for each unit of pressure, and only under the object."""
     thin = Gel(2e-4, 0.2)

@@ -24,7 +24,8 @@ ErrorMm = Callable[[Touch, np.ndarray], float]
 
 @pytest.fixture(scope="session")
 def pin_scene() -> Scene:
-    return Scene(load_object("pin", symmetry="none"), GelSlim().geometry, HeightmapRenderer())
+    geometry = GelSlim(GelSlim.Options(gel="rigid")).geometry
+    return Scene(load_object("pin", symmetry="none"), geometry, HeightmapRenderer())
 
 
 @pytest.fixture(scope="session")
