@@ -31,8 +31,8 @@ def require_base(source: ReplaySource) -> None:
     """Raise FrameError unless the sensor's poses in a base frame are known."""
     if not source.has_base:
         raise FrameError(
-            f"the sensor's poses for the {source.about} are unknown, so the images cannot be used together; give the "
-            "base frame"
+            f"the sensor's poses for the {source.about} are unknown, so the images cannot be used together; give "
+            "`base_frame`"
         )
 
 
