@@ -42,7 +42,8 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.tracker import TrackedPose, Tracker
+from tactile_loc.tasks.tracked_pose import TrackedPose
+from tactile_loc.tasks.tracker import Tracker
 
 SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 START_STD = np.array([1e-3] * 3 + [np.radians(1.0)] * 3) / np.sqrt(3)

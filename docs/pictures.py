@@ -38,7 +38,8 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES
-from tactile_loc.tasks.tracker import TrackedPose, Tracker
+from tactile_loc.tasks.tracked_pose import TrackedPose
+from tactile_loc.tasks.tracker import Tracker
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.streams.recordings import choose_image_topic as choose_image_topic
     from tactile_loc.io.streams.ros_messages import RosPose as RosPose
     from tactile_loc.io.streams.ros_messages import decode_image as decode_image
+    from tactile_loc.io.streams.sensor_tracks import read_sensor_track as read_sensor_track
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
@@ -72,9 +73,11 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
     from tactile_loc.tasks.next_touch import choose_next_touch as choose_next_touch
     from tactile_loc.tasks.pose_modes import PoseModes as PoseModes
+    from tactile_loc.tasks.replay import FolderReplay as FolderReplay
     from tactile_loc.tasks.replay import Replay as Replay
+    from tactile_loc.tasks.replay_modes import fuse_frames as fuse_frames
+    from tactile_loc.tasks.tracked_pose import TrackedPose as TrackedPose
     from tactile_loc.tasks.tracker import Motion as Motion
-    from tactile_loc.tasks.tracker import TrackedPose as TrackedPose
     from tactile_loc.tasks.tracker import Tracker as Tracker
 
 __version__ = version("tactile-loc")

@@ -20,7 +20,7 @@ from press_sets import COLUMNS, ball_set, write_image
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc import Localizer, load_object, write_touch
+from tactile_loc import Localizer, RosPose, load_object, write_touch
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.evaluation.slides import draw_random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
@@ -132,6 +132,9 @@ def furnished(tmp_path_factory, store) -> Path:
     mounted(folder, store)
     (folder / "touches").mkdir()
     write_touch(folder / "touches" / "0.npz", touches[0])
+    pose = RosPose.of(np.asarray(touches[0].T_base_sensor), None)
+    numbers = ",".join(map(str, (*pose.position_m, *pose.quaternion_xyzw)))
+    (folder / "poses.csv").write_text(f"file,x_m,y_m,z_m,qx,qy,qz,qw\n0.npz,{numbers}\n")
     (frame,) = ImageFolder(folder / "touches", every=True).read_frames()
     (folder / "found.jsonl").write_text(LiveLocator(localizer).locate(frame).record.model_dump_json() + "\n")
     write_slide(folder / "drive.mcap", draw_random_slide(localizer, 3, seed=0))

@@ -176,12 +176,16 @@ class Takes:
 Rerun = Annotated[
     Path | None, declare("--rerun", "FILE.rrd", "Also write touches and poses to a file for the Rerun viewer.")
 ]
-Required = StrEnum("Required", "CERTAIN")
+Required = StrEnum("Required", "CERTAIN")  # verdicts that --require takes
 Require = Annotated[
     Required | None,
     declare("--require", None, "End with exit code 3 if the verdict is another one. The result is written."),
 ]
 Report = Annotated[bool, declare("--report", None, "Also write report.html: the result as one self-contained page.")]
+SensorPoses = Annotated[
+    Path | None,
+    declare("--poses", "FILE.csv", "The sensor's poses for a folder of images: a CSV file (docs/files.md)."),
+]
 Store = Annotated[
     Path | None,
     declare("--store", "FOLDER", "Folder of built models. Default: $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),

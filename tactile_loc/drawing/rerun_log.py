@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError
+from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import invert, rotate_covariance, rotation_to_quaternion_xyzw
@@ -25,7 +24,7 @@ from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.result_arrays import find_most_probable, reduce_mesh
 from tactile_loc.store.files import require_writable, write_atomically
-from tactile_loc.tasks.replay import FrameRecord, FrameView, Replay
+from tactile_loc.tasks.replay import FrameRecord, ReplaySource
 
 SENSOR = "base/sensor"
 OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))
@@ -225,34 +224,28 @@ def write_localization(path: Path, localization: Localization, scene: Scene) -> 
     return write_atomically(path, write)
 
 
-def write_replay(path: Path, replay: Replay, records: Sequence[FrameRecord]) -> Path:
+def write_replay(path: Path, source: ReplaySource, records: Sequence[FrameRecord]) -> Path:
     """Write the results of a replay atomically as a Rerun file, and return the path.
 
-    The images are read again from the recording. Raises OutputError if the file cannot be written, and
-    MissingLibraryError if rerun-sdk is not installed.
+    The images are read again. Raises OutputError if the file cannot be written, and MissingLibraryError if rerun-sdk is
+    not installed.
     """
 
     def write(temporary: Path) -> None:
-        with RerunLog(temporary, replay.localizer.scene) as log:
-            for record, view in zip(records, replay.views(), strict=True):
-                log.add(_read_frame(record, view, records[0].stamp_ns, replay))
+        with RerunLog(temporary, source.localizer.scene) as log:
+            for record, frame in zip(records, source.read_frames(), strict=True):
+                time_s = 1e-9 * (record.stamp_ns - records[0].stamp_ns)
+                located = _locate_in_sensor(record, frame.T_base_sensor)
+                log.add(Logged(record.number, time_s, frame.image, frame.touch, located))
 
     return write_atomically(path, write)
 
 
-def _read_frame(record: FrameRecord, view: FrameView, start_ns: int, replay: Replay) -> Logged:
-    touch = None
-    with suppress(TactileLocError):  # the record states the reason
-        touch = replace(replay.touch(view.image), T_base_sensor=view.T_base_frame)
-    time_s = 1e-9 * (record.stamp_ns - start_ns)
-    return Logged(record.number, time_s, view.image, touch, _locate_in_sensor(record, view))
-
-
-def _locate_in_sensor(record: FrameRecord, view: FrameView) -> LocatedFrame:
+def _locate_in_sensor(record: FrameRecord, T_base_sensor: NDArray[np.float64] | None) -> LocatedFrame:
     """Return a record's result in the sensor's frame."""
     if record.T_frame_object is None:
         return LocatedFrame(record.verdict, says=record.says)
-    T = np.eye(4) if view.T_base_frame is None else invert(view.T_base_frame)
+    T = np.eye(4) if T_base_sensor is None else invert(T_base_sensor)
     covariance = None if record.covariance is None else rotate_covariance(np.array(record.covariance), T[:3, :3])
     shares, iou = np.array([record.probability or 0.0]), record.imprint_iou
     return LocatedFrame(

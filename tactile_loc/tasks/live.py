@@ -14,6 +14,7 @@ from pydantic import Field
 from tactile_loc.core.errors import NoContactError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.frame_sources import SourceFrame
+from tactile_loc.io.streams.sensor_tracks import SensorTrack
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
@@ -63,8 +64,9 @@ class LiveResult:
 class LiveLocator:
     """Locates the frames of one sensor: as one sequence if there is a `tracker`, otherwise each frame separately.
 
-    The sensor's pose comes from the frame's file (`Touch.T_base_sensor`). If a file has no pose, the sensor is assumed
-    to have stayed where it was. `unit`, `press_depth_m` and `kind` are as for `read_touch`.
+    The sensor's pose comes from the `sensor_track` or, without one, from the frame's file (`Touch.T_base_sensor`). If a
+    file has no pose, the sensor is assumed to have stayed where it was. `unit`, `press_depth_m` and `kind` are as for
+    `read_touch`.
     """
 
     localizer: Localizer
@@ -75,6 +77,7 @@ class LiveLocator:
     reasons: Counter[str] = field(default_factory=Counter)
     _ends: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     kind: str | None = None
+    sensor_track: SensorTrack | None = None
     _time_s: float = 0.0
     _T_base_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
@@ -93,6 +96,7 @@ class LiveLocator:
         start = time.perf_counter()
         touch = None
         try:
+            self._follow_sensor(frame)
             touch = frame.read_touch(self.localizer.sensor, self.unit, self.press_depth_m, self.kind)
             located = self._locate_touch(frame, touch)
         except NoContactError as error:
@@ -105,6 +109,11 @@ class LiveLocator:
         self._ends.append(end)
         return LiveResult(frame, replace(located, seconds=end - start), touch, dropped, self._rate_hz)
 
+    def _follow_sensor(self, frame: SourceFrame) -> None:
+        """Look up the sensor's pose for a frame. Raises FrameError if a track of sensor poses does not have it."""
+        if self.sensor_track is not None:
+            self._T_base_sensor = self.sensor_track.look_up(frame.name, frame.time_s)
+
     @property
     def _rate_hz(self) -> float:
         """Frames per second over the latest frames; 0 before the second frame."""
@@ -113,7 +122,7 @@ class LiveLocator:
     def _locate_touch(self, frame: SourceFrame, touch: Touch) -> LocatedFrame:
         if self.tracker is None:
             return LocatedFrame.of(self.localizer.localize(touch))
-        if touch.T_base_sensor is not None:
+        if self.sensor_track is None and touch.T_base_sensor is not None:
             self._T_base_sensor = touch.T_base_sensor
         return self._track(self.tracker, frame, touch)
 

@@ -4,24 +4,37 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
-from tactile_loc.io.streams.ros_messages import POSE, RosPose, make_pose
+from tactile_loc.io.streams.ros_messages import POSE, TEXT, RosPose, make_pose, make_text
 from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.touch_files import make_pose_cells, write_csv
 from tactile_loc.store.files import write_json
-from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
-from tactile_loc.tasks.replay_journal import Journal, open_journal
+from tactile_loc.tasks.replay import (
+    Estimator,
+    FolderReplay,
+    FrameRecord,
+    Replay,
+    ReplaySource,
+    ReplaySummary,
+    estimate,
+    make_frame_record,
+    require_located,
+)
+from tactile_loc.tasks.replay_journal import open_journal
+from tactile_loc.tasks.replay_modes import RestPose, fuse_frames, track_frames
 
 log = logging.getLogger(__name__)
 
 COLUMNS = (
-    "number", "stamp_s", "verdict", "frame", "probability", "imprint_iou", "x_mm", "y_mm", "z_mm", "turn_deg", "axis_x",
-    "axis_y", "axis_z", "std_mm", "std_deg", "says",
+    "number", "name", "stamp_s", "verdict", "frame", "probability", "imprint_iou", "x_mm", "y_mm", "z_mm", "turn_deg",
+    "axis_x", "axis_y", "axis_z", "std_mm", "std_deg", "says",
 )  # fmt: skip
 
 
@@ -29,83 +42,141 @@ COLUMNS = (
 class Replayed:
     """The results of a replay, frame by frame, and the files it wrote.
 
-    `resumed` is the number of frames that an earlier, interrupted replay finished.
+    `resumed` is the number of frames that an earlier, interrupted replay finished. `rest` is the fused pose of an
+    object at rest, if it was requested.
     """
 
     records: Sequence[FrameRecord]
     summary: ReplaySummary
     written: tuple[Path, ...]
-    resumed: int
+    resumed: int = 0
+    rest: RestPose | None = None
+
+
+@dataclass(frozen=True)
+class ReplayOutput:
+    """The files of a replay: a recording or, for a folder of images, a table at `path`, and .csv and .json beside it.
+
+    The recording has the poses on `pose_topic` and the verdicts on `verdict_topic`. It also has the recorded messages,
+    unless `poses_only`. If a verdict is `required`, poses with another verdict are not written.
+    """
+
+    path: Path
+    pose_topic: str = "/object/pose"
+    verdict_topic: str = "/object/verdict"
+    poses_only: bool = False
+    required: Verdict | None = None
 
 
 def replay_to(
     out: Path,
     replay: Replay,
     frames: int,
-    pose_topic: str,
+    pose_topic: str = "/object/pose",
     poses_only: bool = False,
     estimator: Estimator | None = None,
 ) -> Replayed:
-    """Locate each of a recording's `frames` images; write the results to `out`, and .csv and .json files beside it.
+    """Locate each of a recording's `frames` images alone, as `locate_each_to` does."""
+    return locate_each_to(ReplayOutput(out, pose_topic, poses_only=poses_only), replay, frames, estimator)
 
-    A journal beside `out` keeps the finished frames until all files are written. If the replay is interrupted, the same
-    call resumes it, but a tracker then forgets the earlier frames. Raises RecordingError if no frame has a pose, and
-    OutputError if a file cannot be written.
+
+def locate_each_to(
+    out: ReplayOutput, source: ReplaySource, frames: int, estimator: Estimator | None = None
+) -> Replayed:
+    """Locate each of a source's `frames` images alone, and write the results.
+
+    A journal beside the output keeps the finished frames until all files are written. If the replay is interrupted, the
+    same call resumes it. Raises RecordingError if no frame has a pose, and OutputError if a file cannot be written.
     """
-    path = out.with_name(f"{out.name}.journal")
-    with open_journal(path, replay) as kept:
+    path = out.path.with_name(f"{out.path.name}.journal")
+    with open_journal(path, source) as kept:
         if kept.stale:
             log.warning("%s is of another replay or of another version; all images are located again", path)
         resumed = len(kept.records)
-        _finish(kept, replay, frames, estimator or (lambda touch: LocatedFrame.of(replay.localizer.localize(touch))))
-        summary = ReplaySummary.of(kept.records)
-        require_located(replay, kept.records, summary)
-        written = (
-            write_poses(out, replay, kept.records, pose_topic, poses_only),
-            write_table(out.with_suffix(".csv"), kept.records),
-            write_summary(out.with_suffix(".json"), replay, summary, kept.records),
-        )
+        locate = estimator or (lambda touch: LocatedFrame.of(source.localizer.localize(touch)))
+        with source.localizer.progress.task(f"locating the {source.about}", frames) as advance:
+            advance(resumed)
+            for frame in source.read_frames(resumed):
+                kept.append(make_frame_record(frame, estimate(frame, locate)))
+                advance(1)
+        done = _write(out, source, kept.records)
         path.unlink()
-    return Replayed(tuple(kept.records), summary, written, resumed)
+    return replace(done, resumed=resumed)
 
 
-def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) -> None:
-    finished = len(kept.records)
-    with replay.localizer.progress.task(f"locating the images on {replay.topic.name}", frames) as advance:
-        advance(finished)
-        for record in replay.frames(estimator, finished):
-            kept.append(record)
+def track_to(out: ReplayOutput, source: ReplaySource, frames: int) -> Replayed:
+    """Follow the object through a source's `frames` images with a tracker, and write the results.
+
+    An interrupted track starts again with the first image. Raises FrameError if the source has no base frame,
+    RecordingError if no frame has a pose, and OutputError if a file cannot be written.
+    """
+    records = []
+    with source.localizer.progress.task(f"tracking through the {source.about}", frames) as advance:
+        for record in track_frames(source):
+            records.append(record)
             advance(1)
+    return _write(out, source, records)
 
 
-def write_poses(
-    path: Path, replay: Replay, records: Sequence[FrameRecord], pose_topic: str, alone: bool = False
-) -> Path:
-    """Write the recording's messages, with each pose after its image, or only the poses if `alone`; return the path.
+def fuse_to(out: ReplayOutput, source: ReplaySource) -> Replayed:
+    """Locate an object at rest from a source's images together (`fuse_frames`), and write the results.
+
+    Raises FrameError if the source has no base frame, RecordingError or GridError if the object cannot be located, and
+    OutputError if a file cannot be written.
+    """
+    rest, records = fuse_frames(source)
+    return replace(_write(out, source, records, {"rest": rest.describe()}), rest=rest)
+
+
+def _write(
+    out: ReplayOutput, source: ReplaySource, records: Sequence[FrameRecord], more: dict[str, Any] | None = None
+) -> Replayed:
+    """Write the files of a replay."""
+    summary = ReplaySummary.of(records)
+    require_located(source, records, summary)
+    kept = records if out.required is None else [keep_required(record, out.required) for record in records]
+    written = [write_poses(out, source, kept)] if isinstance(source, Replay) else []
+    written.append(write_table(out.path.with_suffix(".csv"), kept))
+    written.append(write_summary(out.path.with_suffix(".json"), source, summary, kept, more or {}))
+    return Replayed(tuple(kept), summary, tuple(written))
+
+
+def keep_required(record: FrameRecord, required: Verdict) -> FrameRecord:
+    """Return a record without its pose, and with the reason, if its verdict is not the required one."""
+    if record.verdict is required or record.T_frame_object is None:
+        return record
+    says = record.says or f"the verdict is not {required}, which was required"
+    return record.model_copy(update={"T_frame_object": None, "covariance": None, "says": says})
+
+
+def write_poses(out: ReplayOutput, replay: Replay, records: Sequence[FrameRecord]) -> Path:
+    """Write the recording's messages, with each pose and verdict after its image; return the path.
 
     A pose has its image's stamp and log time. Raises OutputError.
     """
 
     def write(writer: RecordingWriter) -> None:
-        poses = {record.number: record for record in records if record.T_frame_object is not None}
         number = 0
         for message in replay.recording.read_messages():
-            if not alone:
+            if not out.poses_only:
                 writer.copy(message)
             if message.topic.name == replay.topic.name:
-                if number in poses:
-                    _write_pose(writer, pose_topic, poses[number])
+                _write_frame(writer, out, records[number])
                 number += 1
-        for extra in () if alone else replay.recording.read_extras():
+        for extra in () if out.poses_only else replay.recording.read_extras():
             writer.copy_extra(extra)
 
-    return write_recording(path, write)
+    return write_recording(out.path, write)
 
 
-def _write_pose(writer: RecordingWriter, pose_topic: str, record: FrameRecord) -> None:
-    covariance = None if record.covariance is None else np.array(record.covariance)
-    message = make_pose(RosPose.of(record.T, covariance), record.stamp_ns, record.frame)
-    writer.write(pose_topic, POSE, message, record.log_time_ns)
+def _write_frame(writer: RecordingWriter, out: ReplayOutput, record: FrameRecord) -> None:
+    """Write a frame's pose, if it has one, and its verdict, unless it was refused."""
+    if record.T_frame_object is not None:
+        covariance = None if record.covariance is None else np.array(record.covariance)
+        message = make_pose(RosPose.of(record.T, covariance), record.stamp_ns, record.frame)
+        writer.write(out.pose_topic, POSE, message, record.log_time_ns)
+    if record.verdict is not None:
+        writer.write(out.verdict_topic, TEXT, make_text(record.verdict), record.log_time_ns)
 
 
 def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
@@ -116,12 +187,13 @@ def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
 def make_row(record: FrameRecord) -> dict[str, str]:
     """Return a frame's row of the table; a standard deviation is the root mean square over the three axes."""
     cells = {
-        "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "verdict": record.verdict or "",
-        "frame": record.frame, "says": record.says,
+        "number": str(record.number), "name": record.name, "stamp_s": f"{record.stamp_ns / 1e9:.9f}",
+        "verdict": record.verdict or "", "frame": record.frame, "says": record.says,
     }  # fmt: skip
     if record.T_frame_object is None:
         return cells
-    cells |= {"probability": f"{record.probability:.4f}", "imprint_iou": f"{record.imprint_iou:.3f}"}
+    cells |= {"probability": f"{record.probability:.4f}"}
+    cells |= {} if record.imprint_iou is None else {"imprint_iou": f"{record.imprint_iou:.3f}"}
     cells |= make_pose_cells(record.T)
     if record.covariance is not None:
         variances = np.diag(record.covariance)
@@ -130,8 +202,15 @@ def make_row(record: FrameRecord) -> dict[str, str]:
     return cells
 
 
-def write_summary(path: Path, replay: Replay, summary: ReplaySummary, records: Sequence[FrameRecord]) -> Path:
-    """Write the replay's summary and all its frames as JSON in SI units; return the path. Raises OutputError."""
-    about = {"recording": str(replay.recording.path), "image_topic": replay.topic.name}
+def write_summary(
+    path: Path, source: ReplaySource, summary: ReplaySummary, records: Sequence[FrameRecord], more: dict[str, Any]
+) -> Path:
+    """Write the replay's summary, `more`, and all its frames as JSON in SI units; return the path.
+
+    Raises OutputError.
+    """
+    about = {"folder": str(source.folder)} if isinstance(source, FolderReplay) else {}
+    if isinstance(source, Replay):
+        about = {"recording": str(source.recording.path), "image_topic": source.topic.name}
     frames = [record.model_dump(mode="json") for record in records]
-    return write_json(path, {**about, **asdict(summary), "poses": frames})
+    return write_json(path, {**about, **asdict(summary), **more, "poses": frames})

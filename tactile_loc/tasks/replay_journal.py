@@ -6,13 +6,13 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from pydantic import ValidationError
 
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
-from tactile_loc.tasks.replay import FrameRecord, Replay
+from tactile_loc.tasks.replay import FrameRecord, ReplaySource
 
 VERSION = 2  # increase it when replays give other results
 
@@ -41,14 +41,14 @@ class Journal:
 
 
 @contextmanager
-def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
+def open_journal(path: Path, source: ReplaySource) -> Iterator[Journal]:
     """Open and lock the journal of a replay; delete it at the end if no frame has a pose.
 
     Raises OutputError if the journal cannot be written, or if another process uses it.
     """
     with open_locked(path) as file:
         file.seek(0)
-        kept = Journal(file, make_replay_key(replay))
+        kept = Journal(file, make_replay_key(source))
         try:
             yield kept
         finally:
@@ -56,20 +56,13 @@ def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
                 path.unlink()
 
 
-def make_replay_key(replay: Replay) -> str:
-    """Return a digest of all inputs of the frames' results: the recording and the settings."""
-    localizer = replay.localizer
+def make_replay_key(source: ReplaySource) -> str:
+    """Return a digest of all inputs of the frames' results: the images and the settings."""
+    localizer = source.localizer
     return StageKey("replay", VERSION, {
-        "recording": _identify(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
-        "base_frame": replay.base_frame, "press_depth_m": replay.press_depth_m, "object": localizer.object.describe(),
-        "sensor": localizer.sensor.describe(), "configuration": localizer.config.resolve(),
+        **source.describe(), "object": localizer.object.describe(), "sensor": localizer.sensor.describe(),
+        "configuration": localizer.config.resolve(),
     }).digest  # fmt: skip
-
-
-def _identify(path: Path) -> list[Any]:
-    """Return values that identify a recording and change when it grows, without reading its messages."""
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 
 
 def _keep_whole(lines: list[bytes]) -> Iterator[FrameRecord]:

@@ -27,7 +27,6 @@ from tactile_loc.core.geometry.rigid import (
     require_covariance,
     require_rigid,
     rotate_covariance,
-    rotation_angle,
 )
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
@@ -35,11 +34,15 @@ from tactile_loc.core.registration.joint_registration import JointRegistration, 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.locate.results.verdict import Verdict, judge
+from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.tasks.key_touches import measure_motion_m
 from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
+from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 
 Floats = NDArray[np.float64]
+
+AGREEING_M = 1e-3  # largest surface distance between a mode and the pose of a search that confirms it
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,45 +61,6 @@ class Motion:
         covariance = require_covariance(self.covariance, "the covariance of the sensor's motion", TouchError)
         object.__setattr__(self, "T_previous_sensor", T)
         object.__setattr__(self, "covariance", covariance)
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedPose:
-    """The object's pose at one frame.
-
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first. They have `covariances`
-    (K, 6, 6), as in RefinedPose, and `probabilities` (K,). If the probabilities sum to less than 1, the rest is the
-    probability that the pose is elsewhere. `imprint_iou`, 0 to 1, states how well the first pose explains the touch;
-    NaN without a touch.
-
-    `verdict` is as in a run, with the tracker's thresholds (`tracker.certain`, `tracker.least_iou`). Without contact,
-    poses are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
-    """
-
-    time_s: float
-    verdict: Verdict
-    T_sensor_object_modes: Floats
-    covariances: Floats
-    probabilities: Floats
-    imprint_iou: float
-    searched: bool
-
-    @property
-    def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
-        """The most probable pose (4, 4), metres; None before the first touch."""
-        return self.T_sensor_object_modes[0] if len(self.T_sensor_object_modes) else None
-
-    @property
-    def covariance(self) -> Floats | None:
-        """The covariance (6, 6) of the most probable pose, as in RefinedPose; None before the first touch."""
-        return self.covariances[0] if len(self.covariances) else None
-
-    @property
-    def frame(self) -> LocatedFrame:
-        """The pose as a located frame, the form shared with live runs, recordings and ROS."""
-        return LocatedFrame(
-            self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +102,7 @@ class Tracker:
         self._T_base_sensor: Floats | None = None
         self._relative = False
         self._usual, self._elsewhere = 0.0, 0.0
+        self._trust = TrackTrust(options)
         self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
 
     def start(self, T_base_object: Floats, covariance: Floats) -> None:
@@ -152,6 +117,7 @@ class Tracker:
         known = PoseFilter.known(T, covariance)
         self._modes, self._keyframes, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
         self._time_s, self._T_base_sensor, self._usual, self._alike = -math.inf, None, 0.0, 0.0
+        self._trust = TrackTrust(self.options)
 
     def update(
         self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
@@ -178,7 +144,10 @@ class Tracker:
         return self._update_touched(replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
-        """Follow the modes to a touch; search if no mode explains it, or if no mode is certain at a new keyframe."""
+        """Follow the modes to a touch; search if no mode explains it, or if no mode is certain at a new keyframe.
+
+        A search also confirms a mode that came from few touches, after some keyframes.
+        """
         is_keyframe = (
             not self._keyframes
             or self._motion_m(self._keyframes[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.keyframe_mm
@@ -197,27 +166,29 @@ class Tracker:
             keys = [touch]
         elif is_keyframe:
             keys = [*keys, touch][-self.options.keyframes :]
-        lost = search and self._search(touch, [touch] if contradicted else keys)
-        self._keyframes = [touch] if contradicted and lost else keys
+        found = self._search(touch, [touch] if contradicted else keys) if search else None
+        self._keyframes = [touch] if contradicted and found else keys
         search = search or slips
         if not self._modes:
             return self._result(0.0, search)
         iou = self._modes[0].imprint_iou
         self._usual = iou if search else max(iou, (1 - self.options.habit) * self._usual + self.options.habit * iou)
-        return self._result(iou, search)
+        if found or slipped:
+            self._trust = self._trust.restart(found or Verdict.AMBIGUOUS, iou, nearby=not found)
+        else:
+            self._trust = self._trust.add_touch(iou, is_keyframe)
+        confirm = self._trust.needs_search
+        if confirm:
+            self._trust = self._trust.restart(self._confirm(self._keyframes), iou)
+        return self._result(iou, search or confirm)
 
     @property
     def _gel_m(self) -> Floats:
         return self.localizer.scene.geometry.gel_middle_m
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
-        """Return the distance the gel moved between sensor poses (4, 4), metres.
-
-        A rotation counts as the motion at the end of a lever of `lever_mm`.
-        """
-        T = invert(T_base_first) @ T_base_second
-        shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
-        return float(shift_m + 1e-3 * self.options.lever_mm * rotation_angle(T[:3, :3]))
+        """Return the distance the gel moved between sensor poses (4, 4), metres; a rotation counts with `lever_mm`."""
+        return measure_motion_m(T_base_first, T_base_second, self._gel_m, 1e-3 * self.options.lever_mm)
 
     def _probabilities(self) -> Floats:
         evidence = np.array([mode.evidence for mode in self._modes])
@@ -344,15 +315,15 @@ class Tracker:
             for mode, T, nats in zip(modes, ends, found.evidence, strict=True)
         ])  # fmt: skip
 
-    def _search(self, touch: Touch, keys: Sequence[Touch]) -> bool:
+    def _search(self, touch: Touch, keys: Sequence[Touch]) -> Verdict | None:
         """Search the whole object with keyframes; weigh the poses found and the tracked modes together.
 
-        Return whether the likeliest mode is a new one.
+        Return the verdict of the search, or None if its touch is bad and the track is right.
         """
         try:
             found = localize_together([(self.localizer, key) for key in keys])
         except GridError:
-            return not self._modes
+            return None if self._modes else Verdict.NOT_FOUND
         new = []
         for hypothesis in found.hypotheses:
             covariance = hypothesis.refined.covariance
@@ -365,9 +336,22 @@ class Tracker:
         lost = self._modes[0] not in tracked
         if not lost and len(keys) == 1:  # the touch is bad, and the track is right
             self._modes = self._keep_distinct(tracked)
-        else:
-            self._elsewhere = found.posterior.elsewhere
-        return lost
+            return None
+        self._elsewhere = found.posterior.elsewhere
+        return self._rate(found)
+
+    def _confirm(self, keys: Sequence[Touch]) -> Verdict:
+        """Return the verdict of a search with keyframes on the likeliest mode. The modes stay the same."""
+        try:
+            return self._rate(localize_together([(self.localizer, key) for key in keys]))
+        except GridError:
+            return Verdict.NOT_FOUND
+
+    def _rate(self, found: Localization) -> Verdict:
+        """Return the verdict of a search on the likeliest mode; "ambiguous" if the search prefers another pose."""
+        T = np.asarray(found.touch.T_base_sensor) @ found.best.T_sensor_object
+        off_m = self._metric.symmetric_distance(T[None], self._modes[0].known.T_base_object[None])[0]
+        return found.verdict if off_m < AGREEING_M else Verdict.AMBIGUOUS
 
     def _weigh_staying(self, keys: Sequence[Touch]) -> list[_Mode]:
         """Weigh the tracked modes by keyframes; each gets a bonus, because objects rarely jump."""
@@ -393,8 +377,5 @@ class Tracker:
         T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)
         covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
         p = self._probabilities() if self._modes else np.empty(0)
-        verdict = judge(
-            float(p[0]) if len(p) else None, imprint_iou, self._elsewhere, touched=touched,
-            certain=self.options.certain, least_iou=self.options.least_iou,
-        )  # fmt: skip
+        verdict = self._trust.judge(float(p[0]) if len(p) else None, imprint_iou, self._elsewhere, touched)
         return TrackedPose(self._time_s, verdict, T, covariances, p, imprint_iou, searched)

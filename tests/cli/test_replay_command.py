@@ -21,6 +21,7 @@ from tactile_loc.io.streams.recordings import Recording, write_recording
 from tactile_loc.io.streams.ros_messages import (
     IMAGE,
     TF,
+    RosPose,
     make_image,
     make_transforms,
     read_pose,
@@ -101,6 +102,93 @@ def test_a_rerun_file_contains_the_poses_in_the_base_frame(cli, slide):
         np.testing.assert_allclose(R @ t + place, np.array(frame["T_frame_object"])[:3, 3], atol=1e-6)
     assert len(found["image"].get("Image:buffer", [])) == 0  # the recording contains depth images
     assert len(found["contact_shape"]["DepthImage:buffer"]) == IMAGES - 2
+
+
+def test_an_object_at_rest_gets_one_pose(cli, slide):
+    done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--fuse", "--json", "--out", "rest.mcap")
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    rest = json.loads(Path("rest.json").read_text())["rest"]
+    assert said["rest"] == rest
+    assert (said["frames"], said["no_contact"]) == (IMAGES, 2)
+    poses = [read_pose(pose).T for _, pose in decoded("rest.mcap", "/object/pose")]
+    assert len(poses) == IMAGES
+    np.testing.assert_allclose(poses, np.broadcast_to(rest["T_base_object"], (IMAGES, 4, 4)), atol=1e-6)
+    assert np.linalg.norm(compute_pose_errors(poses[0], T_BASE_OBJECT)[:3]) < 1e-3
+    verdicts = [verdict.data for _, verdict in decoded("rest.mcap", "/object/verdict")]
+    assert verdicts.count("no contact") == 2
+    assert len(verdicts) == IMAGES
+
+
+def test_a_track_and_a_required_verdict(cli, slide):
+    """The exit code is 3 if no pose has the required verdict."""
+    words = ["replay", slide, *LOCATED, "--base-frame", "base", "--track", "--out", "track.mcap", "--poses-only"]
+    done = cli(*words)
+    assert done.exit_code == 0, done.stderr
+    frames = json.loads(Path("track.json").read_text())["poses"]
+    certain = [frame for frame in frames if frame["verdict"] == "certain"]
+    done = cli(*words, "--require", "certain")
+    assert done.exit_code == (0 if certain else 3), done.stderr
+    assert len(decoded("track.mcap", "/object/pose")) == len(certain)
+    assert len(decoded("track.mcap", "/object/verdict")) == IMAGES
+
+
+@pytest.fixture
+def folder(slide, tmp_path) -> Path:
+    """The slide's images as files, with the sensor's poses in poses.csv."""
+    folder, tree = tmp_path / "images", Recording(slide).read_frame_tree()
+    folder.mkdir()
+    lines = ["file,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"]
+    for number, message in enumerate(Recording(slide).read_messages("/gel/image")):
+        image = message.decode()
+        depth = np.frombuffer(bytes(image.data), "<f4").reshape(image.height, image.width)
+        np.savez(folder / f"{number:02d}.npz", depth=depth, unit="m")
+        stamp_ns = read_stamp_ns(image.header)
+        pose = RosPose.of(tree.look_up("base", "gel", stamp_ns), None)
+        place = ",".join(f"{1e3 * v:.6f}" for v in pose.position_m)
+        turn = ",".join(f"{v:.9f}" for v in pose.quaternion_xyzw)
+        lines.append(f"{number:02d}.npz,{stamp_ns / 1e9:.9f},{place},{turn}")
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_a_folder_with_sensor_poses_gives_the_same_pose_as_the_recording(cli, slide, folder):
+    words = [*LOCATED, "--fuse", "--json"]
+    done = cli("replay", folder, "--poses", folder.parent / "poses.csv", *words)
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["written"] == ["images-poses.csv", "images-poses.json"]
+    recorded = json.loads(cli("replay", slide, *words, "--base-frame", "base").stdout)
+    np.testing.assert_allclose(said["rest"]["T_base_object"], recorded["rest"]["T_base_object"], atol=1e-5)
+    assert said["rest"]["verdict"] == recorded["rest"]["verdict"]
+    rows = list(csv.DictReader(Path("images-poses.csv").read_text().splitlines()))
+    assert [row["name"] for row in rows] == [f"{number:02d}.npz" for number in range(IMAGES)]
+    done = cli("replay", folder, "--poses", folder.parent / "poses.csv", *LOCATED, "--track", "--out", "t.csv")
+    assert done.exit_code == 0, done.stderr
+    assert len(json.loads(Path("t.json").read_text())["poses"]) == IMAGES
+
+
+def test_bad_sensor_poses_and_options_are_one_sentence(cli, slide, folder):
+    poses = folder.parent / "poses.csv"
+    (folder.parent / "bad.csv").write_text(poses.read_text().replace("03.npz", "33.npz"))
+    (folder.parent / "timed.csv").write_text(poses.read_text().replace("file,", "name,"))
+    (folder / "extra.npz").write_bytes(b"")
+    for words, mentioned in (
+        ([folder, "--poses", folder.parent / "bad.csv"], "33.npz"),
+        ([folder, "--poses", folder.parent / "timed.csv"], "extra.npz"),
+        ([folder, "--poses", "none.csv"], "none.csv"),
+        (["none", "--poses", poses], "none"),
+        ([folder, "--poses", poses, "--base-frame", "base"], "--base-frame"),
+        ([folder, "--poses", poses, "--out", "o.mcap"], "o.mcap"),
+        ([folder, "--poses", poses, "--track", "--fuse"], "--fuse"),
+        ([slide, "--fuse"], "--base-frame"),
+        ([slide, "--track"], "--base-frame"),
+        ([slide, "--drop-outliers"], "--drop-outliers"),
+        ([slide, "--touch-unit", "mm"], "--touch-unit"),
+        ([slide, "--verdict-topic", "/object/truth"], "--verdict-topic"),
+    ):
+        assert_refused(cli("replay", *words, *LOCATED), mentioned)
+    assert_refused(cli("live", folder, "--once", "--no-view", "--poses", poses, *LOCATED), "--track")
 
 
 def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing
 
 from tactile_loc.core.errors import GridError, TouchError
+from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.frame_sources import ImageFolder, SourceFrame
+from tactile_loc.io.streams.sensor_tracks import read_sensor_track
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.live import LiveLocator, LiveRecord, LiveSummary
@@ -106,6 +109,24 @@ def test_a_static_object_is_tracked_and_predicted_without_contact(localizer, tou
     assert without.imprint_iou is None
     assert "mm" in without.says
     assert (without.std > results[1].record.std * 0.99).all()
+
+
+def test_a_track_uses_the_sensor_poses_of_a_csv_file(localizer, touch, tmp_path):
+    """A frame without a row is refused, and the others follow the sensor."""
+    frames = frames_of(tmp_path / "in", touch, None, touch)
+    (tmp_path / "poses.csv").write_text(
+        "file,x_mm,y_mm,z_mm,qx,qy,qz,qw\n0.npz,100,0,200,0,0,0,1\n1.npz,100,0,210,0,0,0,1\n"
+    )
+    T = make_translation([0.1, 0.0, 0.2])
+    tracker = Tracker(localizer)
+    tracker.start(T @ touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
+    locator = LiveLocator(localizer, tracker, sensor_track=read_sensor_track(tmp_path / "poses.csv"))
+    records = [locator.locate(frame).record for frame in frames]
+    assert [record.verdict for record in records] == [Verdict.CERTAIN, Verdict.NO_CONTACT, None]
+    np.testing.assert_allclose(np.array(records[0].T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4)
+    lifted = touch.T_sensor_object[:3, 3] - [0.0, 0.0, 0.01]
+    np.testing.assert_allclose(np.array(records[1].T_sensor_object)[:3, 3], lifted, atol=5e-4)
+    assert not missing(records[2].says, "2.npz", "poses.csv")
 
 
 def test_a_track_uses_the_sensor_poses_in_the_files(localizer, touch, tmp_path):

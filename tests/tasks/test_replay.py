@@ -21,7 +21,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.replay import Replay, ReplaySummary
-from tactile_loc.tasks.replay_files import replay_to
+from tactile_loc.tasks.replay_files import ReplayOutput, locate_each_to, replay_to
 from tactile_loc.tasks.replay_journal import open_journal
 
 S = 1_000_000_000
@@ -107,8 +107,13 @@ def test_poses_are_written_after_their_images_or_alone(recorded, localizer, tmp_
     before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).read_messages()]
     written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").read_messages()]
     poses = [one for one in written if one[0].name == "/pose"]
-    assert [one for one in written if one not in poses] == before
-    assert [m.data for m in Recording(tmp_path / "alone.mcap").read_messages()] == [data for _, _, data in poses]
+    verdicts = [one for one in written if one[0].name == "/object/verdict"]
+    assert [one for one in written if one not in poses and one not in verdicts] == before
+    alone = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "alone.mcap").read_messages()]
+    assert alone == [one for one in written if one in poses or one in verdicts]
+    decoded = [m.decode().data for m in Recording(tmp_path / "alone.mcap").read_messages("/object/verdict")]
+    assert decoded == ["ambiguous"] * 3 + ["no contact", "ambiguous"]  # the refused image has none
+    assert [time for _, time, _ in verdicts] == [5, S + 5, 2 * S + 5, 3 * S + 5, 5 * S + 5]
     assert [time for _, time, _ in poses] == [5, S + 5, 2 * S + 5, 5 * S + 5]
     after = [written[written.index(pose) - 1][:2] for pose in poses]
     assert [(topic.name, time) for topic, time in after] == [("/gel/image", time) for _, time, _ in poses]
@@ -262,3 +267,21 @@ def test_backward_steps_of_the_clock_are_counted(tmp_path, localizer, touches):
     records = list(replay_of(path, localizer).frames(at_truth))
     assert [record.stamp_ns for record in records] == [10 * S, 11 * S, 2 * S, 3 * S]
     assert ReplaySummary.of(records).jumps_back == 1
+
+
+def test_only_poses_with_the_required_verdict_are_written(recorded, localizer, tmp_path):
+    verdicts = iter([Verdict.CERTAIN, Verdict.AMBIGUOUS, Verdict.POOR_FIT, Verdict.CERTAIN])
+
+    def judged(touch: Touch) -> LocatedFrame:
+        return replace(at_truth(touch), verdict=next(verdicts))
+
+    out = ReplayOutput(tmp_path / "out.mcap", "/pose", poses_only=True, required=Verdict.CERTAIN)
+    found = locate_each_to(out, replay_of(recorded, localizer), 6, judged)
+    assert [record.T_frame_object is not None for record in found.records] == [True, False, False, False, False, True]
+    assert found.records[1].verdict is Verdict.AMBIGUOUS
+    assert not missing(found.records[1].says, "certain")
+    assert (found.summary.certain, found.summary.ambiguous, found.summary.poor_fit) == (2, 1, 1)
+    assert len(list(Recording(out.path).read_messages("/pose"))) == 2
+    assert len(list(Recording(out.path).read_messages("/object/verdict"))) == 5
+    rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
+    assert [bool(row["x_mm"]) for row in rows] == [True, False, False, False, False, True]

@@ -16,9 +16,11 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import SlidingTouches
+from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.tasks.tracked_pose import TrackTrust
 from tactile_loc.tasks.tracker import Motion, Tracker
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
@@ -112,6 +114,50 @@ def test_an_object_that_jumps_is_found_again_at_once(pin, sure):
     assert found.searched
     assert off_mm(pin, found.T_sensor_object, after.T_sensor_object) < 1.0
     assert not tracker.update(0.04, after, np.eye(4)).searched
+
+
+def test_a_pose_that_stops_explaining_the_touches_is_a_poor_fit(pin, sure, slide):
+    """A touch of another place ends the trust in a pose, and the next good touch restores it."""
+    tracker = started(pin, slide)
+    for k in range(3):
+        held = tracker.update(0.01 * k, slide[k].touch, slide[k].T_base_sensor)
+    assert held.verdict is Verdict.CERTAIN
+    trust = tracker._trust
+    assert trust.judge(1.0, trust.usual_iou - 0.31, 0.0, True) is Verdict.POOR_FIT
+    assert trust.add_touch(0.1, True).usual_iou == trust.usual_iou
+    assert trust.judge(1.0, trust.usual_iou - 0.1, 0.0, True) is Verdict.CERTAIN
+    assert trust.judge(None, np.nan, 0.0, False) is Verdict.NO_CONTACT
+
+
+def test_touches_of_another_object_are_not_called_certain(pin, store, slide):
+    """From the first touch on, the track of the pin knows that something is wrong."""
+    head = Localizer.create("head", store=store, **SETTINGS)
+    source = RobotTouches(head.object, head.sensor.geometry, ZBufferRenderer(), noise=NOISE["mild"])
+    others = SlidingTouches(source).draw_example(12, np.random.default_rng(4))
+    tracker, last = started(pin, slide), slide[2]
+    for frame in slide[:3]:
+        held = tracker.update(frame.time_s, frame.touch, frame.T_base_sensor)
+    assert held.verdict is Verdict.CERTAIN
+    T_base_new = last.T_base_sensor @ invert(others[0].T_base_sensor)
+    found = [
+        tracker.update(1.0 + frame.time_s, frame.touch, T_base_new @ frame.T_base_sensor)
+        for frame in others
+        if frame.touch is not None
+    ]
+    assert len(found) > 5
+    assert Verdict.CERTAIN not in {one.verdict for one in found}
+
+
+def test_a_pose_from_few_touches_is_confirmed_by_keyframes():
+    trust = TrackTrust(TrackerOptions(confirming=2)).restart(Verdict.AMBIGUOUS, 0.8)
+    assert trust.judge(0.99, 0.8, 0.0, True) is Verdict.AMBIGUOUS
+    assert not trust.add_touch(0.8, False).add_touch(0.8, True).needs_search
+    assert trust.add_touch(0.8, True).add_touch(0.8, True).needs_search
+    assert not trust.add_touch(0.8, True).add_touch(0.1, True).add_touch(0.8, True).needs_search
+    assert trust.restart(Verdict.NOT_FOUND, 0.8).judge(0.99, 0.8, 0.0, True) is Verdict.NOT_FOUND
+    slipped = trust.restart(Verdict.AMBIGUOUS, 0.8, nearby=True)
+    assert slipped.add_touch(0.8, True).limit is Verdict.AMBIGUOUS
+    assert slipped.add_touch(0.8, True).add_touch(0.8, True).limit is Verdict.CERTAIN
 
 
 def test_an_object_that_slips_is_found_nearby(pin, slide):

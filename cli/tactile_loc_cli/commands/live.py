@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import OutputError, TouchError
+from tactile_loc.core.errors import ConfigError, OutputError, TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_written
 from tactile_loc_cli.options import RunOptions
@@ -21,6 +21,7 @@ from tactile_loc_cli.verdict_counts import list_verdicts, warn_of_uncertain
 
 if TYPE_CHECKING:
     from tactile_loc.io.streams.frame_sources import FrameSource
+    from tactile_loc.io.streams.sensor_tracks import SensorTrack
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.tasks.live import LiveLocator, LiveResult, LiveSummary
 
@@ -50,8 +51,8 @@ Track = Annotated[
     bool,
     typer.Option(
         "--track/--alone",
-        help="Track the object through the frames. The sensor must stand still, or the files must give its "
-        "T_base_sensor. Default: locate each frame separately.",
+        help="Track the object through the frames. The sensor must stand still, or --poses or the files "
+        "(T_base_sensor) must give its poses. Default: locate each frame separately.",
     ),
 ]
 Out = Annotated[
@@ -80,6 +81,7 @@ def live(
     *,
     given: Given,
     track: Track = False,
+    poses: options.SensorPoses = None,
     out: Out = None,
     view: View = True,
     port: Port = PORT,
@@ -100,10 +102,16 @@ def live(
     opened = open_source(source, camera, once)
     options.require_object(settings, opened.about)
     _require_outputs(out, rerun)
+    sensor_track = _read_poses(poses, track)
     localizer = options.open_localizer(settings, store)
     tracker = Tracker(localizer) if track else None
     locator = LiveLocator(
-        localizer, tracker, settings.touch.unit, settings.touch.press_depth_m, kind=settings.touch.kind
+        localizer,
+        tracker,
+        settings.touch.unit,
+        settings.touch.press_depth_m,
+        kind=settings.touch.kind,
+        sensor_track=sensor_track,
     )
     with ExitStack() as stack:
         shows = [
@@ -116,6 +124,17 @@ def live(
     if summary.reasons and sum(count for _, count in summary.reasons) == summary.frames:
         raise TouchError(f"no frame of {opened.about} can be located; first reason: {summary.reasons[0][0]}")
     return {**asdict(summary), "written": written}
+
+
+def _read_poses(poses: Path | None, track: bool) -> SensorTrack | None:
+    """Read the sensor's poses. Raises ConfigError if they have no use."""
+    from tactile_loc.io.streams.sensor_tracks import read_sensor_track
+
+    if poses is None:
+        return None
+    if not track:
+        raise ConfigError("--poses places the sensor for a track; give --track, or leave it out")
+    return read_sensor_track(poses)
 
 
 def _require_outputs(out: Path | None, rerun: Path | None) -> None:

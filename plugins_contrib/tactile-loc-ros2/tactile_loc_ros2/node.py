@@ -32,7 +32,7 @@ def run(
     locator: ImageLocator, image_topic: str, compressed: bool, pose_topic: str, verdict_topic: str,
     arguments: Sequence[str],
 ) -> None:  # fmt: skip
-    """Publish a pose and a verdict for each image until ROS shuts down.
+    """Publish a verdict for each image, and a pose unless another verdict is required, until ROS shuts down.
 
     While the node locates one image, it keeps only the newest of the following images.
     """
@@ -45,9 +45,9 @@ def run(
 
     def on_image(image: Any) -> None:
         located = locator.locate(image)
-        if located.T_sensor_object is not None:
+        if locator.is_published(located):
             poses.publish(locator.fill(answered(), located, image))
-        elif located.verdict is not Verdict.NO_CONTACT:
+        if located.T_sensor_object is None and located.verdict is not Verdict.NO_CONTACT:
             node.get_logger().warning(located.says, throttle_duration_sec=1.0)
         if located.verdict is not None:
             verdicts.publish(text(data=located.verdict.value))
@@ -74,7 +74,8 @@ def main(words: Sequence[str] | None = None) -> int:
         localizer = Localizer.create(given.object, units=given.units, sensor=_sensor(given.sensor))
         localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles
         press_m = None if given.press_depth is None else 1e-3 * given.press_depth
-        locator = ImageLocator(localizer, given.frame, press_m)
+        required = None if given.require is None else Verdict(given.require)
+        locator = ImageLocator(localizer, given.frame, press_m, required=required)
         run(locator, given.image_topic, given.compressed, given.pose_topic, given.verdict_topic, rest)
     except TactileLocError as error:
         sys.stderr.write(f"error: {type(error).__name__}: {error}\n")
@@ -98,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--compressed", action="store_true", help="the images are CompressedImage")
     parser.add_argument("--pose-topic", default="/object/pose", help="topic of the poses")
     parser.add_argument("--verdict-topic", default="/object/verdict", help="topic of the verdicts")
+    parser.add_argument("--require", choices=[Verdict.CERTAIN.value], help="publish only poses with this verdict")
     parser.add_argument("--frame", default="", help="the sensor's frame; by default the images' frame")
     parser.add_argument("--press-depth", type=float, help="press depth, mm; by default measured in the image")
     return parser

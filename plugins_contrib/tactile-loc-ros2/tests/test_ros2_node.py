@@ -184,3 +184,26 @@ def test_compressed_images_have_another_message_type(monkeypatch, locator):
     node.run(locator, "/gel/image/compressed", True, "/pose", "/verdict", [])
     assert ros.kind == "CompressedImage"
     assert ros.published == {"/pose": [], "/verdict": []}
+
+
+@pytest.mark.parametrize(("verdict", "poses"), [(Verdict.CERTAIN, 1), (Verdict.AMBIGUOUS, 0), (Verdict.POOR_FIT, 0)])
+def test_only_poses_with_the_required_verdict_are_published(monkeypatch, localizer, verdict, poses):
+    def judged(touch) -> LocatedFrame:
+        return LocatedFrame(verdict, T[None], np.ones(1), C, 0.9)
+
+    for required, expected in ((Verdict.CERTAIN, poses), (None, 1)):
+        ros = StandIn(monkeypatch, [depth_image()])
+        locator = ImageLocator(localizer, estimator=judged, required=required)
+        node.run(locator, "/gel/image", False, "/pose", "/verdict", [])
+        assert len(ros.published["/pose"]) == expected
+        assert [message.data for message in ros.published["/verdict"]] == [verdict.value]
+        assert ros.warned == []
+
+
+def test_the_node_takes_the_required_verdict_as_an_argument(capsys):
+    words = ["--object", "pin", "--sensor", "gelslim", "--image-topic", "/gel"]
+    assert node._parser().parse_args([*words, "--require", "certain"]).require == "certain"
+    assert node._parser().parse_args(words).require is None
+    with pytest.raises(SystemExit):
+        node._parser().parse_args([*words, "--require", "perhaps"])
+    assert "certain" in capsys.readouterr().err

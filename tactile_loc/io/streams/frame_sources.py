@@ -230,7 +230,7 @@ class ImageFolder:
     def _list_waiting(self) -> list[tuple[int, Path]]:
         """Return the files that were not yielded yet, oldest first, each with its time of writing, ns."""
         try:
-            found = sorted((_read_time_ns(path), path) for path in self.path.iterdir() if _is_frame(path))
+            found = sorted((_read_time_ns(path), path) for path in self.path.iterdir() if is_touch_file(path))
         except OSError as error:
             raise SourceError(f"{self.path} cannot be read ({error.strerror}); check that the folder exists") from error
         waiting = [(when, path) for when, path in found if self._seen.get(path.name) != when]
@@ -280,7 +280,8 @@ class ImageFolder:
         return now - self._growing[path.name][1] < SETTLED_S
 
 
-def _is_frame(path: Path) -> bool:
+def is_touch_file(path: Path) -> bool:
+    """Return whether a file may hold an image or a contact shape, by its name."""
     usable = path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not is_overview(path)
     return usable and path.is_file()
 

@@ -24,6 +24,7 @@ from tactile_loc.io.images import UNREADABLE, load_image
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 TF = "tf2_msgs/msg/TFMessage"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TEXT = "std_msgs/msg/String"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
 STATIC = "/tf_static"  # the topic of constant transforms
@@ -237,6 +238,11 @@ def make_pose(pose: RosPose, stamp_ns: int, frame: str) -> Any:
         "geometry_msgs/msg/PoseWithCovariance", pose=_make_pose(pose), covariance=np.array(pose.covariance)
     )
     return _make(POSE, header=make_header(stamp_ns, frame), pose=with_covariance)
+
+
+def make_text(text: str) -> Any:
+    """Return the std_msgs String of a text."""
+    return _make(TEXT, data=str(text))
 
 
 def make_plain_pose(T: NDArray[np.float64], stamp_ns: int, frame: str) -> Any:

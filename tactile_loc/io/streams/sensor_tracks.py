@@ -1,0 +1,180 @@
+"""Sensor poses from a CSV file: one row for each image, or for each time. docs/files.md describes the format."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import FrameError
+from tactile_loc.core.geometry.frame_tree import Edge
+from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation
+
+Floats = NDArray[np.float64]
+Row = dict[str, str]
+
+FILE, TIME = "file", "time_s"
+METRES_PER_COLUMN: dict[tuple[str, ...], float] = {
+    ("x_m", "y_m", "z_m"): 1.0,
+    ("x", "y", "z"): 1.0,
+    ("x_mm", "y_mm", "z_mm"): 1e-3,
+}
+QUATERNION = ("qx", "qy", "qz", "qw")
+LARGEST_M = 20.0  # a sensor farther from the robot's base has its place in another unit
+LENGTH_ERROR = 0.01  # largest difference of a quaternion's length from 1
+USUAL_HZ = 30.0  # rate of images whose times are unknown
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTrack:
+    """The sensor's poses `T_base_sensor` (N, 4, 4), metres, at `times_s` (N,), seconds.
+
+    `names` (N,) are the images' files; they are empty if the poses are given by time alone. `path` is the CSV file.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    times_s: Floats
+    T_base_sensor: Floats
+
+    def look_up(self, name: str, time_s: float = math.nan) -> Floats:
+        """Return the sensor's pose (4, 4), metres, for an image.
+
+        With file names, it is the pose in the row of the file `name`. Otherwise it is interpolated at the image's time:
+        the number in its name, or else `time_s`. Raises FrameError if the pose is unknown.
+        """
+        if self.names:
+            if name not in self._row_of:
+                raise FrameError(f"{self.path} has no pose for {name}; add a row, or remove the image")
+            return np.asarray(self.T_base_sensor[self._row_of[name]])
+        found_s = read_time_s(name)
+        return self._edge.look_up(_to_ns(time_s if found_s is None else found_s))
+
+    @cached_property
+    def _row_of(self) -> dict[str, int]:
+        return {name: row for row, name in enumerate(self.names)}
+
+    @cached_property
+    def _edge(self) -> Edge:
+        return Edge(
+            "base", "sensor", stamps_ns=[_to_ns(t) for t in self.times_s], T_parent_child=list(self.T_base_sensor)
+        )
+
+
+def read_time_s(name: str) -> float | None:
+    """Return the time in a file's name, such as 12.5 for "12.5.png", seconds; None if the name is not a number."""
+    stem = name[: -len(Path(name).suffix)] if Path(name).suffix.lower() in (".png", ".jpg", ".npz", ".npy") else name
+    try:
+        found = float(stem)
+    except ValueError:
+        return None
+    return found if math.isfinite(found) else None
+
+
+def _to_ns(time_s: float) -> int:
+    return round(1e9 * time_s) if math.isfinite(time_s) else 0
+
+
+def read_sensor_track(path: str | Path) -> SensorTrack:
+    """Read sensor poses from a CSV file with a heading.
+
+    Raises FrameError, which names the row and the column, when the file cannot be read, lacks a column, or holds a
+    number that is impossible.
+    """
+    path = Path(path)
+    rows, columns = _read_rows(path)
+    places = _find_place_columns(path, columns)
+    if FILE not in columns and TIME not in columns:
+        raise FrameError(f"{path} has neither a column {FILE} nor a column {TIME}; add one of them")
+    _require_columns(path, columns, QUATERNION)
+    poses = np.stack([_read_pose(path, number, row, places) for number, row in enumerate(rows, 1)])
+    names = tuple(row[FILE].strip() for row in rows) if FILE in columns else ()
+    _require_names(path, names)
+    return SensorTrack(path, names, _read_times_s(path, rows, TIME in columns), poses)
+
+
+def _read_rows(path: Path) -> tuple[list[Row], Sequence[str]]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            rows = [{key: value or "" for key, value in row.items() if key is not None} for row in reader]
+            columns = [name.strip() for name in reader.fieldnames or ()]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or f"it is not a CSV file in UTF-8: {error}"
+        raise FrameError(
+            f"the sensor poses in {path} cannot be read ({reason}); check the path and the file"
+        ) from error
+    if not rows:
+        raise FrameError(f"{path} holds no sensor pose; give a heading and one row for each image")
+    return [{key.strip(): value for key, value in row.items()} for row in rows], columns
+
+
+def _find_place_columns(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the three columns of the place. Raises FrameError unless there is one such set."""
+    given = [names for names in METRES_PER_COLUMN if any(name in columns for name in names)]
+    if len(given) != 1:
+        found = "gives places in several units" if given else "gives no places"
+        listed = ", or ".join(",".join(names) for names in METRES_PER_COLUMN)
+        raise FrameError(f"{path} {found}; give the columns {listed}")
+    _require_columns(path, columns, given[0])
+    return given[0]
+
+
+def _require_columns(path: Path, columns: Sequence[str], names: Sequence[str]) -> None:
+    missing = [name for name in names if name not in columns]
+    if missing:
+        raise FrameError(f"{path} has no column {missing[0]}; its columns are {', '.join(columns)}")
+
+
+def _read_pose(path: Path, number: int, row: Row, places: tuple[str, ...]) -> Floats:
+    """Return the pose (4, 4), metres, of a row. The first row below the heading has number 1."""
+    where = f"row {number} of {path}"
+    place_m = METRES_PER_COLUMN[places] * np.array([_read_number(where, row, name) for name in places])
+    if np.abs(place_m).max() > LARGEST_M:
+        raise FrameError(
+            f"{where} puts the sensor {np.linalg.norm(place_m):,.0f} m from the base; name the columns x_mm, y_mm and "
+            "z_mm if the places are in mm"
+        )
+    q = np.array([_read_number(where, row, name) for name in QUATERNION])
+    length = float(np.linalg.norm(q))
+    if abs(length - 1) > LENGTH_ERROR:
+        raise FrameError(
+            f"the quaternion in {where} has the length {length:.3g}, not 1; give qx, qy, qz and qw, scalar last"
+        )
+    return make_transform(quaternion_to_rotation(np.roll(q / length, 1)), place_m)
+
+
+def _read_number(where: str, row: Row, name: str) -> float:
+    try:
+        value = float(row[name])
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise FrameError(f"{name} in {where} is {row[name].strip()!r}; give a number")
+    return value
+
+
+def _require_names(path: Path, names: Sequence[str]) -> None:
+    seen: set[str] = set()
+    for number, name in enumerate(names, 1):
+        if not name or name in seen:
+            problem = f"names {name!r} a second time" if name else "names no file"
+            raise FrameError(f"row {number} of {path} {problem}; give each image one row")
+        seen.add(name)
+
+
+def _read_times_s(path: Path, rows: Sequence[Row], given: bool) -> Floats:
+    """Return the times (N,), seconds. Without times, the rows follow each other at USUAL_HZ."""
+    if not given:
+        return np.arange(len(rows)) / USUAL_HZ
+    times_s = np.array([_read_number(f"row {number} of {path}", row, TIME) for number, row in enumerate(rows, 1)])
+    back = np.flatnonzero(np.diff(times_s) <= 0)
+    if len(back):
+        raise FrameError(f"{TIME} in row {back[0] + 2} of {path} is not after the row before; sort the rows by time")
+    return times_s
