@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.priors import GaussianPrior as GaussianPrior
     from tactile_loc.core.poses.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.poses.priors import RegionPrior as RegionPrior
+    from tactile_loc.core.poses.tolerance import Tolerance as Tolerance
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.mount import FlangeTouches as FlangeTouches
     from tactile_loc.tasks.mount import FoundMount as FoundMount
     from tactile_loc.tasks.mount import find_mount as find_mount
+    from tactile_loc.tasks.next_step import suggest_next_step as suggest_next_step
     from tactile_loc.tasks.next_touch import NextTouch as NextTouch
     from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
     from tactile_loc.tasks.next_touch import choose_next_touch as choose_next_touch

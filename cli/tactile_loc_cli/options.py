@@ -155,6 +155,14 @@ class RunOptions:
             "List the poses of a set that holds the true pose with probability P, such as 0.95; replaces --top.",
         ),
     ] = None
+    tolerance: Annotated[
+        str | None,
+        declare(
+            "--tolerance", "MM,DEG",
+            "Largest error of a pose that is called certain: a surface distance, a rotation, or both, such as "
+            "0.5mm,2deg. Default: 1mm.",
+        ),
+    ] = None  # fmt: skip
     seed: Annotated[int | None, declare("--seed", "N", "Seed of everything random. Default: 0.")] = None
 
 
@@ -225,7 +233,7 @@ def make_config(given: RunOptions) -> RunConfig:
         grid = settings["grid"]["name"]
     if given.zero is not None:
         _require_zero(settings["sensor"]["name"])
-    chosen = _drop_none({"top": given.top, "coverage": given.coverage, "seed": given.seed})
+    chosen = _drop_none({name: getattr(given, name) for name in ("top", "coverage", "tolerance", "seed")})
     own = {**{name: _drop_none(table) for name, table in tables.items()}, **plain, **chosen}
     own |= {name: overrides[name] for name in TUNABLE if name in overrides}
     RunConfig.from_dict(own, COMMAND_LINE)  # raises errors that name the flag, not the file

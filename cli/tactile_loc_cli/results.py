@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm, format_percent
+from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc_cli.console import format_count, say, say_table, write_flags
 
@@ -27,11 +27,10 @@ POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
 def make_title(record: ResultRecord) -> str:
-    """Return the picture's title: verdict, object, sensor, probability of the first pose, and error if it is known."""
+    """Return the picture's title: verdict, object, sensor, probability of a right pose, and error if it is known."""
     from tactile_loc.locate.results.verdict import name_verdict
 
-    probability = format_percent(record.hypotheses[0].probability)
-    text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}, probability {probability}"
+    text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}, {record.says_within}"
     return text if record.errors is None else f"{text}, error {format_millimetres(record.errors.best_m)}"
 
 
@@ -40,13 +39,17 @@ def say_result(record: ResultRecord) -> None:
 
     The poses are in the base frame or, if the sensor's pose is unknown, in the sensor frame.
     """
-    from tactile_loc.locate.results.verdict import explain_verdict
+    from tactile_loc.locate.results.verdict import Verdict, explain_verdict
 
     simulated = format_count(1 + len(record.other_touches), "simulated touch")
     touch = simulated if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     if record.verdict is not None:
-        say(f"{record.verdict}: {explain_verdict(record.verdict)}")
+        say(f"{record.verdict}: {explain_verdict(record.verdict)} ({record.says_within})")
+    if record.verdict is Verdict.AMBIGUOUS and str(record.freedom or ""):
+        say(f"open: {record.freedom}")
+    if record.next_step:
+        say(f"next: {record.next_step}")
     in_base = record.hypotheses[0].T_base_object is not None
     say(f"{record.object.name} in the {'base frame' if in_base else f'frame of {record.sensor_name}'}, {touch}")
     say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 from pydantic_core import PydanticCustomError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.poses.tolerance import EXPECTED, ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
@@ -20,7 +21,10 @@ from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.store.files import recover_folder
 
 COMMAND_LINE = "the command line"  # the source of a configuration without a file
-OPTIONS = {"top": "`top`", "seed": "`seed`", "coverage": "`coverage`", "touch.press_depth_mm": "`press_depth`"}
+OPTIONS = {
+    "top": "`top`", "seed": "`seed`", "coverage": "`coverage`", "tolerance": "`tolerance`",
+    "touch.press_depth_mm": "`press_depth`",
+}  # fmt: skip
 
 
 class _Strict(BaseModel):
@@ -72,6 +76,18 @@ class TouchConfig(_Strict):
         return scale(self.press_depth_mm)
 
 
+def _read_tolerance(value: Any) -> Any:
+    """Convert a text such as "0.5mm,2deg" to a tolerance."""
+    if isinstance(value, Tolerance):
+        return value
+    try:
+        return Tolerance.parse(str(value))
+    except ConfigError as error:
+        raise PydanticCustomError("tolerance", EXPECTED) from error
+
+
+ToleranceText = Annotated[Tolerance, BeforeValidator(_read_tolerance), PlainSerializer(str)]
+
 WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # the grid for tasks that need listed poses: the paper's protocol, and sweeps
 EXACT = SlotConfig(name="zbuffer")  # the renderer of simulated touches that are independent of the default renderer
@@ -91,6 +107,7 @@ class RunConfig(_Strict):
     `together` selects how several touches refine a pose: "joint" (all at once), or "each" (touch by touch).
     `drop_outliers` leaves out touches that contradict the others.
     `coverage` (0 to 1) returns a set of poses that contains the true pose with this probability.
+    `tolerance`, such as "0.5mm,2deg", is the largest error of a pose that counts as right in the verdict.
     `encoder` has a default that depends on the grid.
     `search`, `hypotheses` and `tracker` hold options to tune: see their classes.
     `drawing` selects how the object is drawn for comparison with a touch: "pressed" into the gel, or just touching the
@@ -112,6 +129,7 @@ class RunConfig(_Strict):
     temperature: float | None = Field(default=None, gt=0)
     together: Literal["joint", "each"] = "joint"
     coverage: float | None = Field(default=None, gt=0, lt=1)
+    tolerance: ToleranceText = ONE_MILLIMETRE
     drawing: Drawing = "pressed"
     drop_outliers: bool = False
     search: SearchOptions = SearchOptions()

@@ -15,7 +15,7 @@ from tactile_loc.io.toml import format_toml
 from tactile_loc.locate.doubts import list_doubts
 from tactile_loc.locate.results.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
 from tactile_loc.locate.results.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
-from tactile_loc.locate.results.verdict import explain_verdict, name_verdict
+from tactile_loc.locate.results.verdict import Verdict, explain_verdict, name_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
@@ -48,7 +48,8 @@ def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
         Section("times", "Times", {"built": "" if seconds is None else f"{seconds:.3g}"}),
         Section("made", "Settings", _describe_settings(record)),
     ]
-    title = f"{record.object.name} on {record.sensor_name}"
+    verdict = "" if record.verdict is None else f"{record.verdict}: "
+    title = f"{verdict}{record.object.name} on {record.sensor_name}"
     return Page("run", title, _write_about(record), sections, data, ["solids.js", "run.js"])
 
 
@@ -112,7 +113,11 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         x, y, z, angle_deg, axis = format_pose(np.array(best.T_base_object))
         yield "in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
     if record.verdict is not None:
-        yield "verdict", name_verdict(record.verdict), explain_verdict(record.verdict)
+        yield "verdict", name_verdict(record.verdict), f"{explain_verdict(record.verdict)}; {record.says_within}"
+    if record.verdict is Verdict.AMBIGUOUS and str(record.freedom or ""):
+        yield "open", "", str(record.freedom)
+    if record.next_step:
+        yield "next step", "", record.next_step
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
     if (found := record.pose_set) is not None:
         yield found.title, found.size, found.meaning

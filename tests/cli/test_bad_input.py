@@ -28,6 +28,11 @@ def test_an_impossible_coverage_is_refused(refused, coverage):
     refused("--coverage", coverage, mentions=("coverage",))
 
 
+@pytest.mark.parametrize("tolerance", ["1", "0mm", "1mm,2cm"])
+def test_a_tolerance_that_cannot_be_read_is_refused(refused, tolerance):
+    refused("--tolerance", tolerance, mentions=("`tolerance`", tolerance))
+
+
 def test_a_missing_mesh_file_is_refused(refused):
     refused("--object", "gear.stl", mentions=("gear.stl", "pin"))
 

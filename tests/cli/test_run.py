@@ -66,11 +66,14 @@ def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(re
 
 
 def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result):
-    """The same run, whose verdict is not certain, is written and reported, but ends with exit code 3."""
-    assert result["verdict"] != "certain"
-    done = cli("run", *TINY, "--out", "required", "--require", "certain", "--json")
+    """The same run with a tiny tolerance is not certain. It is written and reported, but ends with exit code 3."""
+    assert result["tolerance"] == "1mm"
+    done = cli("run", *TINY, "--out", "required", "--tolerance", "0.0001mm", "--require", "certain", "--json")
     assert done.exit_code == 3
-    assert json.loads(done.stdout)["verdict"] == result["verdict"]
+    said = json.loads(done.stdout)
+    assert (said["verdict"], said["tolerance"]) == ("ambiguous", "0.0001mm")
+    assert said["probability_within"] < result["probability_within"]
+    assert said["next_step"]
     assert Path("required/result.json").is_file()
     assert cli("run", *TINY, "--out", "required", "--require", "maybe").exit_code == 2
 

@@ -171,10 +171,12 @@ def _report(
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
     from tactile_loc.locate.results.result_json import make_record
+    from tactile_loc.tasks.next_step import suggest_next_step
     from tactile_loc_cli.results import make_title, say_alone, say_result
 
     localizer = observations[0][0]
     record = make_record(localizer, localization, seconds)
+    record = record.model_copy(update={"next_step": suggest_next_step(localization)})
     say_result(record)
     if alone is not None:
         say_alone(alone, localizer.object)

@@ -16,17 +16,18 @@ from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
+from tactile_loc.locate.results.freedom import AS_WELL, Freedom, find_freedom
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
-from tactile_loc.locate.results.verdict import Verdict, explain_verdict, judge
+from tactile_loc.locate.results.nearness import calibrate, compute_share_within
+from tactile_loc.locate.results.verdict import NEXT_STEPS, Verdict, explain_verdict, judge
 from tactile_loc.store.files import lock_folder
-
-ALIKE = 0.02  # difference of imprint IoUs, below which poses explain touches equally well
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,11 @@ class Localization:
         return self.config
 
     @property
+    def tolerance(self) -> Tolerance:
+        """The largest error of a pose that the verdict counts as right: that of `config`, or else 1 mm."""
+        return ONE_MILLIMETRE if self.config is None else self.config.tolerance
+
+    @property
     def touches(self) -> tuple[Touch, ...]:
         """The touches that were localised together."""
         return (self.touch, *self.others)
@@ -133,22 +139,59 @@ class Localization:
         """The most probable hypothesis."""
         return self.hypotheses[0]
 
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.
 
-        The verdict is also "poor fit" if the touches contradict each other and the wrong touch is unknown.
+        It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. The verdict
+        is also "poor fit" if the touches contradict each other and the wrong touch is unknown.
         """
         if self.agreement.contradictory and not self.agreement.outliers:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
-        return judge(self.best.probability, iou, self.posterior.elsewhere)
+        return judge(self.probability_within(), iou, self.posterior.elsewhere)
+
+    def probability_within(self, tolerance: Tolerance | str | None = None) -> float:
+        """Return the probability, 0 to 1, that the first pose is within a tolerance of the true pose.
+
+        The tolerance is a text such as "0.5mm,2deg", a `Tolerance`, or by default that of the result. Poses that are
+        equal by symmetry count as equal. A pose that was not refined counts as shifted by about half the grid's
+        spacing. Raises ConfigError if the text cannot be read.
+        """
+        asked = Tolerance.parse(tolerance) if isinstance(tolerance, str) else tolerance or self.tolerance
+        if asked not in self._probabilities_within:
+            self._probabilities_within[asked] = self._compute_probability_within(asked)
+        return self._probabilities_within[asked]
+
+    @cached_property
+    def _probabilities_within(self) -> dict[Tolerance, float]:
+        return {}
+
+    def _compute_probability_within(self, tolerance: Tolerance) -> float:
+        grid, listed = self.posterior.grid, self.hypotheses
+        unrefined = np.diag([(0.5 * grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
+        share = compute_share_within(
+            np.stack([h.T_sensor_object for h in listed]), np.array([h.probability for h in listed]),
+            [unrefined if h.refined.covariance is None else h.refined.covariance for h in listed],
+            self.object, tolerance,
+        )  # fmt: skip
+        return calibrate(share, self.posterior.elsewhere)
+
+    @cached_property
+    def freedom(self) -> Freedom:
+        """What the touches leave open about the first pose: other poses, slides and turns."""
+        T = np.stack([h.T_sensor_object for h in self.hypotheses])
+        same = self.tolerance.find_within(self.object, T[0], T)
+        return find_freedom(
+            T, np.array([h.imprint_iou for h in self.hypotheses]), self.best.refined.covariance,
+            self.touch.geometry.gel_middle_m, same, self.tolerance,
+        )  # fmt: skip
 
     @property
     def equal_explanations(self) -> tuple[Hypothesis, ...]:
         """The hypotheses that explain the touches as well as the one that explains them best, which is one of them."""
         best = max(h.imprint_iou for h in self.hypotheses)
-        return tuple(h for h in self.hypotheses if h.imprint_iou >= best - ALIKE)
+        return tuple(h for h in self.hypotheses if h.imprint_iou >= best - AS_WELL)
 
     def count_explanations(self) -> str:
         """State in words how many of the listed poses explain the touches equally well."""
@@ -159,19 +202,27 @@ class Localization:
         return f"{least}{count} poses explain the {touched} equally well"
 
     def summary(self) -> str:
-        """Return the result in words: the verdict and its meaning, and the first pose in mm and degrees."""
+        """Return the result in words: the verdict, the first pose in mm and degrees, its freedom, and the next step.
+
+        Other poses and free directions are stated only if the verdict is ambiguous.
+        """
         listed, best = len(self.hypotheses), self.best
         T, frame = best.T_sensor_object, "sensor's"
         if best.T_base_object is not None:
             T, frame = best.T_base_object, "base"
         x, y, z, angle_deg, axis = format_pose(T)
-        return (
-            f"{self.verdict}: {explain_verdict(self.verdict)}\n"
+        lines = [
+            f"{self.verdict}: {explain_verdict(self.verdict)}",
             f"first of {listed} {'pose' if listed == 1 else 'poses'}: x {x}, y {y}, z {z} mm, rotated {angle_deg} "
-            f"degrees about {axis}, in the {frame} frame\n"
-            f"probability {format_percent(best.probability)}, imprint IoU {format_percent(best.imprint_iou)}, "
-            f"not among the poses found: {format_percent(self.posterior.elsewhere)}"
-        )
+            f"degrees about {axis}, in the {frame} frame",
+            f"within {self.tolerance.describe()} with {format_percent(self.probability_within())} probability, "
+            f"imprint IoU {format_percent(best.imprint_iou)}",
+        ]
+        if self.verdict is Verdict.AMBIGUOUS and str(self.freedom):
+            lines.append(f"open: {self.freedom}")
+        if step := NEXT_STEPS[self.verdict]:
+            lines.append(f"next: {step}")
+        return "\n".join(lines)
 
     def __str__(self) -> str:
         return self.summary()

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.formatting import format_mm, format_percent
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.io.config import RunConfig, TouchConfig
@@ -23,8 +24,9 @@ from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.streams.records import Record, read_document, read_versions
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
+from tactile_loc.locate.results.freedom import Freedom
 from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.results.verdict import NEXT_STEPS, Verdict
 
 SCHEMA_VERSION = 3
 SETS_OF_GRID_POSES = 2  # the version that differs only in sets for a coverage, so files without a set are read
@@ -157,6 +159,20 @@ class ErrorRecord(Record):
     closest_in_grid_m: float = Field(description="error of the grid pose nearest to the true pose, m")
 
 
+class FreedomRecord(Record):
+    """What the touches leave open about the first hypothesis."""
+
+    others: int = Field(description="number of other hypotheses that explain the touches equally well")
+    slide_m: list[float] = Field(description="largest possible slide along the sensor's x, y, z, m; 0 if small")
+    turn_rad: list[float] = Field(
+        description="largest possible turn in place, a rotation vector about the sensor's x, y, z, rad; 0 if small"
+    )
+
+    def __str__(self) -> str:
+        """Return the freedom in words; empty if nothing is open."""
+        return str(Freedom(self.others, np.array(self.slide_m), np.array(self.turn_rad)))
+
+
 class ResultRecord(Record):
     """The whole file."""
 
@@ -186,6 +202,18 @@ class ResultRecord(Record):
         description="whether the first hypothesis can be trusted: `certain`, `ambiguous`, `poor fit` or `not found`; "
         "null in files of versions without verdicts",
     )
+    tolerance: str | None = Field(
+        default=None, description="the largest error of a right pose, as in the configuration: 1mm or 0.5mm,2deg"
+    )
+    probability_within: float | None = Field(
+        default=None,
+        description="probability that the first hypothesis is within the tolerance of the true pose, 0 to 1; null in "
+        "files of versions without it",
+    )
+    freedom: FreedomRecord | None = Field(
+        default=None, description="what the touches leave open; null in files of versions without it"
+    )
+    next_step: str = Field(default="", description="what to do next, in words; empty if the verdict is certain")
     grid_poses: int = Field(description="number of scored poses; with the grid `whole`, of poses that the search found")
     elsewhere: float = Field(default=0.0, description="probability that the true pose is near none of the scored poses")
     normalised_entropy: float = Field(
@@ -213,6 +241,14 @@ class ResultRecord(Record):
     def errors_m(self) -> list[float] | None:
         """Each hypothesis's surface distance (K,), metres, to the true pose; None if the true pose is unknown."""
         return [h.error_m for h in self.hypotheses if h.error_m is not None] or None
+
+    @property
+    def says_within(self) -> str:
+        """The probability that the first pose is right, in words."""
+        if self.probability_within is None or self.tolerance is None:
+            return f"probability {format_percent(self.hypotheses[0].probability)}"
+        within = Tolerance.parse(self.tolerance).describe()
+        return f"within {within} with {format_percent(self.probability_within)} probability"
 
     @property
     def searched(self) -> str:
@@ -292,7 +328,18 @@ class Located(Protocol):
         """See Localization."""
 
     @property
+    def tolerance(self) -> Tolerance:
+        """See Localization."""
+
+    @property
+    def freedom(self) -> Freedom:
+        """See Localization."""
+
+    @property
     def normalised_entropy(self) -> float:
+        """See Localization."""
+
+    def probability_within(self, tolerance: Tolerance | str | None = None) -> float:
         """See Localization."""
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
@@ -315,6 +362,10 @@ def make_record(source: Configured, localization: Located, seconds: Mapping[str,
         contradictory=localization.agreement.contradictory,
         left_out=[_record_touch(touch, config.touch) for touch in localization.left_out],
         verdict=localization.verdict,
+        tolerance=str(localization.tolerance),
+        probability_within=localization.probability_within(),
+        freedom=_record_freedom(localization.freedom),
+        next_step=NEXT_STEPS[localization.verdict],
         grid_poses=len(posterior.grid),
         elsewhere=posterior.elsewhere,
         posterior_touches=posterior.touches,
@@ -369,6 +420,10 @@ def _record_hypotheses(localization: Located, errors_m: NDArray[np.float64] | No
         )
         for i, h in enumerate(localization.hypotheses)
     ]  # fmt: skip
+
+
+def _record_freedom(found: Freedom) -> FreedomRecord:
+    return FreedomRecord(others=found.others, slide_m=found.slide_m.tolist(), turn_rad=found.turn_rad.tolist())
 
 
 def _record_pose_set(found: PoseSet | None) -> PoseSetRecord | None:

@@ -21,6 +21,13 @@ class Verdict(StrEnum):
     NO_CONTACT = "no contact"
 
 
+NEXT_STEPS = {
+    Verdict.CERTAIN: "",
+    Verdict.AMBIGUOUS: "touch the object again at another place, best at an edge or a corner, and locate both together",
+    Verdict.POOR_FIT: "check the object, the sensor and the unit of the touch; then touch again",
+    Verdict.NOT_FOUND: "touch the object again at another place, deeper if the gel allows, and locate both together",
+    Verdict.NO_CONTACT: "press the sensor onto the object",
+}
 REFUSED = "refused"  # for a frame that cannot be read, which has no verdict
 MEANINGS = {
     Verdict.CERTAIN: "the first pose explains the touch and is probable enough to act on",
@@ -52,10 +59,10 @@ def judge(
 ) -> Verdict:
     """Return the verdict on the first pose.
 
-    `probability`, 0 to 1, is the first pose's; None if there is no pose. `imprint_iou`, 0 to 1, states how well the
-    first pose explains the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search missed the
-    true pose. `touched` states whether there is a touch. A pose is certain if its probability is at least `certain`. A
-    pose is a poor fit if its imprint IoU is below `least_iou`.
+    `probability`, 0 to 1, is that the first pose is right; None if there is no pose. `imprint_iou`, 0 to 1, states how
+    well the first pose explains the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search
+    missed the true pose. `touched` states whether there is a touch. A pose is certain if its probability is at least
+    `certain`. A pose is a poor fit if its imprint IoU is below `least_iou`.
     """
     if not touched:
         return Verdict.NO_CONTACT
@@ -63,6 +70,6 @@ def judge(
         return Verdict.NOT_FOUND
     if imprint_iou < least_iou:  # False for NaN
         return Verdict.POOR_FIT
-    if elsewhere > MOSTLY_ELSEWHERE:
-        return Verdict.NOT_FOUND
-    return Verdict.CERTAIN if probability >= certain else Verdict.AMBIGUOUS
+    if probability >= certain:
+        return Verdict.CERTAIN
+    return Verdict.NOT_FOUND if elsewhere > MOSTLY_ELSEWHERE else Verdict.AMBIGUOUS

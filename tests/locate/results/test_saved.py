@@ -74,6 +74,9 @@ def test_the_posterior_and_the_verdict_are_read_back(pair):
     assert again.verdict == found.verdict
     assert again.summary() == found.summary()
     assert again.agreement == found.agreement or vars(again.agreement) == vars(found.agreement)
+    assert again.tolerance == found.tolerance
+    assert again.probability_within("2mm") == pytest.approx(found.probability_within("2mm"), abs=0.02)
+    assert str(again.freedom) == str(found.freedom)
 
 
 def test_the_touches_are_read_back(pair):

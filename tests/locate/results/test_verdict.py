@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.options import CERTAIN, TrackerOptions
 from tactile_loc.locate.results.localization import Agreement
 from tactile_loc.locate.results.result_json import ResultRecord, make_record
-from tactile_loc.locate.results.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, Verdict, judge
+from tactile_loc.locate.results.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, NEXT_STEPS, Verdict, judge
 
 
 @pytest.mark.parametrize(
@@ -52,11 +55,15 @@ def changed(localization, **changes):
     return replace(localization, hypotheses=(best, *localization.hypotheses[1:]))
 
 
+def tolerate(localization, tolerance):
+    return replace(localization, config=localization.config.model_copy(update={"tolerance": tolerance}))
+
+
 def moved(localization):
     """The pose that a refiner found, slightly away from the grid pose."""
     T = localization.best.T_sensor_object_grid.copy()
     T[0, 3] += 1e-5
-    return RefinedPose(T, 1.0, True, 1)
+    return RefinedPose(T, 1.0, True, 1, covariance=1e-10 * np.eye(6))
 
 
 def test_a_result_is_judged_by_its_first_hypothesis(localization):
@@ -65,7 +72,9 @@ def test_a_result_is_judged_by_its_first_hypothesis(localization):
     assert one.verdict is Verdict.CERTAIN
     assert changed(one, probability=0.5).verdict is Verdict.AMBIGUOUS
     assert changed(one, imprint_iou=0.3).verdict is Verdict.POOR_FIT
-    elsewhere = replace(one, posterior=replace(one.posterior, elsewhere=0.7))
+    assert tolerate(one, Tolerance(1e-6)).verdict is Verdict.AMBIGUOUS
+    elsewhere = changed(one, probability=0.05)
+    elsewhere = replace(elsewhere, posterior=replace(one.posterior, elsewhere=0.7))
     assert elsewhere.verdict is Verdict.NOT_FOUND
 
 
@@ -75,15 +84,20 @@ def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localizati
     assert lines[0] == f"certain: {MEANINGS[Verdict.CERTAIN]}"
     for value_m in one.best.T_sensor_object[:3, 3]:
         assert f"{1e3 * value_m:.2f}" in lines[1]
-    assert "95 %" in lines[2]
+    probability = format_percent(one.probability_within())
+    assert lines[2] == f"within 1 mm with {probability} probability, imprint IoU 80 %"
     assert str(one) == one.summary()
+    assert not any(line.startswith("next: ") for line in lines)
+    assert f"next: {NEXT_STEPS[Verdict.POOR_FIT]}" in changed(one, imprint_iou=0.3).summary().splitlines()
     assert str(replace(one, hypotheses=one.hypotheses[:1])).splitlines()[1].startswith("first of 1 pose: ")
 
 
-def test_the_imprint_of_an_unrefined_pose_does_not_change_the_verdict(localization):
+def test_an_unrefined_pose_is_certain_only_within_a_tolerance_wider_than_the_grid(localization):
     grid_pose = RefinedPose(localization.best.T_sensor_object_grid, 1.0, True, 0)
-    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=grid_pose)
-    assert one.verdict is Verdict.CERTAIN
+    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=grid_pose)  # its imprint means little
+    assert one.verdict is Verdict.AMBIGUOUS
+    wide = Tolerance(2 * localization.posterior.grid.spacing_m)
+    assert tolerate(one, wide).verdict is Verdict.CERTAIN
 
 
 def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(localization):
@@ -97,6 +111,19 @@ def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(local
 def test_the_file_holds_the_verdict_and_older_files_need_none(localizer, localization):
     record = make_record(localizer, localization)
     assert record.verdict is localization.verdict
+    assert record.probability_within == localization.probability_within()
+    assert str(record.freedom) == str(localization.freedom)
+    assert record.next_step == NEXT_STEPS[localization.verdict]
     older = record.model_dump(mode="json")
-    del older["verdict"]
+    for key in ("verdict", "tolerance", "probability_within", "freedom", "next_step"):
+        del older[key]
     assert ResultRecord.model_validate(older).verdict is None
+
+
+def test_the_probability_within_a_tolerance_takes_a_text_or_a_tolerance(localization):
+    one = changed(localization, refined=moved(localization))
+    assert one.probability_within("1mm") == one.probability_within()
+    assert one.probability_within("2mm,3deg") == one.probability_within(Tolerance.parse("2mm,3deg"))
+    assert one.probability_within("0.001mm") < one.probability_within("5mm")
+    with pytest.raises(ConfigError):
+        one.probability_within("near")

@@ -1,0 +1,112 @@
+"""Tolerances of poses: the largest surface distance, the largest rotation, or both."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, quote
+from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+
+if TYPE_CHECKING:
+    from tactile_loc.core.objects.surface_field import SurfaceField
+
+POINTS = 200  # points of the surface whose distances are averaged
+REACH = 4  # points farther away than this many tolerances count as this far
+EXPECTED = "give a distance in mm, a rotation in degrees, or both, such as 0.5mm,2deg"
+_PART = re.compile(r"([0-9]*\.?[0-9]+(?:e[+-]?[0-9]+)?)\s*(mm|deg)")
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The largest surface distance, metres, and the largest rotation, radians, between poses that count as equal.
+
+    The surface distance is the mean distance of the surface at one pose from the surface at the other pose. Rotations
+    are measured up to symmetry. None sets no limit; at least one limit is needed. Raises ConfigError if a limit is not
+    positive and finite.
+    """
+
+    distance_m: float | None = 1e-3
+    rotation_rad: float | None = None
+
+    def __post_init__(self) -> None:
+        limits = [limit for limit in (self.distance_m, self.rotation_rad) if limit is not None]
+        if not limits or not all(limit > 0 and math.isfinite(limit) for limit in limits):
+            raise ConfigError(
+                f"the tolerance {self.distance_m} m, {self.rotation_rad} rad is not usable; give a positive distance, "
+                "a positive rotation, or both"
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> Tolerance:
+        """Read a tolerance in mm and degrees: `1mm`, `2deg` or `0.5mm,2deg`. Raises ConfigError for other texts."""
+        found = [_PART.fullmatch(part.strip().lower()) for part in text.split(",")]
+        limits = {part[2]: float(part[1]) for part in found if part is not None}
+        if None in found or len(limits) < len(found) or not all(0 < limit < math.inf for limit in limits.values()):
+            raise ConfigError(f"the tolerance {quote(text)} cannot be read; {EXPECTED}")
+        mm, deg = limits.get("mm"), limits.get("deg")
+        return cls(None if mm is None else 1e-3 * mm, None if deg is None else math.radians(deg))
+
+    def __str__(self) -> str:
+        """Return the text that `parse` reads: 0.5mm,2deg."""
+        return ",".join(f"{value:.6g}{unit}" for value, unit in self._list_limits())
+
+    def describe(self) -> str:
+        """Return the tolerance in words: 0.5 mm and 2 degrees."""
+        names = {"mm": "mm", "deg": "degrees"}
+        return " and ".join(f"{value:.6g} {names[unit]}" for value, unit in self._list_limits())
+
+    def find_within(self, obj: ObjectModel, T: Poses, T_other: Poses, times: float = 1.0) -> NDArray[np.bool_]:
+        """Return whether the pose T (4, 4), metres, is within the tolerance of each pose T_other (N, 4, 4), as (N,).
+
+        Limits count this many `times`, at most REACH.
+        """
+        within = np.ones(len(T_other), bool)
+        if self.rotation_rad is not None:
+            turned_rad = obj.symmetry.measure_least_angle(T[:3, :3], T_other[:, :3, :3])
+            within &= turned_rad <= times * self.rotation_rad
+        if self.distance_m is not None:
+            near = np.flatnonzero(within)
+            distances_m = measure_surface_distances(obj.mesh, T, T_other[near], self.distance_m)
+            within[near] = distances_m <= times * self.distance_m
+        return within
+
+    def _list_limits(self) -> list[tuple[float, str]]:
+        limits = [(1e3, self.distance_m, "mm"), (180 / math.pi, self.rotation_rad, "deg")]
+        return [(scale * limit, unit) for scale, limit, unit in limits if limit is not None]
+
+
+def measure_surface_distances(
+    mesh: TriangleMesh, T: Poses, T_other: Poses, most_m: float = 1e-3
+) -> NDArray[np.float64]:
+    """Return the mean distances (N,), metres, of the surface at poses T from the surface at poses T_other.
+
+    One of the two has the shape (N, 4, 4), metres, and the other may have the shape (4, 4). Distances up to `most_m`
+    are right. A point that is farther away than REACH times `most_m` counts as this far, so larger means may be too
+    small.
+    """
+    field = _build_field(mesh, REACH * most_m)
+    return field.measure_gaps(_sample_points(mesh), invert(T_other) @ T, field.reach_m)
+
+
+ONE_MILLIMETRE = Tolerance()
+
+
+@lru_cache(maxsize=64)
+def _build_field(mesh: TriangleMesh, reach_m: float) -> SurfaceField:
+    from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field  # numba takes a while
+
+    field = build_surface_field(mesh)
+    return field if field.reach_m >= reach_m else SurfaceField.of(mesh, reach_m, reach_m / 8)
+
+
+@lru_cache(maxsize=64)
+def _sample_points(mesh: TriangleMesh) -> NDArray[np.float64]:
+    return mesh.sample(POINTS, np.random.default_rng(0))
