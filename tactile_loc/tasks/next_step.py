@@ -37,7 +37,7 @@ def suggest_next_step(found: Localization) -> str:
         return plain
     if best.information < LEAST_NATS:
         return plain
-    return f"touch again, {best.approach.name} of the sensor, and locate both touches together"
+    return f"touch again, {best.approach.name} of the sensor, and locate the touches together"
 
 
 def list_shifted(found: Localization) -> Iterator[Approach]:

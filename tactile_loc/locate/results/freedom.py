@@ -39,9 +39,8 @@ class Freedom:
         """Return the freedom in words, in mm and degrees; empty if nothing is open."""
         said = []
         if self.others:
-            said.append(
-                f"{self.others} other {'pose explains' if self.others == 1 else 'poses explain'} it equally well"
-            )
+            poses = "pose explains" if self.others == 1 else "poses explain"
+            said.append(f"{self.others} other listed {poses} it equally well")
         if self.slide_m.any():
             mm = 1e3 * np.linalg.norm(self.slide_m)
             said.append(f"the object may slide up to {mm:.1f} mm along {_name_direction(self.slide_m)} of the sensor")

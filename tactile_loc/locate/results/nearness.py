@@ -26,7 +26,7 @@ NEGLIGIBLE = 1e-3  # less probable hypotheses draw nothing
 # The fit: docs/benchmarks/probabilities.md. If the true pose was found, the log odds of a right first pose are a broken
 # line over those of the share: OFFSET at even odds, the SLOPE below them and the STEEP slope above. The log odds that
 # it was found are greater than the search states by FOUND.
-OFFSET, SLOPE, STEEP, FOUND = 0.79, 0.81, 2.53, 3.98
+OFFSET, SLOPE, STEEP, FOUND = 0.89, 0.88, 1.35, 4.2
 LEAST = 2e-3  # shares and probabilities are clipped to the range from LEAST to 1 - LEAST
 
 

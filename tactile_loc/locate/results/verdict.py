@@ -23,9 +23,9 @@ class Verdict(StrEnum):
 
 NEXT_STEPS = {
     Verdict.CERTAIN: "",
-    Verdict.AMBIGUOUS: "touch the object again at another place, best at an edge or a corner, and locate both together",
+    Verdict.AMBIGUOUS: "touch again at another place, best at an edge or a corner, and locate the touches together",
     Verdict.POOR_FIT: "check the object, the sensor and the unit of the touch; then touch again",
-    Verdict.NOT_FOUND: "touch the object again at another place, deeper if the gel allows, and locate both together",
+    Verdict.NOT_FOUND: "touch again at another place, deeper if the gel allows, and locate the touches together",
     Verdict.NO_CONTACT: "press the sensor onto the object",
 }
 REFUSED = "refused"  # for a frame that cannot be read, which has no verdict

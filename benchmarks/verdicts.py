@@ -1,0 +1,177 @@
+#!/usr/bin/env python3
+"""Whether verdicts are right: how often the first pose is right, by its fitted probability and by its verdict.
+
+Touches are drawn as in reliability.py, with other seeds. A first pose is right if the mean distance of its surface from
+the true surface is below 1 mm. An example is determined if no listed pose with a wrong surface explains the touches as
+well as the true pose: to within 0.02 of its imprint IoU. The first table has the mean fitted probability, the share of
+right poses and the number of examples, by the probability. The second table counts verdicts. The four numbers of the
+fit come from touches of the eight objects of `FITTED`. Each example is appended to a file, from which the same command
+continues.
+
+Meshes are given as FILE[:UNITS] or a demo object's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from elastic_gel import AS_WELL, SIZES_PX
+from reliability import BINS, MM, RIGHT_MM, draw_example
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.store.store import StageStore
+
+FITTED = ("hook", "pin", "head", "00062_plug", "00103_plug", "00345_plug", "00486_plug", "00703_plug")
+THICKNESS_MM, POISSON = 4.0, 0.48  # of the layer
+GELS = {"rigid": RIGID, "layer": Gel(THICKNESS_MM / MM, POISSON)}
+
+
+class Judged(NamedTuple):
+    """An example: its object, gel, noise, number and number of touches, and how it was judged.
+
+    `probability`, 0 to 1, is that of a right first pose. `off_mm` is the surface distance of the first pose; 4 mm or
+    more count alike. An example that ended in an error has the verdict "error".
+    """
+
+    object: str
+    gel: str
+    noise: str
+    number: int
+    touches: int
+    verdict: str = "error"
+    probability: float = 0.0
+    off_mm: float = np.inf
+    determined: bool = False
+
+    @property
+    def right(self) -> bool:
+        """Whether the first pose is right."""
+        return self.off_mm < RIGHT_MM
+
+
+def judge(localizer: Localizer, touches: list[Touch], about: Judged) -> Judged:
+    """Return an example with its verdict."""
+    try:
+        found = localize_together([(localizer, touch) for touch in touches])
+    except TactileLocError:
+        return about
+    truth, mesh = np.asarray(touches[0].T_sensor_object), localizer.object.mesh
+    poses = np.stack([h.T_sensor_object for h in found.hypotheses])
+    off_mm = MM * measure_surface_distances(mesh, poses, truth)
+    true = [localizer.scene.match_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
+    as_well = np.array([h.imprint_iou for h in found.hypotheses]) >= np.mean(true) - AS_WELL
+    determined = not (as_well & (off_mm >= RIGHT_MM)).any()
+    return about._replace(
+        verdict=str(found.verdict), probability=found.probability_within(), off_mm=float(off_mm[0]),
+        determined=bool(determined),
+    )  # fmt: skip
+
+
+def measure(
+    mesh: str, gel: str, arguments: argparse.Namespace, store: StageStore, known: set[tuple[object, ...]]
+) -> Iterator[Judged]:
+    """Yield the examples of one object on one gel that are not `known`."""
+    path, _, units = mesh.partition(":")
+    sensor = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
+    if gel != "rigid":
+        sensor |= {"gel": "layer", "gel_thickness_mm": THICKNESS_MM, "poisson": POISSON}
+    localizer = Localizer.create(path, units=units or "auto", store=store, sensor=sensor)
+    modelled = localizer.scene.geometry.gel
+    geometry = dataclasses.replace(localizer.scene.geometry, gel=RIGID)
+    source = RobotTouches(localizer.object, geometry, registry().create("renderer", "raycast", {}))
+    levels = list(NOISE)
+    for number in range(arguments.examples):
+        about = Judged(Path(path).stem, gel, levels[number % len(levels)], number, 0)
+        missing = [count for count in arguments.touches if about._replace(touches=count)[:5] not in known]
+        if missing:
+            rng = np.random.default_rng([arguments.seed, number])
+            touches = draw_example(source, max(arguments.touches), GELS[gel], modelled, NOISE[about.noise], rng)
+        for count in missing:
+            yield judge(localizer, touches[:count], about._replace(touches=count))
+
+
+def write_reliability(name: str, found: list[Judged]) -> str:
+    """Return a row of the first table."""
+    p, right = np.array([one.probability for one in found]), np.array([one.right for one in found])
+    bin_of = np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
+    cells = []
+    for some in (p >= 0, *(bin_of == k for k in range(len(BINS) - 1))):
+        cells.append(f"{p[some].mean():.0%}, {right[some].mean():.0%} ({some.sum()})" if some.any() else "-")
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def write_verdicts(name: str, found: list[Judged]) -> str:
+    """Return a row of the second table."""
+    certain = [one for one in found if one.verdict == "certain"]
+    determined = [one for one in found if one.determined]
+    called = sum(one.verdict == "certain" for one in determined)
+    others = [sum(one.verdict == verdict for one in found) for verdict in ("ambiguous", "poor fit", "not found")]
+    cells = [len(certain), sum(one.right for one in certain), *others, f"{called} of {len(determined)}"]
+    return f"| {name} | {len(found)} | {' | '.join(map(str, cells))} |"
+
+
+def print_tables(found: list[Judged], arguments: argparse.Namespace) -> None:
+    """Print both tables: for the objects of the fit and for the others, by gel, touches and noise."""
+    groups = {"fitted": [one for one in found if one.object in FITTED]}
+    groups["others"] = [one for one in found if one.object not in FITTED]
+    bins = " | ".join(f"{low:.0%} to {high:.0%}" for low, high in itertools.pairwise(BINS))
+    print(f"| objects | touches | all | {bins} |\n|{'---|' * (len(BINS) + 2)}")
+    for name, group in groups.items():
+        for count in ("all", *arguments.touches):
+            some = [one for one in group if count in ("all", one.touches) and one.verdict != "error"]
+            if some:
+                print(write_reliability(f"{name} | {count}", some))
+    print(
+        "\n| gel | touches | noise | examples | certain | of these right | ambiguous | poor fit | not found |", end=""
+    )
+    print(f" determined: certain |\n|{'---|' * 10}")
+    for gel in GELS:
+        for count in arguments.touches:
+            for level in NOISE:
+                some = [one for one in found if (one.gel, one.touches, one.noise) == (gel, count, level)]
+                if some:
+                    print(write_verdicts(f"{gel} | {count} | {level}", some))
+    print(write_verdicts("all | all | all", found))
+
+
+def main() -> None:
+    """Measure, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("objects", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
+    parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
+    parser.add_argument("--examples", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=907)
+    parser.add_argument("--rows", type=Path, default=Path("verdicts.jsonl"), help="file of the examples")
+    arguments = parser.parse_args()
+    lines = arguments.rows.read_text().splitlines() if arguments.rows.exists() else []
+    found = [Judged(**json.loads(line)) for line in lines]
+    known: set[tuple[object, ...]] = {one[:5] for one in found}
+    with tempfile.TemporaryDirectory() as folder, arguments.rows.open("a") as rows:
+        for mesh in arguments.objects:
+            for gel in GELS:
+                for one in measure(mesh, gel, arguments, StageStore(Path(folder)), known):
+                    found.append(one)
+                    rows.write(json.dumps(one._asdict()) + "\n")
+                    rows.flush()
+    print_tables(found, arguments)
+
+
+if __name__ == "__main__":
+    main()
