@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from elastic_gel import AS_WELL, SIZES_PX
+from elastic_gel import SIZES_PX
 from reliability import BINS, MM, RIGHT_MM, draw_example
 
 from tactile_loc.core.errors import TactileLocError
@@ -35,6 +35,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.results.freedom import AS_WELL
 from tactile_loc.store.store import StageStore
 
 FITTED = ("hook", "pin", "head", "00062_plug", "00103_plug", "00345_plug", "00486_plug", "00703_plug")

@@ -198,12 +198,13 @@ def _list_known_cells(one: KnownObjectRecord) -> list[str]:
 
 def say_located(files: Sequence[LocatedFile]) -> None:
     """Write a line for each touch, with its best pose or the reason why it has no pose."""
-    header = ["touch", "verdict", "prob. %", IMPRINT, *POSE]
+    header = ["touch", "verdict", "right %", IMPRINT, *POSE]
     say_table([header, *([one.path.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
 
 
 def _list_best_cells(located: LocatedFile) -> list[str]:
     if (best := located.best) is None:
         return [write_flags(located.problem)]
-    numbers = [f"{100 * best.probability:.1f}", f"{100 * best.imprint_iou:.0f}"]
+    right = located.probability_within or 0.0
+    numbers = [f"{100 * right:.1f}", f"{100 * best.imprint_iou:.0f}"]
     return [str(located.verdict), *numbers, *format_pose(best.T_sensor_object)]

@@ -34,6 +34,7 @@ COLUMNS = (
     "touch",
     "verdict",
     "probability",
+    "probability_within",
     "imprint_iou",
     "x_mm",
     "y_mm",
@@ -51,13 +52,15 @@ TOGETHER = 32  # touches read and located at once
 class LocatedFile:
     """The result for one touch file: its best hypothesis and verdict, or the `problem` in one sentence.
 
-    A file that cannot be read has no verdict.
+    A file that cannot be read has no verdict. `probability_within`, 0 to 1, is the probability that the best hypothesis
+    is within the tolerance of the true pose.
     """
 
     path: Path
     best: Hypothesis | None = None
     problem: str = ""
     verdict: Verdict | None = None
+    probability_within: float | None = None
 
     def make_row(self) -> dict[str, str]:
         """Return a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
@@ -65,6 +68,8 @@ class LocatedFile:
         if self.best is None:
             return row
         row |= {"probability": f"{self.best.probability:.4f}", "imprint_iou": f"{self.best.imprint_iou:.3f}"}
+        if self.probability_within is not None:
+            row["probability_within"] = f"{self.probability_within:.4f}"
         return row | make_pose_cells(self.best.T_sensor_object)
 
 
@@ -133,7 +138,8 @@ def _localize_batch(
     found = dict(zip(touches, localizer.localize_many(list(touches.values())), strict=True))
     for path in files:
         if path in found:
-            yield LocatedFile(path, found[path].best, verdict=found[path].verdict), found[path]
+            one = found[path]
+            yield LocatedFile(path, one.best, "", one.verdict, one.probability_within()), one
         else:
             yield failed[path], None
 

@@ -30,7 +30,7 @@ def test_an_impossible_coverage_is_refused(refused, coverage):
 
 @pytest.mark.parametrize("tolerance", ["1", "0mm", "1mm,2cm"])
 def test_a_tolerance_that_cannot_be_read_is_refused(refused, tolerance):
-    refused("--tolerance", tolerance, mentions=("`tolerance`", tolerance))
+    refused("--tolerance", tolerance, mentions=("--tolerance", tolerance))
 
 
 def test_a_missing_mesh_file_is_refused(refused):

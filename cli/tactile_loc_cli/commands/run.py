@@ -294,6 +294,7 @@ def _make_json(located: LocatedFile, out: Path) -> dict[str, Any]:
         return {"touch": located.path.name, "verdict": located.verdict, "error": located.problem}
     return {
         "touch": located.path.name, "result": str(out / located.path.stem / "result.json"),
-        "verdict": located.verdict, "probability": best.probability, "imprint_iou": best.imprint_iou,
+        "verdict": located.verdict, "probability": best.probability,
+        "probability_within": located.probability_within, "imprint_iou": best.imprint_iou,
         "T_sensor_object": best.T_sensor_object.tolist(),
     }  # fmt: skip
