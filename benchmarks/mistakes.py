@@ -263,7 +263,7 @@ MISTAKES = (
     Mistake(take_wrong_part_once, ANY, "parts have equal edges and faces"),
     Mistake(scale_part),
     Mistake(take_inches),
-    Mistake(mirror_part, ANY, "the touches may miss the areas in which the mirrored part differs"),
+    Mistake(mirror_part, ANY, "a part may be its own mirror image, or the touches miss the difference"),
     Mistake(touch_two_parts),
     Mistake(swap_poses),
     Mistake(invert_poses),

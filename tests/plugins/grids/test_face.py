@@ -60,7 +60,7 @@ def test_auto_rotates_with_the_object(box):
 def test_a_flat_object_has_no_resting_face(pinhole):
     sheet = TriangleMesh(np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]]), np.array([[0, 1, 2]]))
     obj = ObjectModel("sheet", sheet, SymmetryGroup.parse("none", np.zeros(3)))
-    with pytest.raises(GridError, match=naming("grid.face=+z")):
+    with pytest.raises(GridError, match=naming("`face`", "+z")):
         face("auto").sample(obj, pinhole, 0.01)
     assert len(face("+z").sample(obj, pinhole, 0.01)) > 0
 
