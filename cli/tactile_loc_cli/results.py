@@ -77,7 +77,7 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     if unlisted > LEAST_SHOWN and record.pose_set is None:
         yield f"{100 * unlisted:.0f} % of the probability belongs to poses not listed; --top N lists more"
     grid = record.configuration["grid"]
-    if grid["name"] == "whole":
+    if grid["name"] == "whole" and not record.other_touches:  # several touches rarely touch one face
         yield (
             "searched: the whole object. If you know which face touches, search only that face. In the first pose, "
             f"it is --grid face -o grid.face={_name_side(record)}"
