@@ -144,4 +144,4 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path):
         assert np.sqrt(np.mean(off_m**2)) < 40e-6
         flat_m = read(shapes / f"prism_{press}_real.png")[tip]
         assert flat_m.mean() == pytest.approx(press_m, rel=0.05, abs=7e-5)
-        assert flat_m.std() < 4e-5
+        assert flat_m.std() < 4.5e-5

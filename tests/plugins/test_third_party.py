@@ -66,7 +66,9 @@ def test_an_installed_plugin_is_listed_with_its_distribution_and_options(tactile
 @pytest.mark.slow
 def test_the_plugin_refines_the_found_poses(tactile_loc, tmp_path):
     (tmp_path / "sure.toml").write_text("temperature = 0.1")  # the test needs no fitted temperature
-    done = tactile_loc(*RUN, "-o", "refiner.steps=2", "--config", "sure.toml", "--out", "out", "--store", "store")
+    tactile_loc("simulate", "--object", "pin", "--grid", "face", "--count", "1", "--out", "touches")
+    one = ("--touch", "touches/touch-0000.npz")  # several touches are refined together by the joint registration
+    done = tactile_loc(*RUN, *one, "-o", "refiner.steps=2", "--config", "sure.toml", "--out", "out", "--store", "store")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["configuration"]["refiner"] == {"name": "centroid", "options": {"steps": 2}}
