@@ -33,11 +33,12 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
+from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.approaches import draw_approaches
 from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 

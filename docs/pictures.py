@@ -32,10 +32,11 @@ from tactile_loc.drawing.pictures import (
 )
 from tactile_loc.drawing.pose_panel import draw_pose
 from tactile_loc.drawing.tasks import draw_next_touch
-from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
+from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.tasks.approaches import draw_approaches
 from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES
 from tactile_loc.tasks.tracked_pose import TrackedPose

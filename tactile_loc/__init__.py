@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from tactile_loc.drawing.pictures import draw_result as draw_result
     from tactile_loc.drawing.pictures import save_figure as save_figure
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
-    from tactile_loc.evaluation.robot_touches import draw_approaches as draw_approaches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
@@ -61,6 +60,7 @@ if TYPE_CHECKING:
     from tactile_loc.sweeps.results import write_sweep as write_sweep
     from tactile_loc.sweeps.sweep import run_sweep as run_sweep
     from tactile_loc.sweeps.workers import LocalWorkers as LocalWorkers
+    from tactile_loc.tasks.approaches import draw_approaches as draw_approaches
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
     from tactile_loc.tasks.identify import NullEvidence as NullEvidence

@@ -47,6 +47,7 @@ ELSEWHERE = {
     "reports.md": "test_docs_reports.py",
     "programs.md": "test_docs_programs.py",
     "tuning.md": "test_docs_tuning.py",
+    "chain.md": "test_docs_chain.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

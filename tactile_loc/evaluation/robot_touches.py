@@ -21,11 +21,9 @@ from tactile_loc.core.simulation.noise import Float32, TouchNoise
 from tactile_loc.core.simulation.resting_touches import face_each_other
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.approach_files import Approach
 
 INSIDE = 0.8  # the object's lowest point lies in this share of the sensing rectangle, about its centre
 MOST_DRAWS = 1000
-CLEAR_M = 0.02  # distance between the object's bounding sphere and a sensor at its start
 NO_NOISE = TouchNoise()
 
 
@@ -171,21 +169,3 @@ def measure_noisily(
     press, deepest_m = np.array([press_m]), geometry.max_depth_m
     measured = noise.measure_press(press, deepest_m, rng)
     return noise.cut(noise.corrupt(clean_m, press, geometry, rng), press, measured)[0], float(measured[0])
-
-
-def draw_approaches(
-    obj: ObjectModel, geometry: SensorGeometry, count: int, press: float, rng: np.random.Generator
-) -> list[Approach]:
-    """Return approaches from random directions, in the object's frame, aimed at random points of the object's surface.
-
-    Sensors start clear of the object, and press by the share `press` of the maximal depth.
-    """
-    centre = obj.mesh.centroid_m
-    start_m = CLEAR_M + float(np.linalg.norm(obj.mesh.corners_m - centre, axis=1).max())
-    found = []
-    for k, (R, aim_m) in enumerate(zip(draw_rotations(count, rng), obj.mesh.sample(count, rng), strict=True)):
-        z = R[:, 2]
-        beside_m = aim_m - centre - z * (z @ (aim_m - centre))
-        T = make_transform(R, centre + beside_m - z * (start_m + geometry.surface_m))
-        found.append(Approach(T, press * geometry.max_depth_m, 2 * start_m, name=f"approach-{k:03d}"))
-    return found

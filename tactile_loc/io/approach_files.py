@@ -1,7 +1,8 @@
-"""Reads approaches from a TOML file. An approach is a touch that could be made: its start pose, press and cost."""
+"""Reads and writes approaches as TOML. An approach is a touch that could be made: its start pose, press and cost."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +18,7 @@ from tactile_loc.io.toml import (
     Matrix,
     PoseKeys,
     Positive,
+    format_toml,
     list_tables,
     name_errors,
     name_pose_keys,
@@ -24,6 +26,7 @@ from tactile_loc.io.toml import (
     read_toml,
     scale,
 )
+from tactile_loc.store.files import write_atomically
 
 Pose = NDArray[np.float64]
 
@@ -78,6 +81,24 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
             name = keys.name or f"approach {number}"
             approaches.append(Approach(start, scale(keys.press_depth_mm), travel_m, keys.cost, name))
     return tuple(approaches)
+
+
+def write_approaches(path: str | Path, approaches: Sequence[Approach], in_base: bool) -> Path:
+    """Write approaches as TOML, atomically, and return the path. Raises OutputError if that fails.
+
+    The start poses are in the base frame, or without `in_base` in the sensor frame of the previous touch.
+    """
+    key = "T_base_sensor" if in_base else "T_sensor_next"
+    tables = [
+        {
+            "name": approach.name or None, key: approach.T_base_sensor.tolist(),
+            "press_depth_mm": None if approach.press_m is None else 1e3 * approach.press_m,
+            "travel_mm": 1e3 * approach.travel_m, "cost": approach.cost,
+        }
+        for approach in approaches
+    ]  # fmt: skip
+    text = format_toml({"approach": tables})
+    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:

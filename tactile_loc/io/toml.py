@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -209,4 +210,6 @@ def _quote(value: Any) -> str:
         return "{ " + ", ".join(f"{_quote_key(k)} = {_quote(v)}" for k, v in value.items() if v is not None) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_quote(item) for item in value) + "]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # inf, -inf or nan, which JSON writes in another way
     return json.dumps(value, ensure_ascii=False)

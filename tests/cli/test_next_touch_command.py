@@ -62,3 +62,23 @@ def test_bad_input_is_one_sentence(cli, result):
     far = listed("far.toml", motion(0), more="cost = inf\n")
     assert_refused(cli("next-touch", result, "--candidates", far), "1 approach")
     assert not Path("tactile-loc-next-touch").exists()
+
+
+@pytest.mark.usefixtures("drawn_pictures")
+def test_drawn_approaches_are_written_for_the_next_call(cli, result):
+    drawn = cli("next-touch", result, "--around", "20", "--seed", "3", "--out", "out", "--json")
+    assert drawn.exit_code == 0, drawn.stderr
+    said = json.loads(drawn.stdout)
+    assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/approaches.toml"]
+    assert len(said["ranked"]) == 20
+    again = json.loads(cli("next-touch", result, "--candidates", "out/approaches.toml", "--json").stdout)
+    assert [one["name"] for one in again["ranked"]] == [one["name"] for one in said["ranked"]]
+    assert [one["information_nats"] for one in again["ranked"]] == pytest.approx(
+        [one["information_nats"] for one in said["ranked"]]
+    )
+
+
+def test_approaches_have_one_source(cli, result):
+    poses = listed("poses.toml", motion(0))
+    assert_refused(cli("next-touch", result), "--candidates", "--around")
+    assert_refused(cli("next-touch", result, "--candidates", poses, "--around", "3"), "--candidates", "--around")

@@ -36,7 +36,7 @@ def test_the_help_names_the_defaults(cli):
 
 def stages(stdout: str) -> dict[str, str]:
     """Return "built" or "reused" for each stage."""
-    return dict(re.findall(r"^(\w+) \(.*\): (built|reused)$", stdout, re.MULTILINE))
+    return dict(re.findall(r"^([\w-]+) \(.*\): (built|reused)$", stdout, re.MULTILINE))
 
 
 @pytest.mark.slow
@@ -64,10 +64,24 @@ def test_build_prints_the_size_and_spacing_of_the_grid(cli, tmp_path):
 
 @pytest.mark.slow
 def test_run_reuses_the_stages_of_build(cli, tmp_path):
-    cli("build", *TINY, "--store", tmp_path / "store")
-    before = sorted((tmp_path / "store").rglob("*.np[yz]"))
-    assert cli("run", *TINY, "--store", tmp_path / "store").exit_code == 0
-    assert sorted((tmp_path / "store").rglob("*.np[yz]")) == before
+    store = StageStore(tmp_path / "store")
+    cli("simulate", *TINY, "--count", 1, "--out", "touches")
+    cli("build", *TINY, "--store", store.root)
+    built = {entry.path for entry in store.entries()}
+    done = cli("run", "--object", "hook", *TINY, "--touch", "touches/touch-0000.npz", "--store", store.root)
+    assert done.exit_code == 0, done.stderr
+    assert {entry.path for entry in store.entries()} == built
+
+
+@pytest.mark.slow
+def test_build_also_fits_the_probabilities_of_several_touches(cli, tmp_path):
+    """Then `run` builds nothing for its three touches."""
+    store = StageStore(tmp_path / "store")
+    done = cli("build", *TINY, "--store", store.root, "--several")
+    assert stages(done.stdout)["fused-temperature"] == "built"
+    built = {entry.path for entry in store.entries()}
+    assert cli("run", *TINY, "--store", store.root).exit_code == 0
+    assert {entry.path for entry in store.entries()} == built
 
 
 @pytest.mark.slow

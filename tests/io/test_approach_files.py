@@ -8,7 +8,7 @@ from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.io.approach_files import read_approaches
+from tactile_loc.io.approach_files import Approach, read_approaches, write_approaches
 
 START = make_transform(rotation_about([0, 0, 1], 0.3), [0.1, 0.2, 0.3])
 MOTION = make_transform(rotation_about([1, 0, 0], 0.4), [0.0, 0.02, 0.0])
@@ -68,3 +68,18 @@ def test_a_pose_in_the_base_needs_the_last_pose_of_the_sensor(listed):
         read_approaches(listed("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n"))
     with pytest.raises(ConfigError, match=r"nowhere\.toml"):
         read_approaches("nowhere.toml")
+
+
+@pytest.mark.parametrize("T_base_first", [None, START])
+def test_written_approaches_are_read_again(tmp_path, T_base_first):
+    """They are in the frame of the last touch if its pose in the base is unknown."""
+    written = [
+        Approach(MOTION, 8e-4, 0.04, np.inf, "left"),
+        Approach(START @ MOTION, cost=2.0),
+    ]
+    path = write_approaches(tmp_path / "approaches.toml", written, in_base=T_base_first is not None)
+    read = read_approaches(path, T_base_first)
+    assert [one.name for one in read] == ["left", "approach 2"]  # a name is made up
+    for one, other in zip(written, read, strict=True):
+        np.testing.assert_array_equal(other.T_base_sensor, one.T_base_sensor)
+        assert (other.press_m, other.travel_m, other.cost) == (one.press_m, pytest.approx(one.travel_m), one.cost)

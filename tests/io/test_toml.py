@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 
 import numpy as np
@@ -69,7 +70,14 @@ def test_a_written_configuration_is_read_back_unchanged():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(True, "true"), (1.5, "1.5"), ([1, [2, "a"]], '[1, [2, "a"]]'), ({"a": 1, "b c": None}, "{ a = 1 }")],
+    [
+        (True, "true"),
+        (1.5, "1.5"),
+        (math.inf, "inf"),
+        (-math.inf, "-inf"),
+        ([1, [2, "a"]], '[1, [2, "a"]]'),
+        ({"a": 1, "b c": None}, "{ a = 1 }"),
+    ],
 )
 def test_values_are_written_as_toml(value, text):
     assert format_toml({"key": value} if not isinstance(value, dict) else {"s": {"key": value}}).endswith(

@@ -26,14 +26,20 @@ Given = Annotated[
         press_depth="Press depth in mm for which the model is built. Default: the sensor's maximal depth.",
     ),
 ]  # fmt: skip
-
-
+Several = Annotated[
+    bool,
+    typer.Option(
+        "--several", help="Also fit the probabilities of several touches, which `run` needs for a list of touches."
+    ),
+]
 Coverage = Annotated[
     bool, typer.Option("--coverage", help="Also fit the sets of poses that `run --coverage` lists; it takes seconds.")
 ]
 
 
-def build(given: Given, coverage: Coverage = False, store: options.Store = None) -> dict[str, Any]:
+def build(
+    given: Given, several: Several = False, coverage: Coverage = False, store: options.Store = None
+) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
     Without this command, the first `run` builds the model. Stages in the store are reused.
@@ -42,9 +48,11 @@ def build(given: Given, coverage: Coverage = False, store: options.Store = None)
     localizer = options.open_localizer(settings, store)
     start = time.perf_counter()
     build_model(localizer, _require_press_depth_m(localizer))
+    if several:
+        _ = localizer.probabilities.fused_scaling  # fits the tempering
     if coverage:
         _ = localizer.conformal_sets  # fits the sets
-    return _report(localizer, coverage, time.perf_counter() - start)
+    return _report(localizer, several, coverage, time.perf_counter() - start)
 
 
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
@@ -67,11 +75,11 @@ def _require_press_depth_m(localizer: Localizer) -> float:
     return deepest_m if asked_m is None else asked_m
 
 
-def _report(localizer: Localizer, coverage: bool, seconds: float) -> dict[str, Any]:
+def _report(localizer: Localizer, several: bool, coverage: bool, seconds: float) -> dict[str, Any]:
     obj, store = localizer.object, localizer.store
     from tactile_loc.store.keys import MEANINGS
 
-    extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer, coverage)
+    extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer, several, coverage)
     size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
     grid = _describe_grid(localizer)
@@ -98,11 +106,12 @@ def _describe_grid(localizer: Localizer) -> dict[str, Any]:
     return {"poses": len(grid), "mean_spacing_m": spacing_m}
 
 
-def _list_stages(localizer: Localizer, coverage: bool) -> dict[str, str]:
+def _list_stages(localizer: Localizer, several: bool, coverage: bool) -> dict[str, str]:
     """Return "built" or "reused" for each stage."""
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
-    fitted = ("temperature",) if localizer.config.temperature is None else ()
+    temperatures: tuple[str, ...] = ("temperature", "fused-temperature") if several else ("temperature",)
+    fitted = temperatures if localizer.config.temperature is None else ()
     model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places", *learned)
     if coverage:
         fitted = (*fitted, "conformal")

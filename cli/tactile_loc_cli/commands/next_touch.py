@@ -2,33 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.errors import ConfigError, ResultError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say_written
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from tactile_loc.io.approach_files import Approach
+    from tactile_loc.tasks.pose_modes import PoseModes
+
 DEFAULT_OUT = Path("tactile-loc-next-touch")
+DRAWN, MOST = "approaches.toml", 10_000  # file of the drawn approaches, and their largest number
 
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="Folder written by run, or its result.json.")]
 Candidates = Annotated[
-    Path,
+    Path | None,
     options.declare(
         "--candidates", "FILE.toml",
         "Approaches: [[approach]] tables, each with a start pose: xyz_mm with rpy_deg, or T_sensor_next in metres "
         "(docs/next-touch.md).",
     ),
 ]  # fmt: skip
+Around = Annotated[
+    int | None,
+    options.declare(
+        "--around", "N",
+        "Without --candidates: N approaches from random directions around the object. They are also written to "
+        "approaches.toml, which --candidates reads.",
+        min=1, max=MOST,
+    ),
+]  # fmt: skip
+Seed = Annotated[int, options.declare("--seed", "N", "Seed of the approaches of --around.", min=0)]
 Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show; the file has all of them.")]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of next_touch.json and next_touch.png.")]
+Out = Annotated[
+    Path, options.declare("--out", "FOLDER", "Folder of next_touch.json, next_touch.png and approaches.toml.")
+]
 
 
 def next_touch(
-    result: Result, candidates: Candidates, top: Top = 10, out: Out = DEFAULT_OUT, report: options.Report = False
+    result: Result,
+    candidates: Candidates = None,
+    around: Around = None,
+    seed: Seed = 0,
+    top: Top = 10,
+    out: Out = DEFAULT_OUT,
+    report: options.Report = False,
 ) -> dict[str, Any]:
     """Choose where to touch next.
 
@@ -38,14 +65,14 @@ def next_touch(
     """
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_next_touch
-    from tactile_loc.io.approach_files import read_approaches
+    from tactile_loc.io.approach_files import write_approaches
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.tasks.next_touch import choose_next_touch as choose
     from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
     from tactile_loc_cli.results import say_next_touch
 
     modes, T_base_sensor = read_modes(_find_result(result))
-    approaches = read_approaches(candidates, T_base_sensor)
+    approaches = _find_approaches(candidates, around, seed, modes, T_base_sensor)
     require_writable(out)
     found = choose(modes, approaches)
     record = make_next_touch_record(found)
@@ -55,12 +82,36 @@ def next_touch(
         write_record(out / "next_touch.json", record),
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
+    if around is not None:
+        written.append(write_approaches(out / DRAWN, approaches, in_base=T_base_sensor is not None))
     if report:
         from tactile_loc.reports.report import DEFAULT_NAME, write_page
         from tactile_loc.reports.tasks import make_next_touch_page
 
-        written.append(write_page(make_next_touch_page(record, written[-1]), out / DEFAULT_NAME))
+        written.append(write_page(make_next_touch_page(record, written[1]), out / DEFAULT_NAME))
     return {**record.model_dump(mode="json"), "written": say_written(written)}
+
+
+def _find_approaches(
+    candidates: Path | None,
+    around: int | None,
+    seed: int,
+    modes: PoseModes,
+    T_base_sensor: NDArray[np.float64] | None,
+) -> Sequence[Approach]:
+    """Read the candidates, or draw approaches to the modes. Raises ConfigError unless exactly one is asked for."""
+    import numpy as np
+
+    from tactile_loc.io.approach_files import read_approaches
+    from tactile_loc.tasks.approaches import draw_approaches_to_modes
+
+    if candidates is not None and around is None:
+        return read_approaches(candidates, T_base_sensor)
+    if candidates is None and around is not None:
+        return draw_approaches_to_modes(modes, around, np.random.default_rng(seed))
+    raise ConfigError(
+        "next-touch takes its approaches from one source; give either --candidates FILE.toml or --around N"
+    )
 
 
 def _find_result(path: Path) -> Path:

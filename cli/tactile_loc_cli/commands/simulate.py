@@ -191,12 +191,10 @@ def _warn_of_others(out: Path, names: list[str], listed: bool) -> None:
     others = sorted(path.name for path in out.glob("*.npz") if path.stem not in names)
     if others:
         logger.warning(
-            "%s also holds %d older touches (%s, ...); their poses are not in poses.json; remove them, "
+            "%s also holds %s of an older simulation, such as %s, without a pose in poses.json; remove these files, "
             "or choose another --out",
-            out,
-            len(others),
-            others[0],
-        )
+            out, format_count(len(others), "touch"), others[0],
+        )  # fmt: skip
 
 
 def _find_optics(asked: str | None, sensor: str) -> Optics:
