@@ -473,7 +473,7 @@ class _Query:
             kept = hypotheses[: self.top if pose_set is None else pose_set.poses]
             listed = self.first.refinement.add_covariances(self.views, kept)
         placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
-        return replace(found, hypotheses=placed, pose_set=pose_set)
+        return replace(found, hypotheses=placed, unlisted=hypotheses[len(placed) :], pose_set=pose_set)
 
     @property
     def known(self) -> Prior | None:

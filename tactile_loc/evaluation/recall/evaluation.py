@@ -27,7 +27,7 @@ from tactile_loc.locate.results.verdict import REFUSED, Verdict
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-RECALL_VERSION = 1  # increase if the same localizer gets other results
+RECALL_VERSION = 2  # increase if verdicts or the method change without a change of key
 METRICS = ("surface", "add", "mssd")
 RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
 AS_WELL = 0.02  # a pose whose imprint IoU is lower by at most this explains the touches as well as the true pose

@@ -50,6 +50,14 @@ class Freedom:
         return "; ".join(said)
 
 
+def find_rivals(imprint_ious: Float64, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of K poses, (K,), explain the touches as well as the first one and are not the `same` pose (K,).
+
+    `imprint_ious` (K,), 0 to 1, state how well the poses explain the touches.
+    """
+    return (imprint_ious >= imprint_ious[0] - AS_WELL) & ~same
+
+
 def find_freedom(
     T_sensor_object: Poses, imprint_ious: Float64, covariance: Float64 | None, contact_m: Float64,
     same: NDArray[np.bool_], tolerance: Tolerance = ONE_MILLIMETRE,
@@ -61,7 +69,7 @@ def find_freedom(
     within the tolerance of the first pose. Smaller motions than the tolerance are not mentioned.
     """
     least_m, least_rad = tolerance.distance_m or 1e-3, tolerance.rotation_rad or SMALL_TURN_RAD
-    others = T_sensor_object[(imprint_ious >= imprint_ious[0] - AS_WELL) & ~same] @ invert(T_sensor_object[0])
+    others = T_sensor_object[find_rivals(imprint_ious, same)] @ invert(T_sensor_object[0])
     shifts = transform_points(others, contact_m[None])[:, 0] - contact_m
     turns = np.array([_find_rotation_vector(motion) for motion in others]).reshape(-1, 3)
     in_place, straight = np.linalg.norm(shifts, axis=1) < least_m, np.linalg.norm(turns, axis=1) < least_rad

@@ -22,12 +22,14 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.results.freedom import AS_WELL, Freedom, find_freedom
+from tactile_loc.locate.results.freedom import AS_WELL, Freedom, find_freedom, find_rivals
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.nearness import calibrate, compute_share_within
 from tactile_loc.locate.results.verdict import NEXT_STEPS, Verdict, explain_verdict, judge
 from tactile_loc.store.files import lock_folder
+
+LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class Localization:
     The posterior includes outliers (see `agreement`), but the hypotheses do not. Touches that were `left_out` because
     they contradict the others affect neither the posterior nor the hypotheses.
 
-    `config` is the configuration of the localizer; None if a localisation was made by hand.
+    `config` is the configuration of the localizer; None if a localisation was made by hand. `unlisted` are refined
+    hypotheses after the listed ones. They count for the verdict, but files do not keep them.
     """
 
     touch: Touch
@@ -58,6 +61,7 @@ class Localization:
     agreement: Agreement = field(default_factory=Agreement)
     left_out: tuple[Touch, ...] = ()
     config: RunConfig | None = None
+    unlisted: tuple[Hypothesis, ...] = ()
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `result.json` and `result.npz`, the files of `tactile-loc run`, and return their paths.
@@ -143,13 +147,21 @@ class Localization:
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.
 
-        It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. The verdict
-        is also "poor fit" if the touches contradict each other and the wrong touch is unknown.
+        It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. It is never
+        certain if another pose, not within the tolerance of the first one, explains the touches as well. The verdict is
+        also "poor fit" if touches contradict each other, unless at least LEAST_AGREEING of them agree.
         """
-        if self.agreement.contradictory and not self.agreement.outliers:
+        if self._is_contradicted:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
         return judge(self.probability_within(), iou, self.posterior.elsewhere)
+
+    @property
+    def _is_contradicted(self) -> bool:
+        if self.agreement.contradictory and not self.agreement.outliers:
+            return True
+        wrong = len(self.outliers) + len(self.left_out)
+        return wrong > 0 and len(self.touches) - len(self.outliers) < LEAST_AGREEING
 
     def probability_within(self, tolerance: Tolerance | str | None = None) -> float:
         """Return the probability, 0 to 1, that the first pose is within a tolerance of the true pose.
@@ -175,7 +187,15 @@ class Localization:
             [unrefined if h.refined.covariance is None else h.refined.covariance for h in listed],
             self.object, tolerance,
         )  # fmt: skip
-        return calibrate(share, self.posterior.elsewhere)
+        return calibrate(share, self.posterior.elsewhere, self._has_rivals(tolerance))
+
+    def _has_rivals(self, tolerance: Tolerance) -> bool:
+        """Return whether another pose, not within the tolerance of the first one, explains the touches as well."""
+        known = [*self.hypotheses, *self.unlisted]
+        T, ious = np.stack([h.T_sensor_object for h in known]), np.array([h.imprint_iou for h in known])
+        alike = ious >= ious[0] - AS_WELL  # comparing the others with the tolerance would take time
+        same = tolerance.find_within(self.object, T[0], T[alike])
+        return bool(find_rivals(ious[alike], same).any())
 
     @cached_property
     def freedom(self) -> Freedom:

@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, rotation_angle
 from tactile_loc.core.poses.tolerance import Tolerance
+from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.results.nearness import calibrate, compute_share_within, draw_poses
 
 EXACT = np.zeros((6, 6))
@@ -65,3 +66,11 @@ def test_the_fitted_probability_increases_with_the_share_and_decreases_with_else
     missed = [calibrate(0.5 * (1 - elsewhere), elsewhere) for elsewhere in (0.0, 0.5, 0.9, 0.99)]
     assert missed == sorted(missed, reverse=True)
     assert calibrate(1.0, 0.0) > 0.99
+
+
+def test_a_pose_with_rivals_is_never_certain():
+    assert calibrate(0.999, 0.01, rivals=True) < CERTAIN < calibrate(0.999, 0.01)
+    shares = np.linspace(0, 1, 21)
+    with_rivals = [calibrate(share, 0.1, rivals=True) for share in shares]
+    assert (np.diff(with_rivals) >= 0).all()
+    assert all(p <= calibrate(share, 0.1) for p, share in zip(with_rivals, shares, strict=True))

@@ -51,8 +51,10 @@ def test_every_verdict_has_a_meaning():
 
 
 def changed(localization, **changes):
+    """A localisation with another first hypothesis, and with no other hypothesis that explains the touch."""
     best = replace(localization.best, **changes)
-    return replace(localization, hypotheses=(best, *localization.hypotheses[1:]))
+    others = tuple(replace(h, imprint_iou=0.1) for h in localization.hypotheses[1:])
+    return replace(localization, hypotheses=(best, *others), unlisted=())
 
 
 def tolerate(localization, tolerance):
@@ -76,6 +78,18 @@ def test_a_result_is_judged_by_its_first_hypothesis(localization):
     elsewhere = changed(one, probability=0.05)
     elsewhere = replace(elsewhere, posterior=replace(one.posterior, elsewhere=0.7))
     assert elsewhere.verdict is Verdict.NOT_FOUND
+
+
+def test_a_first_pose_with_a_rival_is_ambiguous_even_if_the_rival_is_not_listed(localization):
+    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
+    shift = np.eye(4)
+    shift[0, 3] = 0.02
+    rival = replace(
+        one.best, probability=0.0, refined=replace(one.best.refined, T_sensor_object=shift @ one.best.T_sensor_object)
+    )
+    assert replace(one, unlisted=(rival,)).verdict is Verdict.AMBIGUOUS
+    assert replace(one, unlisted=(replace(rival, imprint_iou=0.7),)).verdict is Verdict.CERTAIN
+    assert replace(one, unlisted=(one.best,)).verdict is Verdict.CERTAIN
 
 
 def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localization):
@@ -104,8 +118,12 @@ def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(local
     one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
     two = replace(one, agreement=Agreement((0.9, 0.9), contradictory=True))
     assert two.verdict is Verdict.POOR_FIT
-    three = replace(one, agreement=Agreement((0.9, 0.9, 0.9), outliers=(1,), contradictory=True))
-    assert three.verdict is Verdict.CERTAIN
+    outvoted = Agreement((0.9,) * 4, outliers=(1,), contradictory=True)
+    four = replace(one, others=(one.touch,) * 3, agreement=outvoted)
+    assert four.verdict is Verdict.CERTAIN
+    three = replace(four, others=(one.touch,) * 2)  # two touches may agree by chance
+    assert three.verdict is Verdict.POOR_FIT
+    assert replace(one, others=(one.touch,), left_out=(one.touch,)).verdict is Verdict.POOR_FIT
 
 
 def test_the_file_holds_the_verdict_and_older_files_need_none(localizer, localization):
