@@ -14,6 +14,7 @@ import pytest
 from cli_helpers import TINY, assert_refused, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
+from tactile_loc_cli import results
 from tactile_loc_cli.main import app
 from tactile_loc_cli.results import _name_side, say_result
 from typer.testing import CliRunner
@@ -76,6 +77,19 @@ def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result)
     assert said["next_step"]
     assert Path("required/result.json").is_file()
     assert cli("run", *TINY, "--out", "required", "--require", "maybe").exit_code == 2
+
+
+def test_the_files_are_written_before_the_output(cli, result, monkeypatch):
+    """The reader of the output may close it early, as `head` does."""
+
+    def close(record):
+        raise BrokenPipeError
+
+    monkeypatch.setattr(results, "say_result", close)
+    done = cli("run", *TINY, "--report", "--out", "closed")
+    assert isinstance(done.exception, BrokenPipeError)
+    written = {path.name for path in Path("closed").iterdir()}
+    assert written == {path.name for path in result["folder"].iterdir()} | {"report.html"}
 
 
 def test_run_without_a_touch_locates_a_simulated_one(result):
