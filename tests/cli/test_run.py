@@ -66,6 +66,22 @@ def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(re
         assert ("40 % of the probability" in capsys.readouterr().out) == shown
 
 
+@pytest.mark.parametrize(
+    ("paths", "shown"),
+    [
+        ([None] * 2, "2 simulated touches"),
+        (["a.npy"], "a.npy"),
+        (["a.npy", "b.npy", "c.npy"], "3 touches: a.npy, b.npy, c.npy"),
+        (["a.npy", "b.npy", "c.npy", "d.npy"], "4 touches: a.npy, b.npy, c.npy, ..."),
+    ],
+)
+def test_the_header_of_the_table_names_the_touches(result, capsys, paths, shown):
+    record = read_record(result["folder"] / "result.json")
+    first, *others = (record.touch.model_copy(update={"path": path, "name": path}) for path in paths)
+    say_result(record.model_copy(update={"touch": first, "other_touches": others}))
+    assert f"hook in the base frame, {shown}\n" in capsys.readouterr().out
+
+
 def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result):
     """The same run with a tiny tolerance is not certain. It is written and reported, but ends with exit code 3."""
     assert result["tolerance"] == "1mm"
