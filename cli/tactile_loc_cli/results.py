@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
 
 IMPRINT = "imprint IoU %"
+MOST_NAMED = 3  # names of touches that are shown
 LEAST_SHOWN = 0.01  # least probability of unlisted poses that is shown
 POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
@@ -41,8 +42,6 @@ def say_result(record: ResultRecord) -> None:
     """
     from tactile_loc.locate.results.verdict import Verdict, explain_verdict
 
-    simulated = format_count(1 + len(record.other_touches), "simulated touch")
-    touch = simulated if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     if record.verdict is not None:
         say(f"{record.verdict}: {explain_verdict(record.verdict)} ({record.says_within})")
@@ -51,10 +50,22 @@ def say_result(record: ResultRecord) -> None:
     if record.next_step:
         say(f"next: {record.next_step}")
     in_base = record.hypotheses[0].T_base_object is not None
-    say(f"{record.object.name} in the {'base frame' if in_base else f'frame of {record.sensor_name}'}, {touch}")
+    frame = "base frame" if in_base else f"frame of {record.sensor_name}"
+    say(f"{record.object.name} in the {frame}, {_describe_touches(record)}")
     say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)
     for line in _summarise(record):
         say(line)
+
+
+def _describe_touches(record: ResultRecord) -> str:
+    """Return the number of simulated touches, the name of one touch, or the number and the first names of several."""
+    names = [touch.name for touch in (record.touch, *record.other_touches)]
+    if record.touch.path is None:
+        return format_count(len(names), "simulated touch")
+    if len(names) == 1:
+        return names[0]
+    more = ", ..." if len(names) > MOST_NAMED else ""
+    return f"{format_count(len(names), 'touch')}: {', '.join(names[:MOST_NAMED])}{more}"
 
 
 def say_alone(alone: Localization, obj: ObjectModel) -> None:

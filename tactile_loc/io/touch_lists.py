@@ -98,12 +98,14 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     return tuple(touches)
 
 
-def write_touch_list(path: str | Path, sensor_poses: Mapping[str, Pose]) -> Path:
+def write_touch_list(path: str | Path, sensor_poses: Mapping[str, Pose], sensor: str | None = None) -> Path:
     """Write a list of touches as TOML, atomically, and return the path. Raises OutputError if that fails.
 
-    `sensor_poses` has `T_base_sensor` (4, 4), metres, by the touch's file. Files are relative to the list's folder.
+    `sensor_poses` has `T_base_sensor` (4, 4), metres, by the touch's file. `sensor` is the sensor of all touches, as in
+    `ListedTouch`. Files are relative to the list's folder.
     """
-    tables = [{"path": file, "T_base_sensor": T.tolist()} for file, T in sensor_poses.items()]
+    named = {} if sensor is None else {"sensor": sensor}
+    tables = [{"path": file, **named, "T_base_sensor": T.tolist()} for file, T in sensor_poses.items()]
     text = format_toml({"touch": tables})
     return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 

@@ -166,14 +166,43 @@ def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
 
 
 def match_localizers(localizer: Localizer, listed: Iterable[ListedTouch]) -> list[Localizer]:
-    """Return the localizer of each touch's sensor: one for each sensor, and `localizer` for touches without one."""
+    """Return the localizer of each touch's sensor: one for each sensor, and `localizer` for touches without one.
+
+    `localizer` is also that of touches with its own sensor, whose options are kept.
+    """
     of_sensor = {None: localizer, localizer.config.sensor.name: localizer}
     found = []
     for one in listed:
         if one.sensor not in of_sensor:
-            of_sensor[one.sensor] = _replace_sensor(localizer, str(one.sensor))
+            sensor = str(one.sensor)
+            is_same = _is_read_from(localizer.config.sensor, sensor)
+            of_sensor[sensor] = localizer if is_same else _replace_sensor(localizer, sensor)
         found.append(of_sensor[one.sensor])
     return found
+
+
+def name_listed_sensor(sensor: SlotConfig, folder: Path) -> str | None:
+    """Return a sensor as a list of touches in `folder` names it: a name, or the path of its file or calibration folder.
+
+    Returns None for a sensor with other options, because a list cannot state them.
+    """
+    if not sensor.options:
+        return sensor.name
+    place = _find_place(sensor)
+    if place is None or sensor.options.keys() != {"path"}:
+        return None
+    return os.path.relpath(place, os.path.realpath(folder))
+
+
+def _is_read_from(sensor: SlotConfig, path: str) -> bool:
+    """Return whether a sensor is read from the file or the calibration folder `path`."""
+    return find_sensor_kind(path) is not None and os.path.realpath(path) == _find_place(sensor)
+
+
+def _find_place(sensor: SlotConfig) -> str | None:
+    """Return the absolute path of the file or the calibration folder of a sensor, or None if it has none."""
+    place = os.path.realpath(sensor.options.get("path", ""))
+    return place if find_sensor_kind(place) == sensor.name else None
 
 
 def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:

@@ -61,6 +61,15 @@ def test_touches_of_simulate_are_evaluated(cli, tmp_path):
     assert [error is None for error in errors] == [False, True, False]
 
 
+def test_an_evaluation_without_a_readable_touch_is_refused(cli, tmp_path):
+    """The touches are of another sensor, so their size does not fit."""
+    simulated = ["simulate", "--object", "pin", "--sensor", "digit", "--count", 2, "--out", "touches", *TINY]
+    assert cli(*simulated).exit_code == 0
+    words = ["--object", "pin", *TINY, "--refiner", "none", "--touches", "touches", "--out", "out"]
+    assert_refused(cli("evaluate", *words), "2 examples", "touch-0000.npz", "320 x 240")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_table_of_own_touches_is_evaluated_together(cli, tmp_path):
     assert cli("simulate", "--object", "pin", "--count", 2, "--out", "touches", *TINY).exit_code == 0
     poses = json.loads((tmp_path / "touches" / "poses.json").read_text())["T_sensor_object"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, Cli, assert_refused
+from cli_helpers import FLAT_SENSOR, TINY, Cli, assert_refused
 from PIL import Image
 
 from tactile_loc import __version__
@@ -123,6 +123,33 @@ def test_simulated_touches_of_an_object_at_rest_are_listed(cli):
         np.testing.assert_allclose(placed, record["T_base_object"], atol=1e-12)
     alone = cli("simulate", "--count", 1, "--out", "out")
     assert "touches.toml" in alone.stderr  # it does not fit the new touches
+
+
+@pytest.mark.parametrize(
+    ("sensor", "written"),
+    [
+        (["--sensor", "digit"], "digit"),
+        (["--sensor", "flat.toml"], "out/../flat.toml"),
+        (["--sensor", "digit", "-o", "sensor.max_depth_mm=1"], None),
+    ],
+    ids=str,
+)
+def test_a_list_of_simulated_touches_names_their_sensor(cli, sensor, written):
+    """Then `run` needs no --sensor. A list cannot state the options of a sensor."""
+    Path("flat.toml").write_text(FLAT_SENSOR)
+    assert cli("simulate", *TINY, *sensor, "--together", 2, "--out", "out").exit_code == 0
+    assert [touch.sensor for touch in read_touch_list("out/touches.toml")] == [written, written]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["run", "evaluate"])
+def test_touches_of_another_sensor_are_located_without_naming_it(cli, command):
+    words = ["--object", "hook", *TINY]
+    Path("flat.toml").write_text(FLAT_SENSOR)
+    assert cli("simulate", *words, "--sensor", "flat.toml", "--together", 2, "--out", "out").exit_code == 0
+    flag = "--touch" if command == "run" else "--touches"
+    done = cli(command, *words, "--refiner", "none", flag, "out/touches.toml", "--out", "result")
+    assert done.exit_code == 0, done.stderr
 
 
 @pytest.mark.parametrize(

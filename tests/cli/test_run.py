@@ -14,6 +14,7 @@ import pytest
 from cli_helpers import TINY, assert_refused, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
+from tactile_loc_cli import results
 from tactile_loc_cli.main import app
 from tactile_loc_cli.results import _name_side, say_result
 from typer.testing import CliRunner
@@ -65,6 +66,22 @@ def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(re
         assert ("40 % of the probability" in capsys.readouterr().out) == shown
 
 
+@pytest.mark.parametrize(
+    ("paths", "shown"),
+    [
+        ([None] * 2, "2 simulated touches"),
+        (["a.npy"], "a.npy"),
+        (["a.npy", "b.npy", "c.npy"], "3 touches: a.npy, b.npy, c.npy"),
+        (["a.npy", "b.npy", "c.npy", "d.npy"], "4 touches: a.npy, b.npy, c.npy, ..."),
+    ],
+)
+def test_the_header_of_the_table_names_the_touches(result, capsys, paths, shown):
+    record = read_record(result["folder"] / "result.json")
+    first, *others = (record.touch.model_copy(update={"path": path, "name": path}) for path in paths)
+    say_result(record.model_copy(update={"touch": first, "other_touches": others}))
+    assert f"hook in the base frame, {shown}\n" in capsys.readouterr().out
+
+
 def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result):
     """The same run with a tiny tolerance is not certain. It is written and reported, but ends with exit code 3."""
     assert result["tolerance"] == "1mm"
@@ -76,6 +93,19 @@ def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result)
     assert said["next_step"]
     assert Path("required/result.json").is_file()
     assert cli("run", *TINY, "--out", "required", "--require", "maybe").exit_code == 2
+
+
+def test_the_files_are_written_before_the_output(cli, result, monkeypatch):
+    """The reader of the output may close it early, as `head` does."""
+
+    def close(record):
+        raise BrokenPipeError
+
+    monkeypatch.setattr(results, "say_result", close)
+    done = cli("run", *TINY, "--report", "--out", "closed")
+    assert isinstance(done.exception, BrokenPipeError)
+    written = {path.name for path in Path("closed").iterdir()}
+    assert written == {path.name for path in result["folder"].iterdir()} | {"report.html"}
 
 
 def test_run_without_a_touch_locates_a_simulated_one(result):

@@ -10,6 +10,9 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import TouchError
+from tactile_loc.io.config import SlotConfig
+from tactile_loc.io.sensor_files import write_sensor_file
+from tactile_loc.io.touch_lists import ListedTouch
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.touch_files import (
@@ -19,6 +22,8 @@ from tactile_loc.locate.touch_files import (
     is_folder,
     is_list,
     localize_files,
+    match_localizers,
+    name_listed_sensor,
     read_observations,
     write_table,
 )
@@ -97,6 +102,33 @@ def test_the_error_of_the_mount_adds_to_the_error_of_the_sensor_pose(localizer: 
     assert read.T_base_sensor_std_m == pytest.approx(np.hypot(2e-4, 1e-3))
     assert read.T_base_sensor_std_rad == pytest.approx(touch.T_base_sensor_std_rad)
     np.testing.assert_array_equal(read.T_base_sensor, np.eye(4))
+
+
+def test_a_listed_sensor_file_keeps_the_options_of_the_same_sensor(localizer: Localizer, tmp_path, monkeypatch):
+    """The list names the file by another path than the localizer does."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    for name in ("flat.toml", "other.toml"):
+        write_sensor_file(tmp_path / name, localizer.scene.geometry)
+    sensor = SlotConfig(name="file", options={"path": "flat.toml", "gel": "layer"})
+    own = Localizer(localizer.config.model_copy(update={"sensor": sensor}), localizer.object, localizer.store)
+    listed = [ListedTouch(Path("a.npz"), sensor=name) for name in ("out/../flat.toml", "other.toml")]
+    same, other = match_localizers(own, listed)
+    assert same is own
+    assert other.config.sensor.options == {"path": "other.toml"}
+
+
+def test_a_list_names_a_sensor_unless_it_has_options(tmp_path):
+    (tmp_path / "calibrated").mkdir()
+    for name, options, listed in (
+        ("digit", {}, "digit"),
+        ("digit", {"max_depth_mm": 1.0}, None),
+        ("digit", {"path": "flat.toml"}, None),
+        ("file", {"path": str(tmp_path / "flat.toml")}, "../flat.toml"),
+        ("file", {"path": str(tmp_path / "flat.toml"), "gel": "layer"}, None),
+        ("calibrated", {"path": str(tmp_path / "calibrated")}, "../calibrated"),
+    ):
+        assert name_listed_sensor(SlotConfig(name=name, options=options), tmp_path / "out") == listed
 
 
 def test_a_file_that_cannot_be_located_gets_a_row_with_name_and_reason():

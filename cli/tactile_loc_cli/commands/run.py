@@ -19,6 +19,7 @@ from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch
+    from tactile_loc.core.slots.scene import Scene
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.results.localization import Localization
@@ -161,22 +162,24 @@ def _report(
     rerun: Path | None,
     alone: Localization | None,
 ) -> dict[str, Any]:
-    """Show the result and write its files. Return the result with the paths of the files.
+    """Write the files of the result, and then show it. Return the result with the paths of the files.
 
-    `alone` is the result of the first simulated touch alone.
+    `alone` is the result of the first simulated touch alone. The files come first, because the reader of the output may
+    close it early.
     """
-    from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.drawing.touching_again import draw_touching_again
-    from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.doubts import list_doubts
-    from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
     from tactile_loc.locate.results.result_json import make_record
     from tactile_loc.tasks.next_step import suggest_next_step
-    from tactile_loc_cli.results import make_title, say_alone, say_result
+    from tactile_loc_cli.results import say_alone, say_result
 
     localizer = observations[0][0]
     record = make_record(localizer, localization, seconds)
     record = record.model_copy(update={"next_step": suggest_next_step(localization)})
+    written = _write_result(record, localization, localizer.scene, out, page, alone)
+    if rerun is not None:
+        from tactile_loc.drawing.rerun_log import write_localization
+
+        written.append(write_localization(rerun, localization, localizer.scene))
     say_result(record)
     if alone is not None:
         say_alone(alone, localizer.object)
@@ -184,10 +187,23 @@ def _report(
         logger.warning("%s", sentence)
     if localization.outliers:
         logger.warning("to leave out the touches that contradict the others, give --drop-outliers")
+    return {**record.model_dump(mode="json"), "written": say_written(written)}
+
+
+def _write_result(
+    record: ResultRecord, localization: Localization, scene: Scene, out: Path, page: bool, alone: Localization | None
+) -> list[Path]:
+    """Write the record, the arrays and the picture of a result and, with `page`, its report. Return their paths."""
+    from tactile_loc.drawing.pictures import draw_result, save_figure
+    from tactile_loc.drawing.touching_again import draw_touching_again
+    from tactile_loc.io.streams.records import write_record
+    from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
+    from tactile_loc_cli.results import make_title
+
     if alone is None:
-        figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
+        figure = draw_result(localization, scene, make_title(record), record.errors_m)
     else:
-        figure = draw_touching_again(alone, localization, localizer.scene, make_title(record))
+        figure = draw_touching_again(alone, localization, scene, make_title(record))
     arrays = gather_arrays(localization.make_views(), localization)
     with lock_folder(out):
         written = [
@@ -200,11 +216,7 @@ def _report(
             from tactile_loc.reports.run import make_result_page
 
             written.append(write_page(make_result_page(record, arrays), out / DEFAULT_NAME))
-    if rerun is not None:
-        from tactile_loc.drawing.rerun_log import write_localization
-
-        written.append(write_localization(rerun, localization, localizer.scene))
-    return {**record.model_dump(mode="json"), "written": say_written(written)}
+    return written
 
 
 def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, page: bool) -> dict[str, Any]:

@@ -149,6 +149,7 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
     from tactile_loc.drawing.pictures import draw_touches, save_figure
     from tactile_loc.io.touch_lists import write_touch_list
     from tactile_loc.io.touches import OVERVIEW, TRUE_POSES, write_touch
+    from tactile_loc.locate.touch_files import name_listed_sensor
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -165,7 +166,8 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
         "T_sensor_object": {t.name: t.T_sensor_object.tolist() for t in touches if t.T_sensor_object is not None},
     }
     if rest := _describe_rest(touches):
-        write_touch_list(out / LIST, {f"{t.name}.npz": t.T_base_sensor for t in touches if t.T_base_sensor is not None})
+        placed = {f"{t.name}.npz": t.T_base_sensor for t in touches if t.T_base_sensor is not None}
+        write_touch_list(out / LIST, placed, name_listed_sensor(localizer.config.sensor, out))
     write_json(out / TRUE_POSES, record | rest)
     name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from tactile_loc.core.errors import TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_table, say_written
 from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
@@ -20,11 +21,15 @@ DEFAULT_COUNT, DEFAULT_TOGETHER, DEFAULT_NOISES = 20, (1, 2, 3), ("none", "stron
 
 
 def evaluate_answers(given: RunOptions, asked: Asked) -> dict[str, Any]:
-    """Evaluate each object with each encoder, noise and seed; write, show and return the results."""
+    """Evaluate each object with each encoder, noise and seed; write, show and return the results.
+
+    Raises TouchError if every example was refused.
+    """
     if asked.touches:
         runs, about = _evaluate_own(given, asked)
     else:
         runs, about = _evaluate_simulated(given, asked)
+    _require_located(runs)
     return _report(runs, about, asked)
 
 
@@ -92,6 +97,18 @@ def _evaluate(
     found = evaluate_recall(localizer, examples, together)
     about = obj.name, str(obj.symmetry), measure_diameter(obj.mesh), settings.encoder.name
     return RecallRun(*about, noise, seed, found, settings.resolve())
+
+
+def _require_located(runs: Sequence[RecallRun]) -> None:
+    """Raise TouchError with the first reason if every example was refused."""
+    from tactile_loc.evaluation.recall.tables import list_problems
+
+    if all(run.evaluation.is_refused.all() for run in runs):
+        refused = sum(len(run.evaluation) for run in runs)
+        raise TouchError(
+            f"no example can be located ({format_count(refused, 'example')} refused); first reason: "
+            f"{list_problems(runs)[0][0]}"
+        )
 
 
 def _report(runs: Sequence[RecallRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:

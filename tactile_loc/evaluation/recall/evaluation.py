@@ -78,6 +78,12 @@ class RecallEvaluation:
     def __len__(self) -> int:
         return len(self.errors_m)
 
+    @property
+    def is_refused(self) -> NDArray[np.bool_]:
+        """Whether each example (E,) was refused with every number of touches that it has."""
+        refused = self.verdict == REFUSED
+        return np.asarray(refused.any(axis=1) & (refused | (self.verdict == ABSENT)).all(axis=1))
+
 
 ARRAYS = (*Located._fields, "T_true", "refused")
 
