@@ -15,7 +15,7 @@ from cli_helpers import TINY, assert_refused, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
 from tactile_loc_cli.main import app
-from tactile_loc_cli.results import _name_side, say_result
+from tactile_loc_cli.results import _name_side, make_title, say_result
 from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import rotation_about
@@ -63,6 +63,21 @@ def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(re
         first = record.hypotheses[0].model_copy(update={"probability": listed})
         say_result(record.model_copy(update={"hypotheses": [first], "elsewhere": 0.1}))
         assert ("40 % of the probability" in capsys.readouterr().out) == shown
+
+
+@pytest.mark.parametrize(
+    ("verdict", "stated"), [("certain", True), ("ambiguous", True), ("poor fit", False), ("not found", False)]
+)
+def test_the_headline_and_the_title_state_a_probability_only_beside_a_trusted_verdict(result, capsys, verdict, stated):
+    record = read_record(result["folder"] / "result.json").model_copy(update={"verdict": Verdict(verdict)})
+    say_result(record)
+    headline = capsys.readouterr().out.splitlines()[0]
+    title = make_title(record)
+    assert headline.startswith(f"{verdict}: ")
+    assert title.startswith(f"{verdict}: hook on ")
+    assert [" probability" in text for text in (headline, title)] == [stated, stated]
+    assert "()" not in headline
+    assert ", ," not in title
 
 
 def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result):
