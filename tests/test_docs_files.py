@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import is_rigid
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.labelled_touches import read_labelled_touches
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.plugins.sensors.presets import Preset
 
 PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 
@@ -22,6 +24,34 @@ def block(first: str) -> str:
     """The TOML or CSV block of the page that begins with `first`."""
     (found,) = [b for b in re.findall(r"```(?:toml|csv)\n(.*?)```", PAGE.read_text(), re.DOTALL) if b.startswith(first)]
     return found
+
+
+def list_sensors() -> list[dict[str, str]]:
+    """The rows of the table of built-in sensors, by its headings."""
+    table = PAGE.read_text().split("\n## Sensors\n\n")[1].split("\n\n")[0].splitlines()
+    heading, _, *rows = ([cell.strip(" `") for cell in line.strip("|").split("|")] for line in table)
+    return [dict(zip(heading, row, strict=True)) for row in rows]
+
+
+def test_the_table_of_sensors_lists_all_presets():
+    names = registry().names("sensor")
+    presets = [name for name in names if registry().load("sensor", name).__module__ == Preset.__module__]
+    assert sorted(row["name"] for row in list_sensors()) == sorted(presets)
+
+
+@pytest.mark.parametrize("row", list_sensors(), ids=lambda row: row["name"])
+def test_the_table_of_sensors_states_the_numbers_of_the_code(row):
+    geometry = registry().create("sensor", row["name"]).geometry
+    x0, x1, y0, y1 = geometry.rectangle
+    size_px, field_mm, mm_per_px, standoff_mm, depth_mm = (
+        [float(number) for number in re.findall(r"[\d.]+", row[key].split("(")[0])]
+        for key in ("image (w x h)", "field, mm", "mm per pixel", "standoff, mm", "maximal depth, mm")
+    )
+    assert row["camera"] == geometry.camera
+    assert size_px == [geometry.width_px, geometry.height_px]
+    assert field_mm == pytest.approx([1e3 * (x1 - x0), 1e3 * (y1 - y0)], abs=0.05)
+    assert mm_per_px == pytest.approx([1e3 / scale for scale in geometry.scale_at_surface], abs=5e-5)
+    assert (standoff_mm, depth_mm) == ([1e3 * geometry.standoff_m], [1e3 * geometry.max_depth_m])
 
 
 @pytest.fixture(scope="module")

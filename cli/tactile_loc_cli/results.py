@@ -28,11 +28,12 @@ POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
 def make_title(record: ResultRecord) -> str:
-    """Return the picture's title: verdict, object, sensor, probability of a right pose, and error if it is known."""
+    """Return the picture's title: verdict, object, sensor, stated probability, and error if it is known."""
     from tactile_loc.locate.results.verdict import name_verdict
 
-    text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}, {record.says_within}"
-    return text if record.errors is None else f"{text}, error {format_millimetres(record.errors.best_m)}"
+    text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}"
+    error = "" if record.errors is None else f"error {format_millimetres(record.errors.best_m)}"
+    return ", ".join(filter(None, (text, record.says_within, error)))
 
 
 def say_result(record: ResultRecord) -> None:
@@ -44,7 +45,8 @@ def say_result(record: ResultRecord) -> None:
 
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     if record.verdict is not None:
-        say(f"{record.verdict}: {explain_verdict(record.verdict)} ({record.says_within})")
+        within = f" ({record.says_within})" if record.says_within else ""
+        say(f"{record.verdict}: {explain_verdict(record.verdict)}{within}")
     if record.verdict is Verdict.AMBIGUOUS and str(record.freedom or ""):
         say(f"open: {record.freedom}")
     if record.next_step:

@@ -66,10 +66,10 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
     """Read the `[[approach]]` tables of a TOML file, in their order.
 
     A table gives the sensor's start pose in the base frame or in the sensor frame of the previous touch. In the base
-    frame, the keys are `T_base_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`. In the sensor
-    frame, the key is `T_sensor_next` (4, 4), metres. A start pose in the base frame needs the sensor's pose in the
-    previous touch, which is the argument `T_base_sensor` (4, 4). Raises ConfigError, which names the file and the
-    approach, when a table is wrong.
+    frame, the keys are `T_base_sensor` (4, 4), metres, or those of `PoseKeys`. In the sensor frame, the key is
+    `T_sensor_next` (4, 4), metres. A start pose in the base frame needs the sensor's pose in the previous touch, which
+    is the argument `T_base_sensor` (4, 4). Raises ConfigError, which names the file and the approach, when a table is
+    wrong.
     """
     path = Path(path)
     approaches = []
@@ -107,7 +107,7 @@ def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
     motion = read_pose(PoseKeys(), keys.T_sensor_next, "T_sensor_next")
     if motion is not None:
         if T is not None:
-            raise ValueError("the start pose is given twice; leave out T_sensor_next, or T_base_sensor and xyz_mm")
+            raise ValueError("the start pose is given twice; leave out T_sensor_next, or the pose in the base frame")
         return motion if T_base_first is None else T_base_first @ motion
     if T is None:
         raise ValueError(f"the start pose is missing; {name_pose_keys('T_sensor_next, T_base_sensor')}")

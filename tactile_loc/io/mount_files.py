@@ -93,7 +93,7 @@ class MountRecord(PoseKeys):
 def read_mount(path: str | Path) -> Mount:
     """Read a mount from a TOML file.
 
-    The pose is `T_flange_sensor` (4, 4), metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`. Raises ConfigError
+    The pose is `T_flange_sensor` (4, 4), metres, or is given by the keys of `PoseKeys`. Raises ConfigError
     when the file is missing, or a key is missing, unknown or wrong.
     """
     path, values = Path(path), read_toml(path)

@@ -26,6 +26,8 @@ Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
 MATRIX = "four rows of four numbers (rotation without unit, translation in metres, last row 0 0 0 1)"
 POSITIVE_MM = "a positive number (mm)"
 NOT_TOML = (ValueError, RecursionError)  # tomllib raises RecursionError for deep nesting
+POSITIONS_M = {"xyz_mm": 1e-3, "xyz_m": 1.0}  # keys of a position, with their units in metres
+ROTATIONS = ("rpy_deg", "quaternion_wxyz", "quaternion_xyzw")  # keys of a rotation
 UNIT_TOLERANCE = 1e-3  # tolerance of a quaternion's length: its numbers may be rounded to four digits
 
 
@@ -123,19 +125,21 @@ class PoseKeys(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     xyz_mm: Three | None = Field(default=None, description="[x, y, z] (mm)")
+    xyz_m: Three | None = Field(default=None, description="[x, y, z] (m)")
     rpy_deg: Three | None = Field(
         default=None, description="[roll, pitch, yaw] (degrees), about the fixed axes x, y, z in this order"
     )
     quaternion_wxyz: Four | None = Field(default=None, description="[w, x, y, z], a unit quaternion, scalar first")
+    quaternion_xyzw: Four | None = Field(default=None, description="[x, y, z, w], a unit quaternion, scalar last")
 
 
 def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
     """Return the pose (4, 4), metres, that a table gives by a matrix or by the other keys; None if it gives no pose.
 
-    `matrix` is the value of the key named `name`. For `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises
-    ValueError for a wrong or incomplete pose.
+    `matrix` is the value of the key named `name`. The other keys are one of POSITIONS_M and one of ROTATIONS. For
+    `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError for a wrong or incomplete pose.
     """
-    given = [key for key in ("xyz_mm", "rpy_deg", "quaternion_wxyz") if getattr(keys, key) is not None]
+    given = [key for key in (*POSITIONS_M, *ROTATIONS) if getattr(keys, key) is not None]
     if matrix is not None:
         if given:
             raise ValueError(f"{name} is the whole pose; leave out {given[0]}")
@@ -145,30 +149,41 @@ def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: st
         return T
     if not given:
         return None
-    if "xyz_mm" not in given:
-        raise ValueError(f"the pose has no position; add xyz_mm to {' and '.join(given)}, or give {name} instead")
-    if len(given) == 1:
-        raise ValueError(f"the pose has no rotation; add rpy_deg or quaternion_wxyz to xyz_mm, or give {name} instead")
-    if len(given) == 3:
-        raise ValueError(f"the pose has two rotations; leave out rpy_deg or quaternion_wxyz, or give {name} instead")
-    return make_transform(_read_rotation(keys), 1e-3 * np.array(keys.xyz_mm))
+    position = _choose_key(given, tuple(POSITIONS_M), "position", name)
+    rotation = _choose_key(given, ROTATIONS, "rotation", name)
+    t_m = POSITIONS_M[position] * np.array(getattr(keys, position), float)
+    return make_transform(_read_rotation(rotation, getattr(keys, rotation)), t_m)
 
 
 def name_pose_keys(matrix: str) -> str:
     """Return advice for a message: a pose is given by the key named `matrix`, or by the other keys."""
-    return f"give {matrix}, or xyz_mm with either rpy_deg or quaternion_wxyz"
+    return f"give {matrix}, or {' or '.join(POSITIONS_M)} with {' or '.join(ROTATIONS)}"
 
 
-def _read_rotation(keys: PoseKeys) -> NDArray[np.float64]:
-    if keys.rpy_deg is not None:
+def _choose_key(given: Sequence[str], keys: Sequence[str], what: str, matrix: str) -> str:
+    """Return the given key that is one of `keys`. Raises ValueError if there is none, or more than one."""
+    found = [key for key in given if key in keys]
+    if not found:
+        add = f"add {' or '.join(keys)} to {' and '.join(given)}"
+        raise ValueError(f"the pose has no {what}; {add}, or give {matrix} instead")
+    if len(found) > 1:
+        raise ValueError(f"the pose has more than one {what}; keep only one of {' and '.join(found)}")
+    return found[0]
+
+
+def _read_rotation(key: str, numbers: Sequence[float]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) that the numbers of one of ROTATIONS describe."""
+    if key == "rpy_deg":
         roll, pitch, yaw = (
-            rotation_about(axis, angle) for axis, angle in zip(np.eye(3), np.radians(keys.rpy_deg), strict=True)
+            rotation_about(axis, angle) for axis, angle in zip(np.eye(3), np.radians(numbers), strict=True)
         )
         return yaw @ pitch @ roll
-    q = np.array(keys.quaternion_wxyz, float)
+    w_last = key == "quaternion_xyzw"
+    q = np.roll(np.array(numbers, float), 1 if w_last else 0)
     length = float(np.linalg.norm(q))
     if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise ValueError(f"quaternion_wxyz has length {length:.4g}; it must be a unit quaternion, scalar first")
+        order = "last" if w_last else "first"
+        raise ValueError(f"{key} has length {length:.4g}; it must be a unit quaternion, scalar {order}")
     return quaternion_to_rotation(q / length)
 
 

@@ -78,10 +78,10 @@ class _TouchTable(PoseKeys):
 def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTouch, ...]:
     """Read the `[[touch]]` tables of a TOML file, in their order. Paths in the file are relative to its folder.
 
-    The sensor's pose is given in one of three ways: `T_base_sensor` (4, 4), metres; `xyz_mm` with `rpy_deg` or
-    `quaternion_wxyz`; or `T_base_flange` (4, 4), metres, with a `mount` file for the touch or for the list. If there
-    are several touches, each touch needs a pose, in the list or in the touch's .npz file. With `of_flange`, each touch
-    needs `T_base_flange`, and no mount is read.
+    The sensor's pose is given in one of three ways: `T_base_sensor` (4, 4), metres; the keys of `PoseKeys`; or
+    `T_base_flange` (4, 4), metres, with a `mount` file for the touch or for the list. If there are several touches,
+    each touch needs a pose, in the list or in the touch's .npz file. With `of_flange`, each touch needs
+    `T_base_flange`, and no mount is read.
 
     Raises ConfigError when the list is missing or not TOML. Raises TouchError, which names the list and the touch's
     number, when a table is wrong or a file or pose is missing.
@@ -127,6 +127,8 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
     F = read_pose(PoseKeys(), keys.T_base_flange, "T_base_flange")
     used = None if of_flange else _choose_mount(keys, folder, mount)
     if used is not None and F is not None:
+        if T is not None:
+            raise ValueError("the sensor's pose is given twice; leave out T_base_flange, or the pose of the sensor")
         T = F @ used.T_flange_sensor
     if T is None and file.suffix.lower() == ".npz":
         T = read_contents(file).T_base_sensor
@@ -143,10 +145,7 @@ def _choose_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount
         if keys.mount is not None:
             raise ValueError("mount has no effect without T_base_flange; give the flange's pose, too")
         return None
-    used = mount if keys.mount is None else read_mount(folder / keys.mount)
-    if used is not None and (keys.T_base_sensor is not None or keys.xyz_mm is not None):
-        raise ValueError("the sensor's pose is given twice; leave out T_base_flange, or T_base_sensor and xyz_mm")
-    return used
+    return mount if keys.mount is None else read_mount(folder / keys.mount)
 
 
 def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:

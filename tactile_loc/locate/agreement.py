@@ -100,5 +100,5 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
     if apart_m > size_m:
         raise GridError(
             f"the sensors are at least {1e3 * apart_m:,.0f} mm apart, but {obj.name} is only {1e3 * size_m:.0f} mm "
-            "long; give each T_base_sensor in metres, from the sensor to one common base"
+            "long; give each T_base_sensor in metres, from the sensor to one common base, not inverted (T_sensor_base)"
         )

@@ -113,7 +113,8 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         x, y, z, angle_deg, axis = format_pose(np.array(best.T_base_object))
         yield "in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
     if record.verdict is not None:
-        yield "verdict", name_verdict(record.verdict), f"{explain_verdict(record.verdict)}; {record.says_within}"
+        meaning = "; ".join(filter(None, (explain_verdict(record.verdict), record.says_within)))
+        yield "verdict", name_verdict(record.verdict), meaning
     if record.verdict is Verdict.AMBIGUOUS and str(record.freedom or ""):
         yield "open", "", str(record.freedom)
     if record.next_step:

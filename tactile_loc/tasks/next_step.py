@@ -11,7 +11,7 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import NEXT_STEPS, Verdict
+from tactile_loc.locate.results.verdict import Verdict, name_next_step
 from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import PoseModes
 
@@ -28,7 +28,7 @@ def suggest_next_step(found: Localization) -> str:
     press with the greatest information gain is named, such as "touch again, 10 mm from this touch toward +x of the
     sensor". If none helps, or for other verdicts, the step is the verdict's.
     """
-    plain = NEXT_STEPS[found.verdict]
+    plain = name_next_step(found.verdict, len(found.touches))
     if found.verdict is not Verdict.AMBIGUOUS:
         return plain
     try:

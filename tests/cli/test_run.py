@@ -16,7 +16,7 @@ from PIL import Image
 from rerun_helpers import read
 from tactile_loc_cli import results
 from tactile_loc_cli.main import app
-from tactile_loc_cli.results import _name_side, say_result
+from tactile_loc_cli.results import _name_side, make_title, say_result
 from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import rotation_about
@@ -80,6 +80,21 @@ def test_the_header_of_the_table_names_the_touches(result, capsys, paths, shown)
     first, *others = (record.touch.model_copy(update={"path": path, "name": path}) for path in paths)
     say_result(record.model_copy(update={"touch": first, "other_touches": others}))
     assert f"hook in the base frame, {shown}\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("verdict", "stated"), [("certain", True), ("ambiguous", True), ("poor fit", False), ("not found", False)]
+)
+def test_the_headline_and_the_title_state_a_probability_only_beside_a_trusted_verdict(result, capsys, verdict, stated):
+    record = read_record(result["folder"] / "result.json").model_copy(update={"verdict": Verdict(verdict)})
+    say_result(record)
+    headline = capsys.readouterr().out.splitlines()[0]
+    title = make_title(record)
+    assert headline.startswith(f"{verdict}: ")
+    assert title.startswith(f"{verdict}: hook on ")
+    assert [" probability" in text for text in (headline, title)] == [stated, stated]
+    assert "()" not in headline
+    assert ", ," not in title
 
 
 def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result):

@@ -11,6 +11,7 @@ from message_helpers import naming
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import PoseKeys, format_toml, parse_value, read_pose, read_toml
 
@@ -33,6 +34,13 @@ def test_three_notations_give_the_same_pose():
     np.testing.assert_array_equal(read_pose(PoseKeys(), angles.tolist(), "T"), angles)
 
 
+def test_a_pose_as_results_give_it_is_read_back():
+    T = read_pose(PoseKeys(xyz_mm=[400, -2.5, 30], rpy_deg=[10, -20, 70]), None, "T")
+    q = rotation_to_quaternion_xyzw(T[:3, :3]).tolist()
+    again = read_pose(PoseKeys(xyz_m=T[:3, 3].tolist(), quaternion_xyzw=q), None, "T")
+    np.testing.assert_allclose(again, T, atol=1e-12)
+
+
 def test_no_pose_keys_give_no_pose():
     assert read_pose(PoseKeys(), None, "T") is None
 
@@ -45,9 +53,22 @@ def test_no_pose_keys_give_no_pose():
         (
             {"xyz_mm": [0, 0, 0], "rpy_deg": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0]},
             None,
-            ("T", "two rotations", "rpy_deg", "quaternion_wxyz"),
+            ("more than one rotation", "rpy_deg", "quaternion_wxyz"),
         ),
+        (
+            {"xyz_mm": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1], "quaternion_wxyz": [1, 0, 0, 0]},
+            None,
+            ("more than one rotation", "quaternion_xyzw", "quaternion_wxyz"),
+        ),
+        (
+            {"xyz_mm": [0, 0, 0], "xyz_m": [0, 0, 0], "rpy_deg": [0, 0, 0]},
+            None,
+            ("more than one position", "xyz_mm", "xyz_m"),
+        ),
+        ({"quaternion_xyzw": [0, 0, 0, 1]}, None, ("T", "xyz_m", "quaternion_xyzw", "no position")),
         ({"xyz_mm": [0, 0, 0], "quaternion_wxyz": [1, 1, 0, 0]}, None, ("quaternion_wxyz", "1.414")),
+        ({"xyz_m": [0, 0, 0], "quaternion_xyzw": [1, 1, 0, 0]}, None, ("quaternion_xyzw", "1.414", "last")),
+        ({"xyz_m": [0, 0, 0]}, np.eye(4).tolist(), ("T", "xyz_m")),
         ({"xyz_mm": [0, 0, 0]}, np.eye(4).tolist(), ("T", "xyz_mm")),
         ({}, (2 * np.eye(4)).tolist(), ("T", "rigid")),
         ({}, np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), ("T", "rigid")),

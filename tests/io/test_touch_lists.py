@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,21 @@ def test_every_key_of_a_list_is_read(folder):
     assert first.press_depth_m == pytest.approx(0.0015)
     assert second.press_depth_m is None
     np.testing.assert_allclose([first.T_base_sensor, second.T_base_sensor], [T, T], atol=1e-15)
+
+
+def test_a_touch_takes_metres_and_a_quaternion_as_results_give_them(folder):
+    half = math.sqrt(0.5)
+    pose = f"xyz_m = [0.1, -0.02, 0.3]\nquaternion_xyzw = [0, 0, {half}, {half}]\n"
+    (touch,) = read_touch_list(written(folder, 'path = "a.npz"\n' + pose))
+    np.testing.assert_allclose(touch.T_base_sensor, T, atol=1e-12)
+
+
+@pytest.mark.parametrize("pose", [POSE, POSE.replace("xyz_mm", "xyz_m"), f"T_base_sensor = {T.tolist()}\n"])
+def test_a_touch_with_a_mount_takes_no_second_pose(folder, pose):
+    (folder / "mount.toml").write_text(f"T_flange_sensor = {T.tolist()}\n")
+    table = f'path = "a.npz"\nmount = "mount.toml"\nT_base_flange = {T.tolist()}\n'
+    with pytest.raises(TouchError, match=naming("touch 1", "given twice", "T_base_flange")):
+        read_touch_list(written(folder, table + pose))
 
 
 def test_a_single_touch_needs_no_pose(folder):

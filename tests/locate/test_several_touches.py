@@ -117,5 +117,5 @@ def test_touches_are_within_reach_if_two_of_them_are(localizer, touches):
     require_within_reach(placed_at(0, 5, 0.01), localizer.object)
     require_within_reach(placed_at(0), localizer.object)
     for x_m in ((0, 1.01 * reach_m), (0, 5, 10)):
-        with pytest.raises(GridError, match=naming("pin", "37 mm", "T_base_sensor")):
+        with pytest.raises(GridError, match=naming("pin", "37 mm", "T_base_sensor", "T_sensor_base")):
             require_within_reach(placed_at(*x_m), localizer.object)

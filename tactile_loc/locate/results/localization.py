@@ -26,7 +26,7 @@ from tactile_loc.locate.results.freedom import AS_WELL, Freedom, find_freedom, f
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.nearness import calibrate, compute_share_within
-from tactile_loc.locate.results.verdict import NEXT_STEPS, Verdict, explain_verdict, judge
+from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, explain_verdict, judge, name_next_step
 from tactile_loc.store.files import lock_folder
 
 LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
@@ -235,12 +235,13 @@ class Localization:
             f"{self.verdict}: {explain_verdict(self.verdict)}",
             f"first of {listed} {'pose' if listed == 1 else 'poses'}: x {x}, y {y}, z {z} mm, rotated {angle_deg} "
             f"degrees about {axis}, in the {frame} frame",
-            f"within {self.tolerance.describe()} with {format_percent(self.probability_within())} probability, "
-            f"imprint IoU {format_percent(best.imprint_iou)}",
         ]
+        within = f"within {self.tolerance.describe()} with {format_percent(self.probability_within())} probability, "
+        stated = within if self.verdict in STATES_PROBABILITY else ""
+        lines.append(f"{stated}imprint IoU {format_percent(best.imprint_iou)}")
         if self.verdict is Verdict.AMBIGUOUS and str(self.freedom):
             lines.append(f"open: {self.freedom}")
-        if step := NEXT_STEPS[self.verdict]:
+        if step := name_next_step(self.verdict, len(self.touches)):
             lines.append(f"next: {step}")
         return "\n".join(lines)
 

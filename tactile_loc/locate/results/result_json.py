@@ -26,7 +26,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.results.freedom import Freedom
 from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis
-from tactile_loc.locate.results.verdict import NEXT_STEPS, Verdict
+from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, name_next_step
 
 SCHEMA_VERSION = 3
 SETS_OF_GRID_POSES = 2  # the version that differs only in sets for a coverage, so files without a set are read
@@ -244,7 +244,9 @@ class ResultRecord(Record):
 
     @property
     def says_within(self) -> str:
-        """The probability that the first pose is right, in words."""
+        """The probability that the first pose is right, in words; empty if the verdict makes it misleading."""
+        if self.verdict is not None and self.verdict not in STATES_PROBABILITY:
+            return ""
         if self.probability_within is None or self.tolerance is None:
             return f"probability {format_percent(self.hypotheses[0].probability)}"
         within = Tolerance.parse(self.tolerance).describe()
@@ -365,7 +367,7 @@ def make_record(source: Configured, localization: Located, seconds: Mapping[str,
         tolerance=str(localization.tolerance),
         probability_within=localization.probability_within(),
         freedom=_record_freedom(localization.freedom),
-        next_step=NEXT_STEPS[localization.verdict],
+        next_step=name_next_step(localization.verdict, len(localization.touches)),
         grid_poses=len(posterior.grid),
         elsewhere=posterior.elsewhere,
         posterior_touches=posterior.touches,

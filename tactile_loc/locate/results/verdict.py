@@ -28,6 +28,8 @@ NEXT_STEPS = {
     Verdict.NOT_FOUND: "touch again at another place, deeper if the gel allows, and locate the touches together",
     Verdict.NO_CONTACT: "press the sensor onto the object",
 }
+CHECK_SENSOR_POSES = "check each T_base_sensor, the object, the sensors and the unit of the touches; then touch again"
+STATES_PROBABILITY = (Verdict.CERTAIN, Verdict.AMBIGUOUS)  # beside other verdicts, the probability misleads
 REFUSED = "refused"  # for a frame that cannot be read, which has no verdict
 MEANINGS = {
     Verdict.CERTAIN: "the first pose explains the touch and is probable enough to act on",
@@ -46,6 +48,14 @@ def name_verdict(verdict: Verdict | None) -> str:
 def explain_verdict(verdict: Verdict | None) -> str:
     """Return the meaning of a verdict, or of its absence."""
     return "the frame cannot be read" if verdict is None else MEANINGS[verdict]
+
+
+def name_next_step(verdict: Verdict, touches: int) -> str:
+    """Return what to do next after locating a number of touches together; empty if the verdict is certain.
+
+    If several touches fit poorly, the sensor poses may be wrong, so the step names them first.
+    """
+    return CHECK_SENSOR_POSES if verdict is Verdict.POOR_FIT and touches > 1 else NEXT_STEPS[verdict]
 
 
 def judge(

@@ -14,7 +14,17 @@ from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.options import CERTAIN, TrackerOptions
 from tactile_loc.locate.results.localization import Agreement
 from tactile_loc.locate.results.result_json import ResultRecord, make_record
-from tactile_loc.locate.results.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, NEXT_STEPS, Verdict, judge
+from tactile_loc.locate.results.verdict import (
+    CHECK_SENSOR_POSES,
+    LEAST_IOU,
+    MEANINGS,
+    MOSTLY_ELSEWHERE,
+    NEXT_STEPS,
+    Verdict,
+    judge,
+    name_next_step,
+)
+from tactile_loc.tasks.next_step import suggest_next_step
 
 
 @pytest.mark.parametrize(
@@ -124,6 +134,29 @@ def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(local
     three = replace(four, others=(one.touch,) * 2)  # two touches may agree by chance
     assert three.verdict is Verdict.POOR_FIT
     assert replace(one, others=(one.touch,), left_out=(one.touch,)).verdict is Verdict.POOR_FIT
+
+
+def test_a_poor_fit_of_several_touches_asks_for_the_sensor_poses(localizer, localization):
+    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
+    two = replace(one, others=(one.touch,))
+    assert "T_base_sensor" not in one.summary()
+    assert f"next: {CHECK_SENSOR_POSES}" in two.summary().splitlines()
+    assert make_record(localizer, two).next_step == suggest_next_step(two) == CHECK_SENSOR_POSES
+    assert name_next_step(Verdict.NOT_FOUND, 2) == NEXT_STEPS[Verdict.NOT_FOUND]
+
+
+@pytest.mark.parametrize("verdict", [None, *Verdict])
+def test_words_state_the_probability_only_beside_a_pose_that_may_be_right(localizer, localization, verdict):
+    stated = verdict in (None, Verdict.CERTAIN, Verdict.AMBIGUOUS)
+    record = make_record(localizer, localization).model_copy(update={"verdict": verdict})
+    probability = format_percent(localization.probability_within())
+    assert record.says_within == (f"within 1 mm with {probability} probability" if stated else "")
+
+
+def test_the_summary_of_a_poor_fit_states_no_probability(localization):
+    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
+    assert "imprint IoU 30 %" in one.summary().splitlines()
+    assert "probability" not in one.summary()
 
 
 def test_the_file_holds_the_verdict_and_older_files_need_none(localizer, localization):
