@@ -33,9 +33,9 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.freedom import AS_WELL
 from tactile_loc.store.store import StageStore
 
 FITTED = ("hook", "pin", "head", "00062_plug", "00103_plug", "00345_plug", "00486_plug", "00703_plug")
@@ -68,19 +68,16 @@ class Judged(NamedTuple):
 
 def judge(localizer: Localizer, touches: list[Touch], about: Judged) -> Judged:
     """Return an example with its verdict."""
+    observations = [(localizer, touch) for touch in touches]
     try:
-        found = localize_together([(localizer, touch) for touch in touches])
+        found = localize_together(observations)
     except TactileLocError:
         return about
-    truth, mesh = np.asarray(touches[0].T_sensor_object), localizer.object.mesh
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
-    off_mm = MM * measure_surface_distances(mesh, poses, truth)
-    true = [localizer.scene.match_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
-    as_well = np.array([h.imprint_iou for h in found.hypotheses]) >= np.mean(true) - AS_WELL
-    determined = not (as_well & (off_mm >= RIGHT_MM)).any()
+    off_m = measure_surface_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
     return about._replace(
-        verdict=str(found.verdict), probability=found.probability_within(), off_mm=float(off_mm[0]),
-        determined=bool(determined),
+        verdict=str(found.verdict), probability=found.probability_within(), off_mm=MM * float(off_m[0]),
+        determined=is_determined(observations, found.hypotheses, off_m, RIGHT_MM / MM),
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from tactile_loc.evaluation.recall.examples import Example, Examples
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.locate.localizer import Localizer, Observation, localize_together
 from tactile_loc.locate.model import STAGE_VERSIONS
+from tactile_loc.locate.results.freedom import explain_as_well
 from tactile_loc.locate.results.localization import Hypothesis, Localization
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.verdict import REFUSED, Verdict
@@ -30,7 +31,6 @@ from tactile_loc.store.workspace import Workspace
 RECALL_VERSION = 2  # increase if verdicts or the method change without a change of key
 METRICS = ("surface", "add", "mssd")
 RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
-AS_WELL = 0.02  # a pose whose imprint IoU is lower by at most this explains the touches as well as the true pose
 SHARD = 5  # examples located and saved at once
 ABSENT = ""  # verdict of an example that has too few touches
 VERDICTS = (*(verdict.value for verdict in Verdict), REFUSED)
@@ -220,7 +220,7 @@ def is_determined(
         for localizer, touch in observations
     ]
     ious = np.array([hypothesis.imprint_iou for hypothesis in hypotheses])
-    return not bool(((surface_m >= right_m) & (ious >= np.mean(true) - AS_WELL)).any())
+    return not bool(((surface_m >= right_m) & explain_as_well(ious, float(np.mean(true)))).any())
 
 
 def _view_from_first(observations: Sequence[Observation], found: Localization) -> Poses:

@@ -15,7 +15,7 @@ from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 
 Float64 = NDArray[np.float64]
 
-AS_WELL = 0.02  # a pose explains the touches as well as the first if its imprint IoU is lower by at most this
+AS_WELL = 0.02  # a pose explains the touches as well as another if its imprint IoU is lower by at most this
 SMALL_TURN_RAD = np.radians(5.0)  # smaller turns are not mentioned
 WIDE = 2.0  # standard deviations: 95 % of the errors along one direction are smaller
 ALONG = np.cos(np.radians(15.0))  # directions nearer to an axis have its name
@@ -50,12 +50,12 @@ class Freedom:
         return "; ".join(said)
 
 
-def find_rivals(imprint_ious: Float64, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which of K poses, (K,), explain the touches as well as the first one and are not the `same` pose (K,).
+def explain_as_well(imprint_ious: Float64, best: float) -> NDArray[np.bool_]:
+    """Return which of K poses, (K,), explain the touches as well as a pose with the imprint IoU `best`.
 
-    `imprint_ious` (K,), 0 to 1, state how well the poses explain the touches.
+    All imprint IoUs, (K,) and `best`, are 0 to 1.
     """
-    return (imprint_ious >= imprint_ious[0] - AS_WELL) & ~same
+    return imprint_ious >= best - AS_WELL
 
 
 def find_freedom(
@@ -69,7 +69,7 @@ def find_freedom(
     within the tolerance of the first pose. Smaller motions than the tolerance are not mentioned.
     """
     least_m, least_rad = tolerance.distance_m or 1e-3, tolerance.rotation_rad or SMALL_TURN_RAD
-    others = T_sensor_object[find_rivals(imprint_ious, same)] @ invert(T_sensor_object[0])
+    others = T_sensor_object[explain_as_well(imprint_ious, imprint_ious[0]) & ~same] @ invert(T_sensor_object[0])
     shifts = transform_points(others, contact_m[None])[:, 0] - contact_m
     turns = np.array([_find_rotation_vector(motion) for motion in others]).reshape(-1, 3)
     in_place, straight = np.linalg.norm(shifts, axis=1) < least_m, np.linalg.norm(turns, axis=1) < least_rad

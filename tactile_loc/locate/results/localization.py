@@ -22,7 +22,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.results.freedom import AS_WELL, Freedom, find_freedom, find_rivals
+from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_freedom
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.nearness import calibrate, compute_share_within
@@ -192,10 +192,9 @@ class Localization:
     def _has_rivals(self, tolerance: Tolerance) -> bool:
         """Return whether another pose, not within the tolerance of the first one, explains the touches as well."""
         known = [*self.hypotheses, *self.unlisted]
-        T, ious = np.stack([h.T_sensor_object for h in known]), np.array([h.imprint_iou for h in known])
-        alike = ious >= ious[0] - AS_WELL  # comparing the others with the tolerance would take time
-        same = tolerance.find_within(self.object, T[0], T[alike])
-        return bool(find_rivals(ious[alike], same).any())
+        alike = explain_as_well(np.array([h.imprint_iou for h in known]), known[0].imprint_iou)
+        T = np.stack([h.T_sensor_object for h in known])
+        return not tolerance.find_within(self.object, T[0], T[alike]).all()
 
     @cached_property
     def freedom(self) -> Freedom:
@@ -210,8 +209,8 @@ class Localization:
     @property
     def equal_explanations(self) -> tuple[Hypothesis, ...]:
         """The hypotheses that explain the touches as well as the one that explains them best, which is one of them."""
-        best = max(h.imprint_iou for h in self.hypotheses)
-        return tuple(h for h in self.hypotheses if h.imprint_iou >= best - AS_WELL)
+        ious = np.array([h.imprint_iou for h in self.hypotheses])
+        return tuple(self.hypotheses[k] for k in np.flatnonzero(explain_as_well(ious, ious.max())))
 
     def count_explanations(self) -> str:
         """State in words how many of the listed poses explain the touches equally well."""
