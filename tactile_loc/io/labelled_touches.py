@@ -5,16 +5,15 @@ docs/files.md describes the formats.
 
 from __future__ import annotations
 
-import csv
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError, did_you_mean, name_source, quote
+from tactile_loc.core.errors import TouchError, did_you_mean, name_source
 from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
@@ -22,6 +21,7 @@ from tactile_loc.core.geometry.rigid import (
     require_rigid,
     rotation_about,
 )
+from tactile_loc.io.csv_tables import Row, read_number, read_table
 from tactile_loc.io.toml import UNIT_TOLERANCE
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import read_contents
@@ -78,20 +78,13 @@ def _find_table(path: Path) -> Path:
 
 
 def _read_csv(path: Path) -> list[Example]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-            columns = [] if not rows else [name for name in rows[0] if name is not None]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise TouchError(f"{path} cannot be read as a table ({error}); give a CSV file in UTF-8") from error
-    if not rows:
-        raise TouchError(f"{path} lists no touch; give a row for each touch, below the names of the columns")
+    rows, columns = read_table(path, "touch", TouchError)
     rotation = QUATERNION if set(QUATERNION) & set(columns) or not set(TURN) & set(columns) else TURN
     _require_columns(path, columns, ("touch", *PLACE, *rotation))
     examples: dict[str, list[LabelledTouch]] = {}
     for number, row in enumerate(rows, start=1):
         with name_source(f"{path}, row {number}"):
-            name = (row.get("example") or "").strip() or f"row {number}"
+            name = row.get("example") or f"row {number}"
             examples.setdefault(name, []).append(_read_row(path.parent, row, rotation))
     return [tuple(touches) for touches in examples.values()]
 
@@ -106,10 +99,10 @@ def _require_columns(path: Path, columns: Sequence[str], needed: Sequence[str]) 
         )
 
 
-def _read_row(folder: Path, row: Mapping[str, str | None], rotation: Sequence[str]) -> LabelledTouch:
-    file = _require_touch(folder, row.get("touch") or "")
-    place_m = 1e-3 * np.array([_read_number(row, name) for name in PLACE])
-    numbers = np.array([_read_number(row, name) for name in rotation])
+def _read_row(folder: Path, row: Row, rotation: Sequence[str]) -> LabelledTouch:
+    file = _require_touch(folder, row["touch"])
+    place_m = 1e-3 * np.array([read_number(row, name, TouchError) for name in PLACE])
+    numbers = np.array([read_number(row, name, TouchError) for name in rotation])
     of = numbers if rotation == QUATERNION else numbers[1:]
     length = float(np.linalg.norm(of))
     if not abs(length - 1) <= UNIT_TOLERANCE:
@@ -118,17 +111,6 @@ def _read_row(folder: Path, row: Mapping[str, str | None], rotation: Sequence[st
     unit = of / length
     R = quaternion_to_rotation(unit) if rotation == QUATERNION else rotation_about(unit, np.radians(numbers[0]))
     return LabelledTouch(ListedTouch(file), make_transform(R, place_m))
-
-
-def _read_number(row: Mapping[str, str | None], name: str) -> float:
-    text = (row.get(name) or "").strip()
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise TouchError(f"{name} is {quote(text)}; give a number")
-    return value
 
 
 def _require_touch(folder: Path, name: str) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import FrameError
+from tactile_loc.core.errors import FrameError, name_source
 from tactile_loc.core.geometry.frame_tree import Edge
 from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation
+from tactile_loc.io.csv_tables import Row, read_number, read_table
 
 Floats = NDArray[np.float64]
-Row = dict[str, str]
 
 FILE, TIME = "file", "time_s"
 METRES_PER_COLUMN: dict[tuple[str, ...], float] = {
@@ -88,31 +87,20 @@ def read_sensor_track(path: str | Path) -> SensorTrack:
     number that is impossible.
     """
     path = Path(path)
-    rows, columns = _read_rows(path)
+    rows, columns = read_table(path, "sensor pose", FrameError)
     places = _find_place_columns(path, columns)
     if FILE not in columns and TIME not in columns:
         raise FrameError(f"{path} has neither a column {FILE} nor a column {TIME}; add one of them")
     _require_columns(path, columns, QUATERNION)
-    poses = np.stack([_read_pose(path, number, row, places) for number, row in enumerate(rows, 1)])
-    names = tuple(row[FILE].strip() for row in rows) if FILE in columns else ()
+    poses, times_s = [], []
+    for number, row in enumerate(rows, 1):
+        with name_source(f"{path}, row {number}"):
+            poses.append(_read_pose(row, places))
+            times_s.append(read_number(row, TIME, FrameError) if TIME in columns else (number - 1) / USUAL_HZ)
+    names = tuple(row[FILE] for row in rows) if FILE in columns else ()
     _require_names(path, names)
-    return SensorTrack(path, names, _read_times_s(path, rows, TIME in columns), poses)
-
-
-def _read_rows(path: Path) -> tuple[list[Row], Sequence[str]]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            rows = [{key: value or "" for key, value in row.items() if key is not None} for row in reader]
-            columns = [name.strip() for name in reader.fieldnames or ()]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or f"it is not a CSV file in UTF-8: {error}"
-        raise FrameError(
-            f"the sensor poses in {path} cannot be read ({reason}); check the path and the file"
-        ) from error
-    if not rows:
-        raise FrameError(f"{path} holds no sensor pose; give a heading and one row for each image")
-    return [{key.strip(): value for key, value in row.items()} for row in rows], columns
+    _require_order(path, times_s)
+    return SensorTrack(path, names, np.array(times_s), np.stack(poses))
 
 
 def _find_place_columns(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
@@ -132,32 +120,19 @@ def _require_columns(path: Path, columns: Sequence[str], names: Sequence[str]) -
         raise FrameError(f"{path} has no column {missing[0]}; its columns are {', '.join(columns)}")
 
 
-def _read_pose(path: Path, number: int, row: Row, places: tuple[str, ...]) -> Floats:
-    """Return the pose (4, 4), metres, of a row. The first row below the heading has number 1."""
-    where = f"row {number} of {path}"
-    place_m = METRES_PER_COLUMN[places] * np.array([_read_number(where, row, name) for name in places])
+def _read_pose(row: Row, places: tuple[str, ...]) -> Floats:
+    """Return the pose (4, 4), metres, of a row."""
+    place_m = METRES_PER_COLUMN[places] * np.array([read_number(row, name, FrameError) for name in places])
     if np.abs(place_m).max() > LARGEST_M:
         raise FrameError(
-            f"{where} puts the sensor {np.linalg.norm(place_m):,.0f} m from the base; name the columns x_mm, y_mm and "
-            "z_mm if the places are in mm"
+            f"the sensor is {np.linalg.norm(place_m):,.0f} m from the base; name the columns x_mm, y_mm and z_mm if "
+            "the places are in mm"
         )
-    q = np.array([_read_number(where, row, name) for name in QUATERNION])
+    q = np.array([read_number(row, name, FrameError) for name in QUATERNION])
     length = float(np.linalg.norm(q))
     if abs(length - 1) > LENGTH_ERROR:
-        raise FrameError(
-            f"the quaternion in {where} has the length {length:.3g}, not 1; give qx, qy, qz and qw, scalar last"
-        )
+        raise FrameError(f"the quaternion has the length {length:.3g}, not 1; give qx, qy, qz and qw, scalar last")
     return make_transform(quaternion_to_rotation(np.roll(q / length, 1)), place_m)
-
-
-def _read_number(where: str, row: Row, name: str) -> float:
-    try:
-        value = float(row[name])
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise FrameError(f"{name} in {where} is {row[name].strip()!r}; give a number")
-    return value
 
 
 def _require_names(path: Path, names: Sequence[str]) -> None:
@@ -169,12 +144,7 @@ def _require_names(path: Path, names: Sequence[str]) -> None:
         seen.add(name)
 
 
-def _read_times_s(path: Path, rows: Sequence[Row], given: bool) -> Floats:
-    """Return the times (N,), seconds. Without times, the rows follow each other at USUAL_HZ."""
-    if not given:
-        return np.arange(len(rows)) / USUAL_HZ
-    times_s = np.array([_read_number(f"row {number} of {path}", row, TIME) for number, row in enumerate(rows, 1)])
+def _require_order(path: Path, times_s: Sequence[float]) -> None:
     back = np.flatnonzero(np.diff(times_s) <= 0)
     if len(back):
         raise FrameError(f"{TIME} in row {back[0] + 2} of {path} is not after the row before; sort the rows by time")
-    return times_s
