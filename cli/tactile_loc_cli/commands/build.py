@@ -33,7 +33,10 @@ Several = Annotated[
     ),
 ]
 Coverage = Annotated[
-    bool, typer.Option("--coverage", help="Also fit the sets of poses that `run --coverage` lists; it takes seconds.")
+    bool,
+    typer.Option(
+        "--coverage", help="Also fit the sets of poses that `run --coverage` lists; it takes about half a minute."
+    ),
 ]
 
 
