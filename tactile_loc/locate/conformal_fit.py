@@ -68,22 +68,28 @@ class ConformalFit:
 
     def _fit(self, work: Workspace) -> None:
         """Locate the examples, and save their scores."""
+        from tactile_loc.core.compiled import map_in_threads  # numba takes a while to import
+
         total = sum(sum(counts) for counts in EXAMPLES.values())
         log.log(
             NOTE, "the sets of poses for %s and this sensor are fitted once, to %d simulated examples",
             self.metric.object.name, total,
         )  # fmt: skip
-        scores = []
+        scores: list[float] = []
         with self.progress.task("fitting the sets of poses", total) as advance:
-            for touches in self._draw_examples():
-                try:
-                    found = self.locate(touches)
-                except GridError:
-                    continue  # a user's touches that fit no pose get no set either
-                finally:
-                    advance(1)
-                scores.append(rank(found).score(self._find_right(found)))
+            for score in map_in_threads(self._score, self._draw_examples()):
+                advance(1)
+                if score is not None:
+                    scores.append(score)
         work.save_json(STAGE, asdict(ConformalSets(scores, self.radius_m)))
+
+    def _score(self, touches: Sequence[Touch]) -> float | None:
+        """Return the score of an example; None if no pose fits its touches, as a user's touches then get no set."""
+        try:
+            found = self.locate(touches)
+        except GridError:
+            return None
+        return rank(found).score(self._find_right(found))
 
     def _draw_examples(self) -> Iterator[list[Touch]]:
         """Yield the touches of each example; all are of one object at rest, at the base's origin."""

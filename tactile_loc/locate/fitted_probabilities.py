@@ -81,18 +81,28 @@ class FittedProbabilities:
 
     def _fit_temperature(self, work: Workspace) -> None:
         """Score simulated touches, and save the scaling that makes their true poses most probable."""
+        from tactile_loc.core.compiled import map_in_threads  # numba takes a while to import
+
         scores: list[Scores] = []
         truth: list[int] = []
         number, levels = self.plan.touches, self.plan.noise
+        drawn = (
+            touch
+            for seed, count, level in probabilities.batches(number, levels)
+            for touch in self.simulate(count, seed, level)
+        )
         with self.progress.task("fitting probabilities", number) as advance:
-            for seed, count, level in probabilities.batches(number, levels):
-                for touch in self.simulate(count, seed, level):
-                    ((grid, found),) = self.source.score([touch], StageTimes())
-                    scores.append(found)
-                    truth.append(self.source.find_truth(grid, touch))
-                    advance(1)
+            for found, index in map_in_threads(self._score, drawn):
+                scores.append(found)
+                truth.append(index)
+                advance(1)
         fitted = probabilities.fit_temperature_scaling(scores, np.array(truth), self.source.searched)
         work.save_json(probabilities.STAGE, asdict(fitted))
+
+    def _score(self, touch: Touch) -> tuple[Scores, int]:
+        """Return the scores of a simulated touch, and the index of its true pose, -1 if the search missed it."""
+        ((grid, found),) = self.source.score([touch], StageTimes())
+        return found, self.source.find_truth(grid, touch)
 
     @cached_property
     def fused_scaling(self) -> FusedScaling:
@@ -126,14 +136,20 @@ class FittedProbabilities:
         self, touches: int, count: int, seed: int, noise: TouchNoise = probabilities.TOUCH_NOISE
     ) -> Iterator[Example]:
         """Yield `count` examples, each of different simulated touches of the object at rest."""
-        at_once = max(1, EXAMPLE_TOUCHES // touches)
+        from tactile_loc.core.compiled import map_in_threads
+
+        _ = self.temperature_scaling  # fitted first, not by one of the threads
         with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
-            for start in range(0, count, at_once):
-                number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
-                drawn = self.simulate(number, drawn_seed, noise)
-                for first in range(0, len(drawn), touches):
-                    yield self._fuse(drawn[first : first + touches])
-                    advance(1)
+            for example in map_in_threads(self._fuse, self._draw_examples(touches, count, seed, noise)):
+                yield example
+                advance(1)
+
+    def _draw_examples(self, touches: int, count: int, seed: int, noise: TouchNoise) -> Iterator[list[Touch]]:
+        at_once = max(1, EXAMPLE_TOUCHES // touches)
+        for start in range(0, count, at_once):
+            number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
+            drawn = self.simulate(number, drawn_seed, noise)
+            yield from (drawn[first : first + touches] for first in range(0, len(drawn), touches))
 
     def _fuse(self, touches: Sequence[Touch]) -> Example:
         """Fuse touches of known pose as if all had been made on one object at rest, by differently placed sensors."""

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
 from tactile_loc.core.geometry.rigid import invert
@@ -265,6 +266,7 @@ class Localizer:
         """
         return localize_together([(self, touch)], prior, top, coverage)
 
+    @use_one_blas_thread()
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
         """Localise touches of this sensor separately, as `localize` does.
 
@@ -281,6 +283,7 @@ class Localizer:
         """Return the posterior over the grid's poses given a touch and a prior. Adds stage durations to `times`."""
         return compute_posterior_together([(self, touch)], prior, times)
 
+    @use_one_blas_thread()
     def posteriors(
         self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
     ) -> list[PosePosterior]:
@@ -294,6 +297,7 @@ class Localizer:
         scored = self.source.score(touches, times or StageTimes(), prior)
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
+    @use_one_blas_thread()
     def find_most_probable_pose(self, touch: Touch) -> JudgedHypothesis:
         """Return the most probable pose of the grid, refined, with its probability, verdict and covariance.
 
@@ -314,6 +318,7 @@ class Localizer:
         verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere)
         return JudgedHypothesis(**vars(known), verdict=verdict)
 
+    @use_one_blas_thread()
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
@@ -331,6 +336,7 @@ def _make_generator(count: int, seed: int) -> np.random.Generator:
 Observation = tuple[Localizer, Touch]
 
 
+@use_one_blas_thread()
 def localize_together(
     observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
     coverage: float | None = None,

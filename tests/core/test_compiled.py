@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from tactile_loc.core.compiled import njit, run_in_threads
+from tactile_loc.core.compiled import count_threads, map_in_threads, njit, run_in_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -213,3 +213,50 @@ def test_the_cache_folder_of_other_functions_is_unchanged():
     before = config.CACHE_DIR
     njit(lambda x: x + 1)
     assert before == config.CACHE_DIR
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 7, 100])
+def test_items_are_processed_in_order(monkeypatch, count, threads):
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    assert list(map_in_threads(lambda item: item**2, range(count))) == [item**2 for item in range(count)]
+
+
+def test_items_are_processed_at_the_same_time_each_by_one_thread(monkeypatch):
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 3)
+    together = threading.Barrier(3, timeout=60)
+
+    def meet(item):
+        together.wait()
+        return count_threads(), threading.get_ident()
+
+    found = list(map_in_threads(meet, range(3)))
+    assert [threads for threads, _ in found] == [1, 1, 1]
+    assert len({thread for _, thread in found}) == 3
+    assert count_threads() == 3
+
+
+def test_few_items_are_taken_in_advance(monkeypatch):
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 2)
+    taken = []
+    results = map_in_threads(lambda item: item, (taken.append(item) or item for item in range(1000)))
+    assert next(results) == 0
+    results.close()
+    assert len(taken) < 20
+
+
+def test_an_error_of_an_item_is_raised_and_ends_the_work(monkeypatch):
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 2)
+    done = []
+
+    def fail(item):
+        if item == 3:
+            raise ZeroDivisionError
+        done.append(item)
+        return item
+
+    results = map_in_threads(fail, range(1000))
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+    assert len(done) < 20

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.slots.component import Component, Float32
 
 
@@ -47,15 +48,33 @@ class ExactMatcher(Matcher):
         if weights is not None:
             return self._score_weighted(q, np.asarray(weights, np.float32))
         half_norms = 0.5 * np.einsum("md,md->m", q, q)
-        scores: Float32 = q @ self._bank.T - self._half_norms - half_norms[:, None]
+        scores = multiply(q, self._bank.T)
+        scores -= self._half_norms
+        scores -= half_norms[:, None]
         return scores
 
     def _score_weighted(self, q: Float32, w: Float32) -> Float32:
         weighed = np.multiply(w, q, dtype=np.float32)
         of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
-        scores: Float32 = weighed @ self._bank.T - w @ self._half_squares.T - of_queries[:, None]
+        scores = multiply(weighed, self._bank.T)
+        scores -= multiply(w, self._half_squares.T)
+        scores -= of_queries[:, None]
         return scores
 
     @cached_property
     def _half_squares(self) -> Float32:
         return np.square(self._bank) * np.float32(0.5)
+
+
+def multiply(a: Float32, b: Float32) -> Float32:
+    """Return the matrix product (M, N) of a (M, D) and b (D, N), in the threads of `compiled`."""
+    from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
+
+    product = np.empty((len(a), b.shape[1]), np.float32)
+    with use_one_blas_thread():
+        run_in_threads(_multiply_rows, len(a), a, b, product)
+    return product
+
+
+def _multiply_rows(first: int, last: int, a: Float32, b: Float32, product: Float32) -> None:
+    np.matmul(a[first:last], b, out=product[first:last])
