@@ -57,10 +57,12 @@ class Scene:
 
         return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
 
-    def bring_near_contact(self, T_sensor_object: Poses, most_m: float) -> Poses:
-        """Move poses (N, 4, 4) along z towards contact, by at most `most_m` metres."""
+    def bring_near_contact(self, T_sensor_object: Poses, most_m: float, slack_m: float = 0.0) -> Poses:
+        """Move poses (N, 4, 4) along z towards contact, by at most `most_m` metres, if `slack_m` or more is missing."""
         T, touching = self.bring_to_contact(T_sensor_object)
         by_m = T[:, 2, 3] - T_sensor_object[:, 2, 3]
+        if slack_m:
+            by_m = np.sign(by_m) * np.maximum(np.abs(by_m) - slack_m, 0.0)
         T[:, 2, 3] = T_sensor_object[:, 2, 3] + np.where(touching, np.clip(by_m, -most_m, most_m), 0.0)
         return T
 
@@ -163,6 +165,8 @@ class Scene:
         Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
         geometry, wanted = touch.thin(pixels)
+        if not touch.has_depths:
+            return self._compare_masks(T_sensor_object, wanted, geometry, _estimate_press_error_m(touch) + freedom_m)
         press_m = wanted.press_depth_m
         made = dataclasses.replace(self, geometry=geometry).render_depths_to_compare(T_sensor_object, touch, freedom_m)
         if geometry.gel.is_elastic:
@@ -170,6 +174,22 @@ class Scene:
             pierced = made < touch.thin_surface(pixels).depth_m - np.float32(SLACK * press_m)
             made = np.where(wanted.contact | pierced, made, np.float32(press_m))
         return compare_imprints(made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m)
+
+    def _compare_masks(
+        self, T_sensor_object: Poses, wanted: ContactShape, geometry: SensorGeometry, most_m: float
+    ) -> Explained:
+        """Compare poses (N, 4, 4), metres, with a contact mask, of which no depth is known.
+
+        Poses move along z only as far as the true press cannot be so far from the press of the mask.
+        """
+        scene = dataclasses.replace(self, geometry=geometry)
+        T = scene.bring_near_contact(T_sensor_object, most_m, wanted.press_slack_m)
+        press_m = wanted.deepest_m + wanted.press_slack_m
+        contact = scene.press(press_m).render_contact_depths(T) < np.float32(press_m)
+        made = np.where(contact, np.float32(0), np.float32(wanted.press_depth_m))
+        return compare_imprints(
+            made, wanted.depth_m, wanted.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m
+        )
 
 
 def _estimate_press_error_m(touch: Touch) -> float:
