@@ -121,6 +121,8 @@ class Scene:
 
         Poses move along z towards contact, by at most the error of the measured press.
         """
+        if not touch.has_depths:
+            return self._render_at_own_press(T_sensor_object, touch.contact_shape, _estimate_press_error_m(touch))
         T = self.bring_near_contact(T_sensor_object, _estimate_press_error_m(touch))
         return self.render_gel_depths(T, touch.press_depth_m)
 
@@ -134,6 +136,12 @@ class Scene:
         return ContactShape(
             pressed.render_gel_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m
         )
+
+    def show_like(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> ContactShape:
+        """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask."""
+        if touch.has_depths:
+            return self.contact_shape(T_sensor_object, touch.press_depth_m)
+        return ContactShape(self.render_what_touch_shows(T_sensor_object[None], touch)[0], touch.press_depth_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
         """Return the contact IoU of one pose (4, 4), metres, with a touch: see `contact_ious`."""
@@ -175,18 +183,26 @@ class Scene:
             made = np.where(wanted.contact | pierced, made, np.float32(press_m))
         return compare_imprints(made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m)
 
+    def _render_at_own_press(self, T_sensor_object: Poses, mask: ContactShape, most_m: float) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, of poses (N, 4, 4) at their own press, not that of a mask.
+
+        Poses move along z, by at most `most_m` metres, only if their press is too far from that of the mask.
+        """
+        slack_m = mask.press_slack_m
+        T = self.bring_near_contact(T_sensor_object, most_m, slack_m)
+        deep_m = self.press(mask.deepest_m + slack_m).render_contact_depths(T)
+        press = np.float32(mask.press_depth_m)
+        return np.where(
+            deep_m < np.float32(mask.deepest_m + slack_m), np.clip(deep_m - slack_m, 0, 0.999 * press), press
+        )
+
     def _compare_masks(
         self, T_sensor_object: Poses, wanted: ContactShape, geometry: SensorGeometry, most_m: float
     ) -> Explained:
-        """Compare poses (N, 4, 4), metres, with a contact mask, of which no depth is known.
-
-        Poses move along z only as far as the true press cannot be so far from the press of the mask.
-        """
-        scene = dataclasses.replace(self, geometry=geometry)
-        T = scene.bring_near_contact(T_sensor_object, most_m, wanted.press_slack_m)
-        press_m = wanted.deepest_m + wanted.press_slack_m
-        contact = scene.press(press_m).render_contact_depths(T) < np.float32(press_m)
-        made = np.where(contact, np.float32(0), np.float32(wanted.press_depth_m))
+        """Compare poses (N, 4, 4), metres, with a contact mask, of which no depth is known."""
+        scene, press = dataclasses.replace(self, geometry=geometry), np.float32(wanted.press_depth_m)
+        shown = scene._render_at_own_press(T_sensor_object, wanted, most_m)
+        made = np.where(shown < press, np.float32(0), press)
         return compare_imprints(
             made, wanted.depth_m, wanted.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m
         )
