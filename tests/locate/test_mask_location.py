@@ -60,8 +60,7 @@ def test_the_true_pose_explains_its_mask(localizer, examples):
 
 def test_a_pose_is_drawn_with_the_contact_that_is_compared(localizer, examples):
     touch = examples[0][0]
-    scene = localizer.scene.match_touch(touch)
-    shown = scene.render_what_touch_shows(touch.T_sensor_object[None], touch)[0] < np.float32(touch.press_depth_m)
+    shown = localizer.scene.show_like(touch.T_sensor_object, touch).contact
     mask = touch.contact_shape.contact
     assert np.count_nonzero(shown & mask) > 0.85 * np.count_nonzero(shown | mask)
 

@@ -141,7 +141,8 @@ class Scene:
         """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask."""
         if touch.has_depths:
             return self.contact_shape(T_sensor_object, touch.press_depth_m)
-        return ContactShape(self.render_what_touch_shows(T_sensor_object[None], touch)[0], touch.press_depth_m)
+        shown = self.match_touch(touch).render_what_touch_shows(T_sensor_object[None], touch)[0]
+        return ContactShape(shown, touch.press_depth_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
         """Return the contact IoU of one pose (4, 4), metres, with a touch: see `contact_ious`."""
