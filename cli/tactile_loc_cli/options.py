@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 Units = StrEnum("Units", "AUTO M MM CM INCH")  # of a mesh file
 TouchUnit = StrEnum("TouchUnit", "M MM UM")
-TouchKind = StrEnum("TouchKind", "DISTANCE INDENTATION HEIGHT")
+TouchKind = StrEnum("TouchKind", "DISTANCE INDENTATION HEIGHT MASK")
 Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
 TOUCHED = (
     "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object that was touched."  # help of --object where it has no default
@@ -86,7 +86,8 @@ class RunOptions:
         declare(
             "--touch-kind", None,
             "Meaning of the touch's depths, if its file does not state it: distance from full penetration, indentation "
-            "(0 = no contact), or height above the untouched gel. Default: distance.",
+            "(0 = no contact), or height above the untouched gel. A mask has no depths: 1 or 255 is contact. Default: "
+            "distance.",
         ),
     ] = None  # fmt: skip
     press_depth: Annotated[

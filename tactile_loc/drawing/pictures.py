@@ -195,7 +195,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     axes.imshow(np.asarray(touch.image), extent=compute_extent_mm(touch.geometry), origin="upper")
-    made = scene.contact_shape(localization.best.T_sensor_object, touch.press_depth_m)
+    made = scene.show_like(localization.best.T_sensor_object, touch)
     draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
     axes.tick_params(labelsize=8, length=2.5)
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
@@ -212,7 +212,7 @@ def _draw_candidates(
     for i, hypothesis in enumerate(localization.hypotheses[: 2 * columns]):
         left, bottom = 0.04 + (i % columns) * (width + 0.01), top - (i // columns) * 0.42
         axes = panel.add_axes((left, bottom, width - 0.01, 0.36))
-        shape = scene.contact_shape(hypothesis.T_sensor_object, touch.press_depth_m)
+        shape = scene.show_like(hypothesis.T_sensor_object, touch)
         draw_contact_shape(axes, shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])

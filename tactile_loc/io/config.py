@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.poses.tolerance import EXPECTED, ONE_MILLIMETRE, Tolerance
-from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
+from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
@@ -66,7 +66,7 @@ class TouchConfig(_Strict):
 
     path: str | None = None
     unit: DepthUnit | None = None
-    kind: DepthKind | None = None
+    kind: TouchKind | None = None
     press_depth_mm: float | None = None
     noise: NoiseLevel = "none"
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
+from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor
 from tactile_loc.io.toml import (
@@ -57,7 +57,7 @@ class ListedTouch:
     T_base_sensor_std_rad: float | None = None
     T_base_flange: Pose | None = None
     mount: Mount | None = None
-    kind: DepthKind | None = None
+    kind: TouchKind | None = None
     T_sensor_object: Pose | None = None
 
 
@@ -65,7 +65,7 @@ class _TouchTable(PoseKeys):
     path: str = Field(min_length=1, description="the touch's file, relative to the list, in quotes")
     sensor: str | None = Field(None, min_length=1, description="a sensor's name, folder or .toml file, in quotes")
     unit: DepthUnit | None = Field(None, description="'m', 'mm' or 'um'")
-    kind: DepthKind | None = Field(None, description="'distance', 'indentation' or 'height'")
+    kind: TouchKind | None = Field(None, description="'distance', 'indentation', 'height' or 'mask'")
     press_depth_mm: Positive | None = Field(None, description=POSITIVE_MM)
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
     T_sensor_object: Matrix | None = Field(None, description=MATRIX)

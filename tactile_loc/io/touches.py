@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError, advise_choice
 from tactile_loc.core.geometry.rigid import require_rigid
-from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
+from tactile_loc.core.sensing.depth_maps import KINDS, MASK, METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
 from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import (
@@ -55,7 +55,8 @@ class FileContents:
     """The contents of a touch file. A value that the file does not give is None.
 
     `depth` (H, W), `press_depth` and `indentation` are in `unit`. `kind` is the meaning of `depth`, as in
-    `Touch.from_depth`. `gel` is the kind of gel that it shows. The poses (4, 4) are in metres.
+    `Touch.from_depth`, or "mask". `gel` is the kind of gel that it shows. The poses (4, 4) are in metres. `press_std`,
+    in `unit`, is the standard deviation of a mask's press.
     """
 
     depth: NDArray[Any]
@@ -66,6 +67,7 @@ class FileContents:
     indentation: float | None = None
     kind: str | None = None
     gel: str | None = None
+    press_std: float | None = None
 
 
 def read_contents(path: Path) -> FileContents:
@@ -95,7 +97,7 @@ def _read_npz(path: Path) -> FileContents:
     return FileContents(
         _find_depth(arrays, path), unit, _find_number(arrays, "press_depth", path),
         _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
-        _find_number(arrays, "indentation", path), kind, gel,
+        _find_number(arrays, "indentation", path), kind, gel, _find_number(arrays, "press_std", path),
     )  # fmt: skip
 
 
@@ -168,9 +170,14 @@ def read_touch(
     A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. A file that
     states another kind of gel than the sensor's is logged as a warning. Raises TouchError when the file is not a touch,
     does not fit the sensor, shows no contact, or is in contact everywhere.
+
+    With the `kind` "mask", the file is a contact mask, and `press_depth_m`, metres, is its press depth if the file
+    states none: see `Touch.from_mask`.
     """
     path = Path(path)
     geometry = sensor.geometry
+    if kind == MASK:
+        return _read_mask(path, read_mask(path), sensor, unit, press_depth_m)
     image = read_colour_image(path)
     if image is not None:
         try:
@@ -179,9 +186,37 @@ def read_touch(
             raise TouchError(f"{path}: {error}") from error
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path)
+    if contents.kind == MASK and kind is None:
+        return _read_mask(path, contents, sensor, unit, press_depth_m)
     _compare_gels(contents.gel, geometry.gel, path)
     shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m, kind, geometry)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
+
+
+def read_mask(path: Path) -> FileContents:
+    """Read an .npz, .npy or grey .png file with a contact mask. Raises TouchError for any other or a damaged file."""
+    if path.suffix.lower() != ".png":
+        return read_contents(path)
+    require_file(path)
+    try:
+        return FileContents(load_image(path)[1])
+    except UNREADABLE as error:
+        raise TouchError(explain_unreadable(path, error)) from error
+
+
+def _read_mask(
+    path: Path, contents: FileContents, sensor: SensorModel, unit: str | None, press_depth_m: float | None
+) -> Touch:
+    """Return the touch of a contact mask; a press depth in the file takes the place of `press_depth_m`, metres."""
+    if contents.kind not in (None, MASK):
+        raise TouchError(f"the kind in {path} is {contents.kind}, but `touch_kind` is {MASK}; leave it out")
+    scale = 1.0 if contents.press_depth is None else _find_scale(contents, path, unit)
+    press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
+    return Touch.from_mask(
+        contents.depth, sensor=sensor, press_depth_m=press_m,
+        press_std_m=None if contents.press_std is None else contents.press_std * scale, name=path.name,
+        T_base_sensor=contents.T_base_sensor, T_sensor_object=contents.T_sensor_object,
+    )  # fmt: skip
 
 
 def touch_from_image(
@@ -206,13 +241,18 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
     if path.suffix.lower() != ".npz":
         raise OutputError(f"a touch cannot be written to {path}; choose a file name that ends in .npz")
     poses = {"T_sensor_object": touch.T_sensor_object, "T_base_sensor": touch.T_base_sensor}
-    arrays = {
-        "depth": touch.contact_shape.depth_m.astype(np.float32),
-        "unit": np.array("m"),
+    shape = touch.contact_shape
+    seen = {
+        "depth": shape.depth_m.astype(np.float32),
         "kind": np.array("distance"),
+        "indentation": np.array(touch.indentation_m, np.float64),
+    }
+    mask = {"mask": shape.contact, "kind": np.array(MASK), "press_std": np.array(shape.indentation_std_m, np.float64)}
+    arrays = {
+        **(seen if touch.has_depths else mask),
+        "unit": np.array("m"),
         "gel": np.array(touch.geometry.gel.kind),
         "press_depth": np.array(touch.press_depth_m, np.float64),
-        "indentation": np.array(touch.indentation_m, np.float64),
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
     }
     try:
@@ -287,7 +327,9 @@ def _find_kind(contents: FileContents, path: Path, kind: str | None) -> DepthKin
     """Return the meaning of a file's depths."""
     for name in (kind, contents.kind):
         if name is not None:
-            require_kind(name, str(path))
+            require_kind(name, str(path), (*KINDS, MASK))
+    if MASK in (kind, contents.kind):
+        raise TouchError(f"{path} is a contact mask, which has no depths; read it as a touch")
     if kind is not None and contents.kind is not None and kind != contents.kind:
         raise TouchError(f"the kind in {path} is {contents.kind}, but `touch_kind` is {kind}; leave it out")
     return cast(DepthKind, contents.kind or kind or "distance")

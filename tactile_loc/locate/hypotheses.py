@@ -23,6 +23,7 @@ from tactile_loc.locate.results.localization import Hypothesis
 # A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
 # temperature is 1 / (N SHARPNESS_OF_ONE).
 LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
+MASK_SHARE = 0.5
 SHARPNESS = 30.0  # an error of a sensor pose that costs 1 nat lowers the imprint IoU by 1 / SHARPNESS
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 AT_ONCE = 500  # poses compared with the chosen ones at once
@@ -56,7 +57,8 @@ def find_hypotheses(
             for mode, pose, each in zip(modes, refined, ious, strict=True)
         ]  # fmt: skip
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), len(trusted))
+        counts = sum(1.0 if views[number].touch.has_depths else MASK_SHARE for number in trusted)
+        nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), counts)
         return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
 
 
@@ -77,9 +79,10 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
     return tuple(dataclasses.replace(h, probability=min(1.0, share * h.probability)) for h in merged)
 
 
-def compute_nats(imprint_ious: NDArray[np.float64], touches: int) -> NDArray[np.float64]:
+def compute_nats(imprint_ious: NDArray[np.float64], touches: float) -> NDArray[np.float64]:
     """Return the log-weights (K,), nats, of poses with mean imprint IoUs (K,), 0 to 1, with this number of touches.
 
+    A touch without depths counts as MASK_SHARE of a touch.
     A pose that explains the touches better never has a smaller weight. The smaller the share of the imprints that
     remains unexplained, the more a difference of it counts. So clean touches distinguish poses that noisy touches do
     not.

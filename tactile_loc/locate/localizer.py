@@ -145,6 +145,11 @@ class Localizer:
         """Raise TouchError unless `touch` is a Touch of this sensor."""
         if not isinstance(touch, Touch):
             raise TouchError(f"{quote(touch)} is not a Touch; read one from a file with `Localizer.read_touch`")
+        if not touch.has_depths and self.encoder.capabilities.needs_training:
+            raise TouchError(
+                f"{touch.name} is a contact mask, but the encoder {self.config.encoder.name!r} is trained on depths; "
+                "choose `encoder` pixel"
+            )
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(
@@ -169,7 +174,15 @@ class Localizer:
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
         banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
         search = PlaceSearch(
-            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank
+            places,
+            key,
+            self.scene,
+            self.encoder,
+            new_matcher,
+            self.sampler.options,
+            config.search,
+            banks.bank,
+            banks.mask_bank,
         )
         return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
@@ -315,7 +328,9 @@ class Localizer:
             float(iou), (float(iou),), touch.T_base_sensor,
         )  # fmt: skip
         (known,) = self.refinement.add_covariances([view], [hypothesis])
-        verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere)
+        verdict = judge(
+            known.probability, known.imprint_iou, posterior.elsewhere, depths_known=touch.has_depths
+        )  # fmt: skip
         return JudgedHypothesis(**vars(known), verdict=verdict)
 
     @use_one_blas_thread()
@@ -323,6 +338,8 @@ class Localizer:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
+        if not touch.has_depths:
+            return self.refinement.refine([View(touch, self.scene.match_touch(touch))], candidates)
         return self.refinement.refiner.refine_many(touch, candidates, self.scene.match_touch(touch))
 
 
@@ -410,6 +427,9 @@ class _Query:
         if top < 1:
             raise ConfigError(f"cannot list {top} hypotheses; set `top` to 1 or more")
         coverage = first.config.coverage if coverage is None else coverage
+        masks = [touch.name for _, touch in observations if not touch.has_depths]
+        if coverage is not None and masks:
+            raise ConfigError(f"no `coverage` can be promised for {masks[0]}, which is a contact mask; leave it out")
         if len(observations) > 1:
             require_sensor_poses([touch.T_base_sensor for _, touch in observations])
         views = [make_view(touch, localizer, other) for localizer, other in observations]

@@ -65,7 +65,14 @@ class PlaceBanks:
         stored = self.store.build(key, lambda work: work.save_array("bank", self._encode(press_depth_m)))
         return np.asarray(stored.load_array("bank"))
 
-    def _encode(self, press_depth_m: float) -> Scores:
+    def mask_bank(self, press_depth_m: float) -> Scores:
+        """Return the bank (N, D) of the places' contact at `press_depth_m` metres, with the depth 0 in contact."""
+        return self._encode(press_depth_m, flat=True)
+
+    def _encode(self, press_depth_m: float, flat: bool = False) -> Scores:
         starts = range(0, len(self.places), ENCODED)
         depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
+        press = np.float32(press_depth_m)
+        if flat:
+            depths = (np.where(some < press, np.float32(0), press) for some in depths)
         return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])

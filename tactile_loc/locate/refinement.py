@@ -29,7 +29,8 @@ class Refinement:
 
     def refine(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
         """Refine candidates against one touch, or against several."""
-        if len(views) == 1 or not self.is_joint:
+        masks = not all(view.touch.has_depths for view in views) and self.refiner.capabilities.refines
+        if not masks and (len(views) == 1 or not self.is_joint):
             return self.refiner.refine_together(views, candidates)
         return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]))
 

@@ -20,7 +20,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
-from tactile_loc.core.sensing.clouds import make_contact_cloud
+from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.sensing.touch import Touch
@@ -41,6 +41,8 @@ STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 5
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
+ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
+ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
 
 
@@ -64,8 +66,12 @@ class PlaceSearch:
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
         grid_options: Any, options: SearchOptions, bank: Callable[[float], Scores],
+        mask_bank: Callable[[float], Scores],
     ) -> None:  # fmt: skip
-        """`bank` returns the embeddings (N, D) of the places, cut at a press depth in metres."""
+        """`bank` returns the embeddings (N, D) of the places, cut at a press depth in metres.
+
+        `mask_bank` returns those of their contact, with the depth 0 in contact.
+        """
         self.places, self.key, self.scene, self.encoder, self.options = places, key, scene, encoder, options
         self.registration = JointRegistration(
             RegistrationOptions(points=options.points, iterations=options.iterations, image_px=options.registration_px)
@@ -75,6 +81,7 @@ class PlaceSearch:
         self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
+        self._mask_banks = GridScores(encoder, new_matcher, mask_bank, HIGHEST_M, follow=True)
 
     def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
         """Return the likeliest poses of a touch, and their imprint IoUs (K,) in coarse renders.
@@ -120,6 +127,8 @@ class PlaceSearch:
 
     def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
+        if not touch.has_depths:
+            return self._match_mask(touch, count)
         compared_m = touch.geometry.gel.find_compared_m(touch.press_depth_m)
         matcher = self._banks.matcher(compared_m)
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
@@ -133,6 +142,52 @@ class PlaceSearch:
             best = np.argsort(excess, kind="stable")[:count]
             yaw, number, scores = yaw[best], number[best], -excess[best]
         return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores.astype(float)
+
+    def _match_mask(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
+        """Return what `alike` returns, for a contact mask, whose deepest point and press are unknown.
+
+        Points spread over the mask are tried as the deepest point, with several presses that the mask allows.
+        """
+        from tactile_loc.core.sensing.rotated_patches import rotate_patches
+
+        found_poses, found_scores = [], []
+        for pressed in list_presses(touch):
+            cut_m = self._mask_banks.bank_press_m(pressed.press_depth_m)
+            matcher = self._mask_banks.matcher(cut_m)
+            for anchor_m in spread_anchors(pressed, ANCHORS):
+                depths_m, known = rotate_patches(pressed, anchor_m, np.eye(3), self.yaws_rad)
+                codes = self.encoder.encode_seen(np.minimum(depths_m, np.float32(cut_m)), known, cut_m, CAMERA)
+                similar = matcher.scores(*codes)
+                yaw, number = find_highest(similar, count)
+                found_scores.append(similar[yaw, number].astype(float))
+                T_sensor_anchor = make_transform(np.eye(3), anchor_m)
+                found_poses.append(T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]))
+        poses, scores = np.concatenate(found_poses), np.concatenate(found_scores)
+        best = np.argsort(-scores, kind="stable")[:count]
+        return poses[best], scores[best]
+
+
+def list_presses(touch: Touch) -> list[Touch]:
+    """Return a touch without depths at its press and, if the press is known only roughly, at two other presses."""
+    shape, std_m = touch.contact_shape, touch.contact_shape.indentation_std_m
+    if std_m <= ROUGHLY * shape.press_depth_m:
+        return [touch]
+    least_m, most_m = 0.3 * shape.press_depth_m, touch.geometry.surface_m / 2
+    presses_m = np.clip(shape.press_depth_m + std_m * np.array([-1.0, 0.0, 1.0]), least_m, most_m).tolist()
+    return [replace(touch, contact_shape=shape.assume(press_m), geometry=touch.geometry) for press_m in presses_m]
+
+
+def spread_anchors(touch: Touch, count: int) -> NDArray[np.float64]:
+    """Return at most `count` points (K, 3), metres, spread over the mask of a touch at full penetration."""
+    geometry, shape = touch.geometry, touch.contact_shape
+    points = geometry.backproject(np.broadcast_to(geometry.full_penetration_m, geometry.shape))
+    inside = points[shape.contact & geometry.observed_mask]
+    chosen = [inside[np.linalg.norm(inside - inside.mean(axis=0), axis=1).argmin()]]
+    far = np.linalg.norm(inside - chosen[0], axis=1)
+    while len(chosen) < count and far.max() > LEAST_APART_M:
+        chosen.append(inside[far.argmax()])
+        far = np.minimum(far, np.linalg.norm(inside - chosen[-1], axis=1))
+    return np.array(chosen)
 
 
 def encode_rotated(
@@ -270,7 +325,7 @@ def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
     gaps = np.zeros(len(poses))
     for view in views:
         geometry, shape = view.touch.thin(GAP_PX)
-        points_m = make_contact_cloud(shape, geometry)[0]
+        points_m = (make_contact_cloud if shape.depths_known else make_outline_cloud)(shape, geometry)[0]
         points_m = points_m[:: max(1, len(points_m) // GAP_POINTS)]
         gaps += field.measure_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
     return gaps

@@ -150,7 +150,9 @@ class Identification:
         if first.found is None:
             return judge(None)
         best = first.found.best
-        return judge(first.probability, best.imprint_iou if best.is_refined else math.nan, self.none)
+        iou = best.imprint_iou if best.is_refined else math.nan
+        known = all(touch.has_depths for touch in first.found.touches)
+        return judge(first.probability, iou, self.none, depths_known=known)
 
 
 def identify(

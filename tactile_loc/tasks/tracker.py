@@ -31,7 +31,7 @@ from tactile_loc.core.geometry.rigid import (
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.results.localization import Localization
@@ -132,6 +132,7 @@ class Tracker:
         self._require_later(time_s)
         if touch is not None:
             self.localizer.require_own(touch)
+            require_depths(touch, "a track")
         T, added = self._place(time_s, touch, T_base_sensor, motion)
         moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
         passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0

@@ -390,3 +390,48 @@ def test_unknown_and_contradicting_kinds_are_refused(tmp_path: Path, depth_m: ND
     stated = save_npz(tmp_path / "b.npz", depth=depth_m, unit="m", kind="distance")
     with pytest.raises(TouchError, match=naming("b.npz", "distance", "`touch_kind` is height")):
         read_touch(stated, SENSOR, kind="height")
+
+
+def make_mask() -> NDArray[np.bool_]:
+    v, u = np.mgrid[:9, :12]
+    return np.asarray((u - 5) ** 2 + (v - 4) ** 2 < 9)
+
+
+def test_a_written_mask_is_read_back(tmp_path: Path) -> None:
+    touch = Touch.from_mask(make_mask(), sensor=SENSOR, press_depth_m=1 * MM, press_std_m=0.2 * MM,
+                            T_base_sensor=T_BASE_SENSOR)  # fmt: skip
+    read = read_touch(write_touch(tmp_path / "a.npz", touch), SENSOR)
+    assert not read.has_depths
+    np.testing.assert_array_equal(read.contact_shape.contact, make_mask())
+    assert (read.press_depth_m, read.contact_shape.indentation_std_m) == (1 * MM, 0.2 * MM)
+    np.testing.assert_array_equal(np.asarray(read.T_base_sensor), T_BASE_SENSOR)
+
+
+@pytest.mark.parametrize("mode", ["1", "L"])
+def test_a_mask_is_read_from_a_picture(tmp_path: Path, mode: str) -> None:
+    path = tmp_path / "a.png"
+    Image.fromarray(np.where(make_mask(), 255, 0).astype(np.uint8)).convert(mode).save(path)
+    touch = read_touch(path, SENSOR, press_depth_m=1 * MM, kind="mask")
+    assert not touch.has_depths
+    assert touch.press_depth_m == 1 * MM
+    np.testing.assert_array_equal(touch.contact_shape.contact, make_mask())
+
+
+@pytest.mark.parametrize("name", ["mask", "depth", "mine"])
+def test_a_mask_is_read_from_arrays_of_any_name(tmp_path: Path, name: str) -> None:
+    touch = read_touch(save_npz(tmp_path / "a.npz", **{name: make_mask()}), SENSOR, kind="mask")
+    np.testing.assert_array_equal(touch.contact_shape.contact, make_mask())
+
+
+def test_grey_pictures_photos_and_depths_are_no_masks(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+    grey = save_png(tmp_path / "grey.png", np.arange(108, dtype=np.uint8).reshape(9, 12))
+    photo = save_png(tmp_path / "photo.png", np.zeros((9, 12, 3), np.uint8))
+    depths = save_npz(tmp_path / "depths.npz", depth=depth_m, unit="m", kind="distance")
+    for path in (grey, photo, depths):
+        with pytest.raises(TouchError, match=naming(path.name)):
+            read_touch(path, SENSOR, kind="mask")
+    mask = save_npz(tmp_path / "mask.npz", mask=make_mask(), kind="mask")
+    with pytest.raises(TouchError, match=naming("mask.npz")):
+        read_touch(mask, SENSOR, kind="height")
+    with pytest.raises(TouchError, match=naming("mask.npz")):
+        read_contact_shape(mask, MAX_DEPTH_M)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing.clouds import make_contact_cloud
+from tactile_loc.core.sensing.clouds import make_contact_cloud, make_interior_cloud, make_outline_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 
@@ -99,6 +99,8 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
     Points on walls have slack, because a wall lies somewhere between two pixels. All points of a patch share their
     errors, so together they have the weight of one independent point.
     """
+    if not touch.shape.depths_known:
+        return _mask_cloud_mm(touch, most, noise_mm, patch_mm)
     points, normals = make_contact_cloud(touch.shape, touch.geometry)
     pitch_mm = touch.geometry.pixel_pitch_m * MILLI
     slack_mm = np.full(len(points), 0.5 * pitch_mm)
@@ -109,6 +111,22 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
     return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
 
 
+def _mask_cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return what `_cloud_mm` returns, for a contact mask: up to half of the points on the outline, others inside it.
+
+    The slack of points inside covers all depths of contact. The weights are those of a touch whose depths are known.
+    """
+    inside, inwards, slack_m = make_interior_cloud(touch.shape, touch.geometry)
+    outline, outwards = make_outline_cloud(touch.shape, touch.geometry)
+    pitch_mm = touch.geometry.pixel_pitch_m * MILLI
+    patches = max(FEWEST_PATCHES, (len(inside) + len(outline)) * (pitch_mm / patch_mm) ** 2)
+    some, few = (max(1, round(2 * len(cloud) / most)) for cloud in (outline, inside))
+    points = np.concatenate([outline[::some], inside[::few]]) * MILLI
+    normals = np.concatenate([outwards[::some], inwards[::few]])
+    slack_mm = np.repeat([0.5 * pitch_mm, slack_m * MILLI], [len(outline[::some]), len(inside[::few])])
+    return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
+
+
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
     """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm."""
     from scipy.ndimage import distance_transform_edt
@@ -116,6 +134,8 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
     geometry = touch.geometry
     contact = touch.surface.contact & geometry.observed_mask
     z_m = touch.surface.depth_m + geometry.full_penetration_m
+    if touch.surface.press_slack_m:
+        z_m = z_m - touch.surface.press_slack_m * contact
     rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)[:, :-1, :-1]
     gel_mm = _gel_mm(touch)
     lowest_mm = _least_of_four(gel_mm) if gel_mm.ndim else gel_mm

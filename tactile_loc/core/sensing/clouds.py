@@ -37,6 +37,37 @@ def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: boo
     return np.concatenate([points, wall_points]), np.concatenate([normals, wall_normals])
 
 
+def make_outline_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[Points, Points]:
+    """Return the outline of a contact mask on the undeformed gel: points (P, 3), metres, and unit normals (P, 3).
+
+    The object's surface crosses the gel's surface somewhere between a sideways wall and a shallow slope. So the normals
+    are halfway between the mask's outward direction and -z. The border of the image is no outline, because the object
+    continues beyond it.
+    """
+    observed, contact = geometry.observed_mask, shape.contact & geometry.observed_mask
+    xyz = geometry.backproject(np.broadcast_to(geometry.full_penetration_m + shape.press_depth_m, geometry.shape))
+    outwards = _estimate_outline(contact, observed)
+    points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
+    for rows, columns in SIDES:
+        borders = contact & _shift(~contact & observed, rows, columns)
+        points.append(xyz[borders] + 0.5 * geometry.pixel_pitch_m * np.array([columns, rows, 0.0]))
+        normals.append(outwards[borders] * [1, 1, 0] + [0.0, 0.0, -1.0])
+    directions = np.concatenate(normals)
+    return np.concatenate(points), directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def make_interior_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[Points, Points, float]:
+    """Return points (P, 3), metres, inside a contact mask, their normals (P, 3), and the slack of their z, metres.
+
+    The object's surface is anywhere between the deepest press and the undeformed gel, so the points are halfway.
+    """
+    slack_m = 0.5 * (shape.press_depth_m + shape.press_slack_m)
+    contact = shape.contact & geometry.observed_mask
+    halfway = geometry.full_penetration_m + shape.press_depth_m - slack_m
+    points = geometry.backproject(np.broadcast_to(halfway, geometry.shape))[contact]
+    return points, np.broadcast_to([0.0, 0.0, -1.0], points.shape), slack_m
+
+
 def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     """Return the rows and columns around a mask (H, W), with a margin of three pixels."""
     spans = []

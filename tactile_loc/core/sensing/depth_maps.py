@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,6 +13,8 @@ from tactile_loc.core.sensing.gel import Gel
 
 DepthKind = Literal["distance", "indentation", "height"]
 DepthUnit = Literal["m", "mm", "um"]
+TouchKind = Literal["distance", "indentation", "height", "mask"]  # a mask has no depths: see `Touch.from_mask`
+MASK: TouchKind = "mask"
 KINDS: tuple[DepthKind, ...] = get_args(DepthKind)
 METRES_PER_UNIT: dict[DepthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 OPPOSITE: dict[DepthKind, DepthKind] = {"distance": "indentation", "indentation": "distance"}
@@ -21,10 +24,10 @@ MOST_DEEPEST, MOST_BORDER = 0.3, 0.5  # shares of the image and of its border th
 TOP, FLAT_TOP = 0.01, 0.2  # the largest depths, share of the range; least share of such depths in a hole's lower half
 
 
-def require_kind(kind: str, name: str) -> None:
-    """Raise TouchError if a depth map called `name` has an unknown kind."""
-    if kind not in KINDS:
-        raise TouchError(f"there is no kind {kind!r}, which {name} should have; {advise_choice(kind, KINDS)}")
+def require_kind(kind: str, name: str, kinds: Sequence[str] = KINDS) -> None:
+    """Raise TouchError if a touch called `name` has none of the `kinds`, by default those of depth maps."""
+    if kind not in kinds:
+        raise TouchError(f"there is no kind {kind!r}, which {name} should have; {advise_choice(kind, kinds)}")
 
 
 def find_indentation(values: NDArray[Any], kind: DepthKind, gel: Gel) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from tactile_loc.core.sensing.depth_maps import (
     require_kind,
 )
 from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.masks import assume_press, find_contact, require_rigid_gel
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 
 logger = logging.getLogger(__name__)
@@ -43,12 +44,16 @@ class ContactShape:
     Before you compare two contact shapes, cut both at the same press depth with `press_to`. `indentation_m` is the
     object's true indentation, metres, if the shape was cut at less. None means that it equals `press_depth_m`.
     `indentation_std_m` is the standard deviation of the indentation's error, metres, if the sensor knows it.
+
+    If `depths_known` is False, the sensor knows only which pixels are in contact: see `Touch.from_mask`. The depth is
+    then 0 at pixels in contact.
     """
 
     depth_m: Depth
     press_depth_m: float
     indentation_m: float | None = None
     indentation_std_m: float = 0.0
+    depths_known: bool = True
 
     @property
     def contact(self) -> NDArray[np.bool_]:
@@ -68,7 +73,17 @@ class ContactShape:
         """Return the shape cut at `press_depth_m` metres from full penetration. The indentation does not change."""
         cut_m = min(press_depth_m, self.press_depth_m)
         depth_m = np.minimum(self.depth_m, np.float32(cut_m))
-        return ContactShape(depth_m, cut_m, self.deepest_m, self.indentation_std_m)
+        return dataclasses.replace(self, depth_m=depth_m, press_depth_m=cut_m, indentation_m=self.deepest_m)
+
+    def assume(self, press_depth_m: float) -> ContactShape:
+        """Return a contact mask with another assumed press depth, metres."""
+        depth_m = np.where(self.contact, np.float32(0), np.float32(press_depth_m))
+        return dataclasses.replace(self, depth_m=depth_m, press_depth_m=press_depth_m, indentation_m=None)
+
+    @property
+    def press_slack_m(self) -> float:
+        """How far the true press of a contact mask may be from `deepest_m`, metres; 0 if the depths are known."""
+        return 0.0 if self.depths_known else 2 * self.indentation_std_m
 
     @property
     def deepest_m(self) -> float:
@@ -189,6 +204,33 @@ class Touch:
         )
         return cls(shape, geometry, name, **poses)
 
+    @classmethod
+    def from_mask(
+        cls, mask: ArrayLike, *, sensor: SensorGeometry | HasGeometry, press_depth_m: float | None = None,
+        press_std_m: float | None = None, name: str = "touch", **poses: Any,
+    ) -> Self:  # fmt: skip
+        """Make a touch from a contact mask (H, W), whose pixels in contact are True or 1; all others are False or 0.
+
+        The touch has no depths, so it is located by the outline of its contact. `press_depth_m`, metres, is how deep
+        the object is pressed in, and `press_std_m` the standard deviation of its error. Without them, the press is
+        taken from `assume_press`. `poses` are further fields of the touch, such as `T_base_sensor`.
+
+        Raises NoContactError if no observed pixel is in contact. Raises TouchError if the array is not such a mask, if
+        it does not fit the sensor, if all observed pixels are in contact, or if the sensor's gel is elastic.
+        """
+        geometry = sensor if isinstance(sensor, SensorGeometry) else sensor.geometry
+        require_rigid_gel(geometry.gel, name)
+        contact = find_contact(np.asarray(mask), name)
+        press_m, std_m = assume_press(geometry.max_depth_m, press_depth_m, press_std_m)
+        _require_in_range(press_m, geometry.max_depth_m, name)
+        depth_m = np.where(contact, np.float32(0), np.float32(press_m))
+        return cls(ContactShape(depth_m, press_m, None, std_m, False), geometry, name, **poses)
+
+    @property
+    def has_depths(self) -> bool:
+        """Whether the touch has depths. Otherwise it has only a contact mask: see `from_mask`."""
+        return self.contact_shape.depths_known
+
     @property
     def press_depth_m(self) -> float:
         """Press depth of the contact shape, metres."""
@@ -236,6 +278,12 @@ class Touch:
 
     def _find_step(self, pixels: int) -> int:
         return max(1, round(max(self.geometry.shape) / pixels))
+
+
+def require_depths(touch: Touch, task: str) -> None:
+    """Raise TouchError if a touch has no depths, which a `task` needs."""
+    if not touch.has_depths:
+        raise TouchError(f"{touch.name} is a contact mask, but {task} needs depths; give a depth map")
 
 
 def contact_shape_from_array(

@@ -57,10 +57,12 @@ class Scene:
 
         return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
 
-    def bring_near_contact(self, T_sensor_object: Poses, most_m: float) -> Poses:
-        """Move poses (N, 4, 4) along z towards contact, by at most `most_m` metres."""
+    def bring_near_contact(self, T_sensor_object: Poses, most_m: float, slack_m: float = 0.0) -> Poses:
+        """Move poses (N, 4, 4) along z towards contact, by at most `most_m` metres, if `slack_m` or more is missing."""
         T, touching = self.bring_to_contact(T_sensor_object)
         by_m = T[:, 2, 3] - T_sensor_object[:, 2, 3]
+        if slack_m:
+            by_m = np.sign(by_m) * np.maximum(np.abs(by_m) - slack_m, 0.0)
         T[:, 2, 3] = T_sensor_object[:, 2, 3] + np.where(touching, np.clip(by_m, -most_m, most_m), 0.0)
         return T
 
@@ -119,6 +121,8 @@ class Scene:
 
         Poses move along z towards contact, by at most the error of the measured press.
         """
+        if not touch.has_depths:
+            return self._render_at_own_press(T_sensor_object, touch.contact_shape, _estimate_press_error_m(touch))
         T = self.bring_near_contact(T_sensor_object, _estimate_press_error_m(touch))
         return self.render_gel_depths(T, touch.press_depth_m)
 
@@ -132,6 +136,13 @@ class Scene:
         return ContactShape(
             pressed.render_gel_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m
         )
+
+    def show_like(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> ContactShape:
+        """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask."""
+        if touch.has_depths:
+            return self.contact_shape(T_sensor_object, touch.press_depth_m)
+        shown = self.match_touch(touch).render_what_touch_shows(T_sensor_object[None], touch)[0]
+        return ContactShape(shown, touch.press_depth_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
         """Return the contact IoU of one pose (4, 4), metres, with a touch: see `contact_ious`."""
@@ -163,6 +174,8 @@ class Scene:
         Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
         geometry, wanted = touch.thin(pixels)
+        if not touch.has_depths:
+            return self._compare_masks(T_sensor_object, wanted, geometry, _estimate_press_error_m(touch) + freedom_m)
         press_m = wanted.press_depth_m
         made = dataclasses.replace(self, geometry=geometry).render_depths_to_compare(T_sensor_object, touch, freedom_m)
         if geometry.gel.is_elastic:
@@ -170,6 +183,30 @@ class Scene:
             pierced = made < touch.thin_surface(pixels).depth_m - np.float32(SLACK * press_m)
             made = np.where(wanted.contact | pierced, made, np.float32(press_m))
         return compare_imprints(made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m)
+
+    def _render_at_own_press(self, T_sensor_object: Poses, mask: ContactShape, most_m: float) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, of poses (N, 4, 4) at their own press, not that of a mask.
+
+        Poses move along z, by at most `most_m` metres, only if their press is too far from that of the mask.
+        """
+        slack_m = mask.press_slack_m
+        T = self.bring_near_contact(T_sensor_object, most_m, slack_m)
+        deep_m = self.press(mask.deepest_m + slack_m).render_contact_depths(T)
+        press = np.float32(mask.press_depth_m)
+        return np.where(
+            deep_m < np.float32(mask.deepest_m + slack_m), np.clip(deep_m - slack_m, 0, 0.999 * press), press
+        )
+
+    def _compare_masks(
+        self, T_sensor_object: Poses, wanted: ContactShape, geometry: SensorGeometry, most_m: float
+    ) -> Explained:
+        """Compare poses (N, 4, 4), metres, with a contact mask, of which no depth is known."""
+        scene, press = dataclasses.replace(self, geometry=geometry), np.float32(wanted.press_depth_m)
+        shown = scene._render_at_own_press(T_sensor_object, wanted, most_m)
+        made = np.where(shown < press, np.float32(0), press)
+        return compare_imprints(
+            made, wanted.depth_m, wanted.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m
+        )
 
 
 def _estimate_press_error_m(touch: Touch) -> float:

@@ -148,13 +148,15 @@ class Localization:
         """How far the first hypothesis can be trusted, in one word.
 
         It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. It is never
-        certain if another pose, not within the tolerance of the first one, explains the touches as well. The verdict is
-        also "poor fit" if touches contradict each other, unless at least LEAST_AGREEING of them agree.
+        certain if another pose, not within the tolerance of the first one, explains the touches as well, or if a touch
+        has no depths. The verdict is also "poor fit" if touches contradict each other, unless at least LEAST_AGREEING
+        of them agree.
         """
         if self._is_contradicted:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
-        return judge(self.probability_within(), iou, self.posterior.elsewhere)
+        known = all(touch.has_depths for touch in self.touches)
+        return judge(self.probability_within(), iou, self.posterior.elsewhere, depths_known=known)
 
     @property
     def _is_contradicted(self) -> bool:

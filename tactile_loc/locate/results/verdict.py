@@ -66,13 +66,14 @@ def judge(
     touched: bool = True,
     certain: float = CERTAIN,
     least_iou: float = LEAST_IOU,
+    depths_known: bool = True,
 ) -> Verdict:
     """Return the verdict on the first pose.
 
     `probability`, 0 to 1, is that the first pose is right; None if there is no pose. `imprint_iou`, 0 to 1, states how
     well the first pose explains the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search
     missed the true pose. `touched` states whether there is a touch. A pose is certain if its probability is at least
-    `certain`. A pose is a poor fit if its imprint IoU is below `least_iou`.
+    `certain`, and if the depths of all touches are known. A pose is a poor fit if its imprint IoU is below `least_iou`.
     """
     if not touched:
         return Verdict.NO_CONTACT
@@ -80,6 +81,6 @@ def judge(
         return Verdict.NOT_FOUND
     if imprint_iou < least_iou:  # False for NaN
         return Verdict.POOR_FIT
-    if probability >= certain:
+    if probability >= certain and depths_known:
         return Verdict.CERTAIN
     return Verdict.NOT_FOUND if elsewhere > MOSTLY_ELSEWHERE else Verdict.AMBIGUOUS

@@ -1,0 +1,117 @@
+"""Location by the outline of contact, with touches from another renderer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.touches import write_touch
+from tactile_loc.locate.hypotheses import compute_nats
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.results.verdict import Verdict, judge
+from tactile_loc.locate.search import list_presses, spread_anchors
+
+SENSOR = {"name": "gelsight-mini", "gel": "rigid", "image_size_px": [160, 120]}
+
+
+@pytest.fixture(scope="module")
+def localizer(store) -> Localizer:
+    return Localizer.create("pin", store=store, sensor=SENSOR, temperature=0.05)
+
+
+def hide_depths(touch: Touch, sensor, known: bool = False) -> Touch:
+    """Return what a sensor of contact alone sees of a touch; the press may be known."""
+    return Touch.from_mask(
+        touch.contact_shape.contact, sensor=sensor, press_depth_m=touch.press_depth_m if known else None,
+        T_sensor_object=touch.T_sensor_object, T_base_sensor=touch.T_base_sensor,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def examples(localizer) -> list[list[Touch]]:
+    """Return masks of three touches of the object at rest, drawn by ray casting, with unknown presses."""
+    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    drawn = [source.draw_example(3, np.random.default_rng([31, k]))[0] for k in range(5)]
+    return [[hide_depths(touch, localizer.sensor) for touch in touches] for touches in drawn]
+
+
+def test_three_masks_locate_the_object(localizer, examples):
+    off_m = []
+    for touches in examples:
+        found = localize_together([(localizer, touch) for touch in touches])
+        T = np.stack([h.T_sensor_object for h in found.hypotheses])
+        off_m.append(measure_surface_distances(localizer.object.mesh, T, touches[0].T_sensor_object).min())
+        assert found.verdict is not Verdict.CERTAIN
+    assert np.count_nonzero(np.array(off_m) < 1e-3) >= 4
+
+
+def test_the_true_pose_explains_its_mask(localizer, examples):
+    for touch in (touch for touches in examples for touch in touches):
+        iou = localizer.scene.match_touch(touch).contact_iou(touch.T_sensor_object, touch)
+        assert iou > 0.85
+
+
+def test_a_pose_is_drawn_with_the_contact_that_is_compared(localizer, examples):
+    touch = examples[0][0]
+    shown = localizer.scene.show_like(touch.T_sensor_object, touch).contact
+    mask = touch.contact_shape.contact
+    assert np.count_nonzero(shown & mask) > 0.85 * np.count_nonzero(shown | mask)
+
+
+def test_a_mask_is_located_on_a_listed_grid(store):
+    coarse = {"name": "face", "spacing_mm": 8}
+    localizer = Localizer.create("pin", store=store, sensor=SENSOR, grid=coarse, temperature=0.05)
+    found = localizer.localize(hide_depths(localizer.simulate(1, seed=3)[0], localizer.sensor))
+    assert found.verdict is not Verdict.CERTAIN
+    assert found.best.imprint_iou > 0.7
+
+
+def test_a_mask_is_read_from_a_file(localizer, examples, tmp_path):
+    touch = examples[0][0]
+    path = write_touch(tmp_path / "touch.npz", touch)
+    assert not localizer.read_touch(path).has_depths
+    np.testing.assert_array_equal(localizer.read_touch(path).contact_shape.contact, touch.contact_shape.contact)
+
+
+def test_no_coverage_is_promised_for_a_mask(localizer, examples):
+    with pytest.raises(ConfigError):
+        localizer.localize(examples[0][0], coverage=0.9)
+
+
+def test_an_encoder_trained_on_depths_refuses_a_mask(store, examples):
+    trained = Localizer.create("pin", store=store, sensor=SENSOR, encoder="moco")
+    with pytest.raises(TouchError, match="pixel"):
+        trained.localize(examples[0][0])
+
+
+def test_an_outline_is_never_certain():
+    assert judge(0.99, 0.99) is Verdict.CERTAIN
+    assert judge(0.99, 0.99, depths_known=False) is Verdict.AMBIGUOUS
+
+
+def test_a_mask_counts_as_less_than_a_touch(localizer, examples):
+    full, half = (np.ptp(compute_nats(np.array([0.9, 0.8]), count)) for count in (1.0, 0.5))
+    assert half < full
+
+
+def test_an_unknown_press_is_tried_lighter_and_deeper(localizer, examples):
+    touch = examples[0][0]
+    presses_m = [one.press_depth_m for one in list_presses(touch)]
+    assert len(presses_m) == 3
+    assert presses_m[0] < touch.press_depth_m < presses_m[2]
+    known = replace(touch.contact_shape, indentation_std_m=0.01 * touch.press_depth_m)
+    assert len(list_presses(replace(touch, contact_shape=known))) == 1
+
+
+def test_anchors_are_spread_over_the_mask(examples):
+    points = spread_anchors(examples[0][0], 5)
+    assert 2 <= len(points) <= 5
+    apart_m = np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(len(points), 1)]
+    assert apart_m.min() > 5e-4
