@@ -19,7 +19,7 @@ RUN pip install --no-cache-dir -c /source/constraints.txt "/source${EXTRAS}" && 
 
 RUN useradd --create-home touch && mkdir /work /store && chown touch /work /store
 USER touch
-ENV TACTILE_LOC_STORE=/store PYOPENGL_PLATFORM=egl
+ENV TACTILE_LOC_STORE=/store
 WORKDIR /work
 ENTRYPOINT ["tactile-loc"]
 CMD ["--help"]
