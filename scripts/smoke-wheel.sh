@@ -2,10 +2,11 @@
 # Tries the wheel as a user gets it: builds the source distribution and from it the wheel, installs the wheel into a fresh
 # virtual environment outside the source tree, and locates a demo object there. Usage:
 #
-#     scripts/smoke-wheel.sh PYTHON
+#     scripts/smoke-wheel.sh [PYTHON [FRESH]]
 #
-# PYTHON must have build, setuptools and wheel, as in the development environment; the build downloads nothing.
-# The wheel's dependencies are those of constraints.txt.
+# PYTHON must have build, setuptools and wheel, as in the development environment; the build downloads nothing. FRESH is
+# the Python of the fresh environment, 3.11 to 3.13; by default, it is PYTHON. The wheel's dependencies are those of
+# constraints.txt, without any extra. So each command that needs an extra must name its install line.
 set -eu
 
 say() { echo "smoke: $*"; }
@@ -17,6 +18,8 @@ give_up() {
 tree=$(cd "$(dirname "$0")/.." && pwd)
 python=$(command -v "${1:-$tree/.venv/bin/python}") || give_up "there is no ${1:-.venv}: run make setup first"
 case $python in /*) ;; *) python=$PWD/$python ;; esac
+fresh=$(command -v "${2:-$python}") || give_up "there is no Python $2"
+case $fresh in /*) ;; *) fresh=$PWD/$fresh ;; esac
 unset PYTHONPATH PYTHONHOME
 
 place=$(mktemp -d)
@@ -33,8 +36,8 @@ find source -name __pycache__ -prune -exec rm -rf {} + -o -name '*.egg-info' -pr
 wheel=$(echo dist/*.whl)
 say "built $(basename "$wheel") and $(basename dist/*.tar.gz)"
 
-say "installing it into a fresh virtual environment, a minute or two"
-"$python" -m venv venv
+say "installing it into a fresh virtual environment of $("$fresh" -V), a minute or two"
+"$fresh" -m venv venv
 venv/bin/python -m pip install -qq --disable-pip-version-check -c "$tree/constraints.txt" "$wheel"
 
 cd run
@@ -51,4 +54,24 @@ run run --out result
 [ -s result/result.json ] || give_up "tactile-loc run wrote no result.json"
 ../venv/bin/python -m json.tool result/result.json /dev/null || give_up "result.json is not JSON"
 [ -s result/result.png ] || give_up "tactile-loc run drew no result.png"
+
+# Without an extra, a command must end with exit code 2 and the line that installs it.
+needs() {
+    extra=$1
+    shift
+    say "tactile-loc $* (without the extra $extra)"
+    code=0
+    ../venv/bin/tactile-loc "$@" >needs.log 2>&1 || code=$?
+    grep -qF "pip install 'tactile-loc[$extra]'" needs.log && [ "$code" = 2 ] ||
+        give_up "tactile-loc $* ended with exit code $code and does not name the extra $extra: $(cat needs.log)"
+}
+touch empty.mcap empty.step
+needs camera live --camera 0 --object hook --port 0
+needs kiss run --refiner kiss-icp --out refused
+needs learned run --encoder moco --out refused
+needs recordings replay empty.mcap --image-topic /gel/image --object hook
+needs step run --object empty.step --units mm --touch touch.npz --out refused
+needs sweep sweep --object hook --out refused
+needs view run --rerun refused.rrd --out refused
+if ../venv/bin/tactile-loc app --help >help.log 2>&1; then needs app app; fi
 say "the wheel works"

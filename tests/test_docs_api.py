@@ -8,7 +8,7 @@ from pathlib import Path
 
 import griffe
 import pytest
-import yaml
+from site_helpers import read_settings
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = "\n".join(page.read_text() for page in sorted((ROOT / "docs" / "api").glob("*.md")))
@@ -54,7 +54,7 @@ def test_every_entry_occurs_once(code):
 
 
 def test_the_reference_shows_inherited_members_of_the_localizer(code):
-    plugins = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["plugins"]
+    plugins = read_settings()["plugins"]
     (options,) = (p["mkdocstrings"]["handlers"]["python"]["options"] for p in plugins if "mkdocstrings" in p)
     assert options["inherited_members"] is True
     localizer = home(code, "tactile_loc.Localizer")

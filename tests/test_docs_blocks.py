@@ -48,6 +48,7 @@ ELSEWHERE = {
     "programs.md": "test_docs_programs.py",
     "tuning.md": "test_docs_tuning.py",
     "chain.md": "test_docs_chain.py",
+    "other-tools.md": "test_docs_conversions.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

@@ -25,9 +25,23 @@ BUILDS = "[ -d source/tactile_loc ] && [ -d source/cli ] && touch dist/tactile_l
 COMMAND = """\
 #!/bin/sh
 echo "$PWD: tactile-loc $*" >> "{log}"
-case "$1" in
+refuse() {{
+    echo "error: pip install 'tactile-loc[$1]'" >&2
+    exit {refusal}
+}}
+case "$*" in
 doctor) exit {doctor} ;;
-run) mkdir -p result && echo '{result}' > result/result.json && echo picture > result/result.png ;;
+"app --help") exit {no_app} ;;
+"run --out result") mkdir -p result && echo '{result}' > result/result.json && echo picture > result/result.png ;;
+--version) ;;
+*--camera*) refuse camera ;;
+*kiss-icp*) refuse kiss ;;
+*moco*) refuse learned ;;
+replay*) refuse recordings ;;
+*.step*) refuse step ;;
+sweep*) refuse sweep ;;
+*--rerun*) refuse view ;;
+app) refuse app ;;
 esac
 """
 
@@ -38,8 +52,9 @@ def smoke(tmp_path: Path):
     log = tmp_path / "log"
     (tmp_path / "temporary").mkdir()
 
-    def run(build: str = BUILDS, doctor: int = 0, result: str = "{}") -> tuple[subprocess.CompletedProcess, list[str]]:
-        (tmp_path / "command").write_text(COMMAND.format(log=log, doctor=doctor, result=result))
+    def run(build: str = BUILDS, **given: object) -> tuple[subprocess.CompletedProcess, list[str]]:
+        given = {"doctor": 0, "result": "{}", "refusal": 2, "no_app": 2, **given}
+        (tmp_path / "command").write_text(COMMAND.format(log=log, **given))
         (tmp_path / "command").chmod(0o755)
         python = tmp_path / "python"
         python.write_text(PYTHON.format(log=log, build=build, command=tmp_path / "command", python=sys.executable))
@@ -59,17 +74,29 @@ def test_the_script_builds_installs_and_runs_outside_the_sources(smoke):
     folders, lines = zip(*(line.split(": ", 1) for line in ran), strict=True)
     assert not [folder for folder in folders if Path(folder).is_relative_to(ROOT)]
     assert lines[0] == "python -m build --no-isolation --outdir dist source"
-    assert lines[1] == "python -m venv venv"
-    assert lines[2].endswith(f"-c {ROOT}/constraints.txt dist/tactile_loc-1-py3-none-any.whl")
+    assert lines[1:3] == ("python -V", "python -m venv venv")
+    assert lines[3].endswith(f"-c {ROOT}/constraints.txt dist/tactile_loc-1-py3-none-any.whl")
     commands = [line for line in lines if line.startswith("tactile-loc ")]
-    assert commands == ["tactile-loc --version", "tactile-loc doctor", "tactile-loc run --out result"]
+    assert commands[:3] == ["tactile-loc --version", "tactile-loc doctor", "tactile-loc run --out result"]
+    assert commands[-1] == "tactile-loc app --help"  # there is no such command, so it is not tried
+
+
+def test_the_app_is_tried_where_it_exists(smoke):
+    done, ran = smoke(no_app=0)
+    assert done.returncode == 0, done.stderr
+    assert ran[-1].endswith("tactile-loc app")
+
+
+def test_a_missing_second_python_is_reported(tmp_path):
+    done = subprocess.run([SCRIPT, sys.executable, tmp_path / "nowhere"], capture_output=True, text=True)
+    assert (done.returncode, "nowhere" in done.stderr) == (1, True)
 
 
 def test_each_failure_ends_the_script(smoke):
     done, ran = smoke(build="echo no compiler; exit 1")
     assert (done.returncode, len(ran)) == (1, 1)
     assert "no compiler" in done.stderr
-    for failing in ({"doctor": 1}, {"result": ""}, {"result": "not json"}):
+    for failing in ({"doctor": 1}, {"result": ""}, {"result": "not json"}, {"refusal": 0}, {"refusal": 1}):
         done, _ = smoke(**failing)
         assert done.returncode != 0, failing
         assert "works" not in done.stdout

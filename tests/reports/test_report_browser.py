@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser_helpers import LOCAL, find, list_errors, list_requests, open_browser
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
@@ -29,35 +29,14 @@ from tactile_loc.reports.page import render
 from tactile_loc.reports.scene import list_rows_mm
 from tactile_loc.tasks.live import LiveResult
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=640,640",
-)  # fmt: skip
-LOCAL = ("file:", "data:", "blob:", "about:", "chrome:")
 CHANGED_PX = 300
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A headless browser that cannot look up any host."""
-    driver, binary = shutil.which("chromedriver"), next(filter(None, map(shutil.which, BROWSERS)), None)
-    if driver is None or binary is None:
-        pytest.skip("there is no chromium with its chromedriver")
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for flag in FLAGS:
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    found = webdriver.Chrome(options=options, service=Service(driver))
-    found.set_page_load_timeout(120)
-    yield found
-    found.quit()
+    with open_browser() as found:
+        yield found
 
 
 @pytest.fixture
@@ -71,9 +50,8 @@ def show(browser: Any, tmp_path: Path) -> Iterator[Callable[[Path], Any]]:
         return browser
 
     yield open_report
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
-    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    urls = [m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"]
+    assert list_errors(browser) == []
+    urls = list_requests(browser)
     assert any(url.endswith("page.html") for url in urls)
     assert [url for url in urls if not url.startswith(LOCAL)] == []
 
@@ -82,10 +60,6 @@ def plots(browser: Any) -> dict[str, int]:
     """The number of traces of each plot, by the name of its element."""
     script = "return [...document.querySelectorAll('.plotly')].map(e => [e.id, (e.data || []).length])"
     return {name: count for name, count in browser.execute_script(script) if name}
-
-
-def find(browser: Any, selector: str) -> Any:
-    return browser.find_element("css selector", selector)
 
 
 def choose(browser: Any, name: str, value: str) -> None:
@@ -303,7 +277,5 @@ def test_the_page_of_a_live_run_is_drawn_during_the_run(browser, localizer: Loca
         assert find(browser, "#verdict").text == "no contact"
         assert find(browser, "#says").text == "no contact: nothing"
     WebDriverWait(browser, 120).until(lambda _: find(browser, "#verdict").text == "ended")
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
-    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    urls = {m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"}
-    assert {url for url in urls if not url.startswith(LOCAL)} == {server.url, f"{server.url}events"}
+    assert list_errors(browser) == []
+    assert {url for url in list_requests(browser) if not url.startswith(LOCAL)} == {server.url, f"{server.url}events"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -161,7 +162,7 @@ class Registry:
             return kind
         except Exception as error:
             if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
-                library = found.spec.requires or error.name
+                library = shlex.quote(found.spec.requires or error.name or "")
                 raise MissingLibraryError(
                     f"the {slot} {name!r} needs {error.name}, which is not installed: pip install {library}"
                 ) from error

@@ -133,5 +133,5 @@ def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatc
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
     monkeypatch.delitem(sys.modules, "tactile_loc.plugins.refiners.kiss")
     registry.cache_clear()  # another test may have loaded the refiner
-    with pytest.raises(MissingLibraryError, match=naming("'kiss-icp'", "pip install tactile-loc[kiss]")):
+    with pytest.raises(MissingLibraryError, match=naming("'kiss-icp'", "pip install 'tactile-loc[kiss]'")):
         registry().create("refiner", "kiss-icp")

@@ -1,0 +1,25 @@
+# tactile-loc with the libraries that it needs without a display. Build and run:
+#
+#     docker build -t tactile-loc .
+#     docker run --rm -v "$PWD:/work" -v tactile-loc-store:/store tactile-loc run --out result
+#
+# For extras, add --build-arg EXTRAS='[learned,recordings]'.
+FROM python:3.11-slim-bookworm
+
+# The packages of scripts/system-packages.sh
+RUN apt-get update && apt-get install -y --no-install-recommends \
+        libusb-1.0-0 libegl1 libgl1 libx11-6 libudev1 libidn2-0 libgomp1 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/*
+
+ARG EXTRAS=""
+COPY pyproject.toml README.md LICENSE constraints.txt /source/
+COPY tactile_loc /source/tactile_loc
+COPY cli /source/cli
+RUN pip install --no-cache-dir -c /source/constraints.txt "/source${EXTRAS}" && tactile-loc doctor --compile
+
+RUN useradd --create-home touch && mkdir /work /store && chown touch /work /store
+USER touch
+ENV TACTILE_LOC_STORE=/store
+WORKDIR /work
+ENTRYPOINT ["tactile-loc"]
+CMD ["--help"]

@@ -1,0 +1,82 @@
+"""A small documentation site with the settings of the project's own site."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).parents[1]
+MODULE = '''"""A module."""
+
+class Sensor:
+    """A sensor."""
+
+    def read(self) -> int:
+        """Read a touch."""
+
+class Camera(Sensor):
+    """A camera."""
+
+    def follow(self, first: Sensor, second: Sensor) -> Sensor:
+        """Follow two others."""
+'''
+PAGES = {
+    "index.md": "# Home\n\nSee [the part below](other.md#the-part-below) and [the API](api.md).\n",
+    "other.md": "# Other\n\n## The part below\n\nText.\n",
+    "api.md": "# API\n\n::: small.Sensor\n\n::: small.Camera\n",
+}
+
+
+class _SettingsLoader(yaml.SafeLoader):
+    """A reader that does not import the functions that a file names."""
+
+
+_SettingsLoader.add_multi_constructor("tag:yaml.org,2002:python/name:", lambda loader, suffix, node: suffix)
+
+
+def read_settings() -> dict[str, Any]:
+    """Return mkdocs.yml, with the names of functions as strings."""
+    return yaml.load((ROOT / "mkdocs.yml").read_text(), _SettingsLoader)
+
+
+class Site:
+    """A site with the project's Makefile, mkdocs.yml and hooks, and its own pages and module."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "docs").mkdir()
+        (folder / "scripts").mkdir()
+        shutil.copy(ROOT / "Makefile", folder)
+        shutil.copy(ROOT / "scripts" / "site_checks.py", folder / "scripts")
+        for name in ("javascripts", "stylesheets"):
+            shutil.copytree(ROOT / "docs" / name, folder / "docs" / name)
+        settings, _ = (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")
+        (folder / "mkdocs.yml").write_text(f"{settings}\nnav: [{', '.join(PAGES)}]\n")
+        (folder / "small.py").write_text(MODULE)
+        self.write(PAGES)
+        self._pretend_setup()
+
+    def _pretend_setup(self) -> None:
+        """Make a .venv of this Python that is newer than its sources."""
+        for name in ("pyproject.toml", "constraints.txt"):
+            (self.folder / name).touch()
+            os.utime(self.folder / name, (0, 0))
+        python = self.folder / ".venv" / "bin" / "python"
+        python.parent.mkdir(parents=True)
+        python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+        python.chmod(0o755)
+        (self.folder / ".venv" / ".installed").write_text(f"{self.folder}\n")
+
+    def write(self, pages: dict[str, str]) -> None:
+        for name, text in pages.items():
+            (self.folder / "docs" / name).write_text(text)
+
+    def make_docs(self) -> subprocess.CompletedProcess[str]:
+        own = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+        return subprocess.run(["make", "docs"], cwd=self.folder, env=own, capture_output=True, text=True, check=False)
