@@ -29,7 +29,7 @@ localizer = Localizer.create("pin", sensor="gelsight-mini")
 touches = localizer.simulate_together(2, seed=3)  # T_base_sensor comes from tf, at the stamp of the image
 best = localize_together([(localizer, touch) for touch in touches]).best
 
-# ROS has metres, quaternions with the scalar last, and covariances of x, y, z, then rotations about fixed axes, as here.
+# ROS has metres, quaternions with the scalar last, and covariances of x, y, z, then rotations about fixed axes.
 pose = RosPose.of(best.T_base_object, best.base_covariance)
 header = Header(stamp=Time(sec=int(time.time()), nanosec=0), frame_id="base_link")
 position, orientation = (
