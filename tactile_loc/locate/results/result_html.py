@@ -6,7 +6,7 @@ import base64
 import html
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,11 @@ from numpy.typing import NDArray
 from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import View
 from tactile_loc.io.images import encode_png
 from tactile_loc.locate.results.hypothesis import Hypothesis
 from tactile_loc.locate.results.verdict import Verdict
-
-if TYPE_CHECKING:
-    from tactile_loc.locate.results.localization import Localization
 
 MOST_ROWS, MOST_TOUCHES = 5, 4
 SIDE_PX = 96  # pixels along the long side of a picture
@@ -33,19 +30,38 @@ OTHER_COLOUR = "#c92a2a"
 CELL = 'style="text-align:left;padding:2px 10px"'
 
 
-def write_html(found: Localization) -> str:
+class Displayed(Protocol):
+    """The parts of a localisation that its HTML shows."""
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """The hypotheses, the best first."""
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """The touches that were localised together."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the first hypothesis."""
+
+    def summary(self) -> str:
+        """Return the result in words, with the verdict first."""
+
+
+def write_html(found: Displayed, views: Sequence[View]) -> str:
     """Return a result as HTML: the summary, and the first hypotheses with the contacts that they predict.
 
-    The pictures are missing if the result does not know its configuration.
+    `views` are the touches' views. Without them, there are no pictures.
     """
-    views = [] if found.config is None else found.make_views()[:MOST_TOUCHES]
+    views = views[:MOST_TOUCHES]
     rows = [_write_touches(views)] if views else []
     rows += [_write_hypothesis(k, h, views) for k, h in enumerate(found.hypotheses[:MOST_ROWS], 1)]
     table = "".join([_write_heading(found, views), *rows])
     return f"<div>{_write_summary(found)}<table>{table}</table>{_count_rest(found)}</div>"
 
 
-def _write_summary(found: Localization) -> str:
+def _write_summary(found: Displayed) -> str:
     first, *lines = found.summary().splitlines()
     verdict, _, meaning = first.partition(": ")
     colour = VERDICT_COLOURS.get(found.verdict, OTHER_COLOUR)
@@ -53,8 +69,8 @@ def _write_summary(found: Localization) -> str:
     return "<br>".join([title, *map(html.escape, lines)])
 
 
-def _write_heading(found: Localization, views: Sequence[View]) -> str:
-    frame = "sensor" if found.best.T_base_object is None else "base"
+def _write_heading(found: Displayed, views: Sequence[View]) -> str:
+    frame = "sensor" if found.hypotheses[0].T_base_object is None else "base"
     names = [html.escape(view.touch.name) for view in views]
     words = ["", *names, "probability", "imprint IoU", f"x, y, z in the {frame} frame", "rotation about an axis"]
     return f"<tr>{''.join(f'<th {CELL}>{word}</th>' for word in words)}</tr>"
@@ -77,7 +93,7 @@ def _write_row(cells: Sequence[str]) -> str:
     return f"<tr>{''.join(f'<td {CELL}>{cell}</td>' for cell in cells)}</tr>"
 
 
-def _count_rest(found: Localization) -> str:
+def _count_rest(found: Displayed) -> str:
     parts = {"poses": (len(found.hypotheses), MOST_ROWS), "touches": (len(found.touches), MOST_TOUCHES)}
     hidden = [f"{total - shown} of {total} {what}" for what, (total, shown) in parts.items() if total > shown]
     return f"not shown: {', '.join(hidden)}" if hidden else ""

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from tactile_loc.locate.localizer import localize_together
-from tactile_loc.locate.results.result_html import MOST_ROWS, MOST_TOUCHES, OUTLINE, SIDE_PX, write_html
+from tactile_loc.locate.results.result_html import MOST_ROWS, MOST_TOUCHES, OUTLINE, SIDE_PX
 
 
 def read_pictures(page: str) -> list[np.ndarray]:
@@ -31,7 +31,7 @@ def test_a_notebook_displays_the_summary_and_the_hypotheses(localization):
 
 
 def test_each_picture_has_the_observed_outline(localization):
-    first, *others = read_pictures(write_html(localization))
+    first, *others = read_pictures(localization._repr_html_())
     outlines = [(picture == OUTLINE).all(axis=2) for picture in (first, *others)]
     assert max(first.shape) in range(SIDE_PX // 2, 2 * SIDE_PX)
     assert outlines[0].any()
@@ -39,7 +39,7 @@ def test_each_picture_has_the_observed_outline(localization):
 
 
 def test_the_best_pose_predicts_the_observed_contact(localization):
-    observed, best, *_ = read_pictures(write_html(localization))
+    observed, best, *_ = read_pictures(localization._repr_html_())
     assert np.abs(observed.astype(int) - best).mean() < 5
 
 
@@ -49,7 +49,7 @@ def test_every_touch_has_a_column_of_pictures(localizer):
         for touch in localizer.simulate(MOST_TOUCHES + 1, seed=2)
     ]
     found = localize_together([(localizer, touch) for touch in touches], top=2)
-    page = write_html(found)
+    page = found._repr_html_()
     assert len(read_pictures(page)) == MOST_TOUCHES * (1 + len(found.hypotheses))
     assert f"1 of {MOST_TOUCHES + 1} touches" in page
     assert "base frame" in page
@@ -57,16 +57,16 @@ def test_every_touch_has_a_column_of_pictures(localizer):
 
 def test_names_cannot_contain_html(localization):
     touch = dataclasses.replace(localization.touch, name="<b>bold</b>")
-    assert "<b>" not in write_html(dataclasses.replace(localization, touch=touch))
+    assert "<b>" not in dataclasses.replace(localization, touch=touch)._repr_html_()
 
 
 @pytest.mark.parametrize("count", [1, MOST_ROWS])
 def test_nothing_is_left_out_of_a_short_result(localization, count):
     short = dataclasses.replace(localization, hypotheses=localization.hypotheses[:count])
-    assert "not shown" not in write_html(short)
+    assert "not shown" not in short._repr_html_()
 
 
 def test_a_result_made_by_hand_has_no_pictures(localization):
-    page = write_html(dataclasses.replace(localization, config=None))
+    page = dataclasses.replace(localization, config=None)._repr_html_()
     assert read_pictures(page) == []
     assert str(localization.verdict) in page
