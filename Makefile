@@ -15,7 +15,7 @@ SLOW ?= not slow
 # start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow pytest lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare bench-taxim clean
+.PHONY: help setup demo test test-slow pytest lint smoke docs notebooks audit sbom fuzz kill soak mutate bench bench-compare bench-taxim clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -58,6 +58,9 @@ docs: $(STAMP) ## build the documentation site in out/site; any warning is an er
 	@echo "docs: out/site/index.html"
 	@said=$$(NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict 2>&1) || \
 		{ printf '%s\n' "$$said" | grep -v '^INFO' | awk '!told[$$0]++' >&2; exit 1; }
+
+notebooks: $(STAMP) ## execute the notebooks, about two minutes, into out/notebooks
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python scripts/notebooks.py
 
 audit: $(STAMP) ## look for known vulnerabilities of the pinned packages; needs the internet
 	@scripts/audit.sh $(VENV)/bin/python

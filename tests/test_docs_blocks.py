@@ -49,6 +49,8 @@ ELSEWHERE = {
     "tuning.md": "test_docs_tuning.py",
     "chain.md": "test_docs_chain.py",
     "other-tools.md": "test_docs_conversions.py",
+    "examples.md": "test_examples.py",
+    "notebooks.md": "test_notebooks.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

@@ -84,6 +84,15 @@ def write_image(path: Path, values: NDArray[Any]) -> Path:
     return path
 
 
+def encode_png(values: NDArray[np.uint8]) -> bytes:
+    """Return the bytes of a PNG file of an image (H, W) or (H, W, 3)."""
+    from PIL import Image
+
+    file = BytesIO()
+    Image.fromarray(values).save(file, "PNG")
+    return file.getvalue()
+
+
 def require_file(path: Path) -> None:
     """Raise TouchError unless `path` is a file."""
     if os.path.isdir(path):

@@ -62,6 +62,7 @@ def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-b
 logger = logging.getLogger(__name__)
 
 BUILT_IN = "tactile-loc"
+ADDED = "this program"  # stands for the distribution of components that a program adds
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,30 @@ class Registry:
             self.failures.append(LoadFailure(plugin.name, distribution, reason))
         else:
             self.components += [Registered(spec, distribution) for spec in offers]
+
+    def add(self, kind: type[Any], name: str, summary: str = "") -> None:
+        """Offer a component class under a name, in this process only. This is for notebooks and short scripts.
+
+        The class must follow the current version of the interface. Its slot is that of its base class. A class that was
+        added earlier under the same name is replaced. Other processes, and files read by them, do not know the name, so
+        publish a component as a package. Raises PluginLoadError unless `kind` is a complete component class, and
+        PluginConflictError if a package offers the name.
+        """
+        slot = getattr(kind, "slot", "")
+        try:
+            _require_component(kind, slot)
+            require_interface(kind, slot, INTERFACE_VERSION)
+        except TypeError as error:
+            raise PluginLoadError(f"the component {name!r} cannot be added: {error}") from error
+        others = [c for c in self.components if (c.spec.slot, c.spec.name, c.distribution) != (slot, name, ADDED)]
+        if taken := [c for c in others if (c.spec.slot, c.spec.name) == (slot, name)]:
+            raise PluginConflictError(
+                f"{taken[0].distribution} offers the {slot} {name!r} already; choose another name"
+            )
+        target = f"{kind.__module__}:{kind.__qualname__}"
+        spec = ComponentSpec(slot, name, target, summary, interface=INTERFACE_VERSION)
+        self.components = [*others, Registered(spec, ADDED)]
+        self._kinds[spec] = kind
 
     def names(self, slot: str) -> list[str]:
         """Return the names of a slot's components, in the order found."""

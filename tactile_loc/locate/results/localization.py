@@ -249,6 +249,12 @@ class Localization:
     def __str__(self) -> str:
         return self.summary()
 
+    def _repr_html_(self) -> str:
+        """Return the result as HTML, which notebooks display: see `result_html.write_html`."""
+        from tactile_loc.locate.results.result_html import write_html
+
+        return write_html(self, [] if self.config is None else self.make_views())
+
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
         """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that pose is unknown."""
         T_true = self.touch.T_sensor_object

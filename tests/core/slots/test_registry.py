@@ -21,7 +21,8 @@ from tactile_loc.core.errors import (
     UnknownPluginError,
 )
 from tactile_loc.core.slots.component import Component
-from tactile_loc.core.slots.registry import SLOTS, Registry, registry, validate_options
+from tactile_loc.core.slots.refiner import RefinedPose, Refiner
+from tactile_loc.core.slots.registry import ADDED, SLOTS, Registry, registry, validate_options
 
 HOOK = """
 from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
@@ -256,3 +257,44 @@ def test_an_option_of_a_component_without_options_is_refused():
 def test_all_registry_errors_derive_from_the_project_error():
     for error in (ConfigError, MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError):
         assert issubclass(error, TactileLocError)
+
+
+class Still(Refiner):
+    """Returns the candidate."""
+
+    def refine(self, touch, candidate, scene):
+        return RefinedPose(candidate.T_sensor_object, 0.0, converged=False, iterations=0)
+
+
+def test_an_added_class_is_chosen_like_a_built_in_one():
+    registry().add(Still, "still", "moves nothing")
+    found = registry().find("refiner", "still")
+    assert (found.spec.summary, found.distribution) == ("moves nothing", ADDED)
+    assert "still" in registry().names("refiner")
+    assert type(registry().create("refiner", "still", {})) is Still
+    with pytest.raises(ConfigError, match="rounds"):
+        registry().create("refiner", "still", {"rounds": 3})
+
+
+def test_a_class_added_again_replaces_the_earlier_one():
+    registry().add(Still, "still")
+    again = type("Still", (Still,), {"__module__": Still.__module__})  # as if the cell of a notebook ran again
+    registry().add(again, "still")
+    assert registry().names("refiner").count("still") == 1
+    assert registry().load("refiner", "still") is again
+
+
+def test_a_class_cannot_be_added_under_the_name_of_a_package():
+    with pytest.raises(PluginConflictError, match="tactile-loc"):
+        registry().add(Still, "joint")
+    assert registry().load("refiner", "joint") is not Still
+
+
+@pytest.mark.parametrize(
+    "kind", [int, Refiner, Component, Still()], ids=["no component", "abstract", "no slot", "object"]
+)
+def test_only_complete_component_classes_can_be_added(kind):
+    before = list(registry().components)
+    with pytest.raises(PluginLoadError):
+        registry().add(kind, "still")
+    assert registry().components == before
