@@ -17,9 +17,10 @@ from tactile_loc.core.errors import ConfigError, ResultError, TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.config import ObjectConfig, choose_sensor
+from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, choose_sensor
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.toml import read_toml
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -29,7 +30,6 @@ from tactile_loc.tasks.approaches import draw_approaches_to_modes
 from tactile_loc.tasks.next_touch import RatedApproach, choose_next_touch
 from tactile_loc.tasks.pose_modes import PoseModes
 
-OBJECT, SENSOR = "hook", "gelslim"
 APPROACHES = 60  # approaches from which the next touch is chosen
 PRESS = 0.5  # press of the first finger, share of the sensor's maximal depth
 
@@ -52,13 +52,14 @@ class Session:
     """
 
     def __init__(
-        self, localizers: SharedLocalizers, chosen: ObjectConfig | None = None, sensor: str = SENSOR, seed: int = 0
-    ) -> None:
+        self, localizers: SharedLocalizers, chosen: ObjectConfig | None = None, sensor: SlotConfig | None = None,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
         """Raises TactileLocError if the object or the sensor cannot be used."""
         self.localizers = localizers
         self.rng = np.random.default_rng(seed)
         self.inbox = Path(tempfile.mkdtemp(dir=localizers.folder, prefix="touches-"))
-        self._begin(localizers.get(chosen or ObjectConfig(path=OBJECT), choose_sensor(sensor)))
+        self._begin(localizers.get(chosen or ObjectConfig(), sensor or RunConfig().sensor))
 
     def _begin(self, localizer: Localizer) -> None:
         self.localizer = localizer
@@ -182,6 +183,17 @@ class Session:
         if self.result is None:
             raise ResultError("there is no result yet; locate the object first")
         return self.result
+
+    def predict(self, number: int, touch: int) -> tuple[ContactShape, ContactShape, SensorGeometry]:
+        """Return the observed contact shape of a touch, the one that a hypothesis predicts, and their geometry.
+
+        Hypotheses and touches are numbered from 0. Raises ResultError without a result.
+        """
+        found = self.require_result()
+        view = found.make_views()[touch]
+        T = view.T_sensor_first @ found.hypotheses[number].T_sensor_object
+        depth_m = view.scene.render_what_touch_shows(T[None], view.touch)[0]
+        return view.touch.contact_shape, ContactShape(depth_m, view.touch.press_depth_m), view.touch.geometry
 
     def suggest_next(self) -> RatedApproach:
         """Return the approach, of some around the object, that tells most about its pose.

@@ -15,11 +15,11 @@ from tactile_loc.app.shared_localizers import SharedLocalizers, write_upload
 from tactile_loc.core.errors import ConfigError, NoContactError, ObjectError, ResultError, TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.io.config import ObjectConfig
+from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.io.touches import write_touch
 from tactile_loc.store.store import StageStore
 
-SENSOR = "gelsight-mini"
+SENSOR = SlotConfig(name="gelsight-mini")
 DEPTH_M = 8e-4
 
 
