@@ -45,7 +45,8 @@ class Page:
     def __init__(self, client: ClientHandle, session: Session) -> None:
         self.client, self.session, self.view = client, session, SceneView(client)
         self.follower: Follower[tuple[Pose, float]] = Follower(self._follow)
-        client.gui.configure_theme(control_layout="fixed", control_width="large", show_share_button=False)
+        client.gui.configure_theme(control_width="large", show_share_button=False)
+        client.gui.main_panel.dock_right()
         self._add_object_controls()
         self._add_press_controls()
         self._add_result_controls()
@@ -92,7 +93,7 @@ class Page:
             self.units = gui.add_dropdown(
                 "Unit of own files", get_args(Units), initial_value="mm", hint="A STEP file states its own unit."
             )
-            self.upload = gui.add_upload_button("Open an own mesh (STL, OBJ, PLY, STEP)")
+            self.upload = gui.add_upload_button("Open your own mesh", hint="An STL, OBJ, PLY or STEP file.")
             names = [name for name in registry().names("sensor") if name not in READ_FROM_PATHS]
             chosen = config.sensor.name if config.sensor.name in names else OWN
             self.sensors = gui.add_dropdown("Sensor", (*names, OWN), initial_value=chosen)
@@ -139,8 +140,7 @@ class Page:
         )
         self.view.show_object(obj, geometry)
         gizmo = self.view.add_finger_gizmo(session.T_base_sensor, geometry)
-        gizmo.on_update(self.guard(self._ask_press))
-        gizmo.on_drag_end(self.guard(self._settle))
+        gizmo.on_update(self._follow_drag)
         self.depth.max = round(1e3 * geometry.max_depth_m, 2)
         self.depth.value = round(1e3 * session.press_depth_m, 2)
         self.prior_on.value = False
@@ -162,6 +162,9 @@ class Page:
         self.depth.on_update(self.guard(self._ask_press))
         self.add.on_click(self.guard(self._add_touch))
         self.clear.on_click(self.guard(self._clear_touches))
+
+    def _follow_drag(self, event: Any) -> None:
+        self.attempt(self._settle if event.phase == "end" else self._ask_press)
 
     def _ask_press(self) -> None:
         if self.view.finger_gizmo is not None:

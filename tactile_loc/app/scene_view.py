@@ -35,6 +35,10 @@ STEEL, GEL, HOUSING, TOUCHED = (150, 158, 168), (92, 158, 230), (60, 66, 74), (2
 NEXT, EXPECTED = (43, 138, 62), (214, 170, 40)
 LARGEST_M = 2e-3  # half axis of a drawn ellipsoid, at most; a small ellipsoid is magnified by a power of ten
 SIGMAS = 2.0
+PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shadows slow down a view without a GPU
+LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
+NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
+COVERING = 1.01  # scale of the chosen hypothesis, which hides the object at rest if both poses are equal
 
 
 def to_view(T: Pose) -> dict[str, NDArray[np.float64]]:
@@ -74,14 +78,22 @@ class SceneView:
     def _add_mesh(self, name: str, mesh: TriangleMesh, colour: tuple[int, int, int], **options: Any) -> Any:
         vertices = np.asarray(UNITS_PER_M * mesh.vertices_m, np.float32)
         return self.scene.add_mesh_simple(
-            name, vertices, mesh.faces.astype(np.uint32), color=colour, flat_shading=True, side="double", **options
+            name,
+            vertices,
+            mesh.faces.astype(np.uint32),
+            color=colour,
+            flat_shading=True,
+            side="double",
+            **PLAIN,
+            **options,
         )
 
     def _look_at(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         middle = UNITS_PER_M * mesh.corners_m.mean(axis=0)
         size = UNITS_PER_M * (np.linalg.norm(mesh.extents_m) + max(np.ptp(geometry.rectangle[:2]), 0.01))
-        self.client.camera.look_at = middle
-        self.client.camera.position = middle + 1.15 * size * np.array([0.75, -1.0, 0.7])
+        self.client.camera.near, self.client.camera.far = NEAR, FAR
+        self.client.camera.position = middle + size * np.array([0.75, -1.0, 0.7])
+        self.client.camera.look_at = middle  # after the position, which moves this point, too
 
     def add_finger_gizmo(self, T_base_sensor: Pose, geometry: SensorGeometry) -> TransformControlsHandle:
         """Add the gizmo that drags the finger. Its origin is the middle of the gel, and its z axis points out of it."""
@@ -111,7 +123,7 @@ class SceneView:
         if self._finger is None:
             self._finger = self.scene.add_frame("/finger", show_axes=False, **to_view(press.T_base_sensor))
             self._gel = self.scene.add_mesh_simple(
-                "/finger/gel", vertices, faces, color=GEL, opacity=0.75, side="double"
+                "/finger/gel", vertices, faces, color=GEL, opacity=0.75, side="double", **PLAIN
             )
             self._add_box("/finger/housing", press.geometry, HOUSING, 0.35)
         with self.client.atomic():
@@ -125,7 +137,7 @@ class SceneView:
         housing[:, 2] -= 1e-3 * UNITS_PER_M * 2  # behind the deepest point of a pressed gel
         faces = np.arange(len(housing), dtype=np.uint32).reshape(-1, 3)
         self.scene.add_mesh_simple(
-            name, housing, faces, color=colour, opacity=opacity, flat_shading=True, side="double"
+            name, housing, faces, color=colour, opacity=opacity, flat_shading=True, side="double", **PLAIN
         )  # fmt: skip
 
     # touches and results
@@ -153,7 +165,7 @@ class SceneView:
             self.scene.remove_by_name(name)
 
     def show_result(self, found: Localization, chosen: int) -> None:
-        """Draw all hypotheses, coloured by probability, and the chosen one opaque, with its ellipsoid.
+        """Draw the probable hypotheses, coloured by probability, and the chosen one opaque, with its ellipsoid.
 
         The object at rest is hidden if a touch was not simulated, because it rests elsewhere then.
         """
@@ -161,10 +173,10 @@ class SceneView:
         self._object.visible = all(touch.T_sensor_object is not None for touch in found.touches)
         most = max(h.probability for h in found.hypotheses)
         for number, (T, hypothesis) in enumerate(zip(list_poses(found), found.hypotheses, strict=True)):
-            if self._mesh is not None:
+            if self._mesh is not None and (number == chosen or hypothesis.probability >= LEAST_SHOWN):
                 colour = colour_probability(hypothesis.probability, most)
-                opacity = None if number == chosen else 0.12
-                self._add_mesh(f"/poses/{number}", self._mesh, colour, opacity=opacity, **to_view(T))
+                look = {"scale": COVERING} if number == chosen else {"opacity": 0.12}
+                self._add_mesh(f"/poses/{number}", self._mesh, colour, **look, **to_view(T))
         self._show_cloud(found)
         self._show_ellipsoid(found, chosen)
 
