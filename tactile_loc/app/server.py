@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import tempfile
 import time
 from contextlib import redirect_stdout, suppress
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from viser import ClientHandle
 
     from tactile_loc.app.panels import Page
-
-logger = logging.getLogger(__name__)
 
 HOST, PORT = "127.0.0.1", 8080
 
@@ -94,8 +91,12 @@ class AppServer:
 
     def close(self) -> None:
         """End the server, and remove the uploaded files."""
-        self._server.stop()
-        for page in self.pages.values():
+        with redirect_stdout(io.StringIO()):  # viser prints a line
+            self._server.stop()
+        with self._lock:
+            left = list(self.pages.values())
+            self.pages.clear()
+        for page in left:
             page.close()
         self._folder.cleanup()
 

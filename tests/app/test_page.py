@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
+import sys
 import threading
 import zipfile
 from pathlib import Path
@@ -16,7 +17,7 @@ import pytest
 from tactile_loc.app.follower import Follower
 from tactile_loc.app.pictures import colour_probability, paint_beside, paint_shape
 from tactile_loc.app.scene_view import choose_magnification, from_view, to_view
-from tactile_loc.core.errors import ConfigError, ObjectError
+from tactile_loc.core.errors import ConfigError, MissingLibraryError, ObjectError
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.core.slots.registry import registry
@@ -89,6 +90,14 @@ def test_the_server_refuses_a_wrong_object_and_port_before_it_starts(tmp_path):
         AppServer(ObjectConfig(path="missing.stl"), store=StageStore(tmp_path))
     with pytest.raises(ConfigError):
         AppServer(PIN, port=70000, store=StageStore(tmp_path))
+
+
+def test_without_viser_the_message_names_the_extra(monkeypatch):
+    from tactile_loc.app.server import require_viser
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[app\]'"):
+        require_viser()
 
 
 @pytest.mark.slow
