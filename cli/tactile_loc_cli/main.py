@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from tactile_loc_cli.command import Quiet, Verbose, make_command
 from tactile_loc_cli.commands import store as store_commands
+from tactile_loc_cli.commands.app import app as serve_app
 from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
 from tactile_loc_cli.commands.identify import identify
@@ -106,6 +107,7 @@ for command in (
     app.command()(make_command(command))
 for name, command in store_commands.COMMANDS.items():
     store.command(name)(make_command(command))
+app.command("app")(make_command(serve_app))
 app.add_typer(store, name="store")
 app.command()(make_command(doctor))
 

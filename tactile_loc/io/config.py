@@ -192,6 +192,12 @@ def find_sensor_kind(name: str) -> str | None:
     return "calibrated" if os.path.isdir(name) or "/" in name else None
 
 
+def choose_sensor(name: str) -> SlotConfig:
+    """Return the sensor with this name, or the one that a .toml file or a calibration folder of this name describes."""
+    kind = find_sensor_kind(name)
+    return SlotConfig(name=kind, options={"path": name}) if kind else SlotConfig(name=name)
+
+
 def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
     """Split words into RunConfig's plain settings, such as "drawing=paper", and the other words.
 

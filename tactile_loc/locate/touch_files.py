@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import NoContactError, TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.config import SlotConfig, find_sensor_kind
+from tactile_loc.io.config import SlotConfig, choose_sensor, find_sensor_kind
 from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
@@ -206,9 +206,7 @@ def _find_place(sensor: SlotConfig) -> str | None:
 
 
 def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
-    kind = find_sensor_kind(sensor)
-    chosen = SlotConfig(name=kind, options={"path": sensor}) if kind else SlotConfig(name=sensor)
-    config = localizer.config.model_copy(update={"sensor": chosen})
+    config = localizer.config.model_copy(update={"sensor": choose_sensor(sensor)})
     return Localizer(config, localizer.object, localizer.store, localizer.progress)
 
 

@@ -1,0 +1,275 @@
+#!/usr/bin/env python3
+"""A recorded visit of the interactive page, from an own mesh to a located object, with the seconds of each step.
+
+Starts the page as `tactile-loc app` does, and drives it in a headless Chromium with selenium. Prints a row for each
+step, and how often the contact shape is drawn in each second of a drag. Writes docs/images/app.png with `--picture`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.app.panels import ARCHIVE, Page
+from tactile_loc.app.scene_view import UNITS_PER_M, from_view
+from tactile_loc.app.server import AppServer
+from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.store.store import StageStore
+
+PICTURE = Path(__file__).parent / "images" / "app.png"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)  # fmt: skip
+DESKTOP, PHONE = (1280, 1000), (500, 900)  # pixels; headless Chromium is at least 500 wide
+GRAB = 0.75  # where the arrow is grabbed, share of its length
+
+
+class Visitor:
+    """A headless browser on the page. Downloads arrive in `folder`."""
+
+    def __init__(self, url: str, folder: Path, size: tuple[int, int] = DESKTOP) -> None:
+        from selenium import webdriver
+        from selenium.webdriver.chrome.service import Service
+
+        options = webdriver.ChromeOptions()
+        options.binary_location = str(next(filter(None, map(shutil.which, BROWSERS))))
+        for flag in (*FLAGS, f"--window-size={size[0]},{size[1]}"):
+            options.add_argument(flag)
+        options.add_experimental_option("prefs", {"download.default_directory": str(folder)})
+        self.browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+        self.folder = folder
+        self.browser.get(url)
+
+    def close(self) -> None:
+        """End the browser."""
+        self.browser.quit()
+
+    def read(self) -> str:
+        """Return the text of the page."""
+        return str(self.browser.execute_script("return document.body.innerText"))
+
+    def await_text(self, text: str, limit_s: float = 120.0) -> None:
+        """Wait until the page shows a text."""
+        wait_until(lambda: text in self.read(), f"the page does not show {text!r}", limit_s)
+
+    def click(self, text: str) -> None:
+        """Press the button with a text."""
+        find = "return [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]))"
+        wait_until(lambda: self.browser.execute_script(find, text), f"there is no button {text!r}")
+        self.browser.execute_script("arguments[0].click()", self.browser.execute_script(find, text))
+
+    def upload(self, number: int, path: Path) -> None:
+        """Give a file to the upload button with a number, from 0."""
+        self.browser.find_elements("css selector", "input[type=file]")[number].send_keys(str(path))
+
+    def await_download(self, name: str) -> Path:
+        """Wait for a downloaded file, and return its path."""
+        path = self.folder / name
+        wait_until(path.is_file, f"{name} does not arrive")
+        return path
+
+    def drag(self, start: NDArray[np.float64], end: NDArray[np.float64], seconds: float) -> int:
+        """Drag the mouse from pixel `start` (2,) to `end` and back for some seconds; return the number of its moves."""
+        moves = 0
+        begin_s = time.perf_counter()
+        self._send_mouse("mouseMoved", start, 0)
+        time.sleep(0.5)  # the view marks what is below the mouse
+        self._send_mouse("mousePressed", start, 1)
+        while (passed := time.perf_counter() - begin_s - 0.5) < seconds:
+            share = 0.5 - 0.5 * np.cos(np.pi * passed)
+            self._send_mouse("mouseMoved", start + share * (end - start), 1)
+            moves += 1
+        self._send_mouse("mouseReleased", end, 0)
+        return moves
+
+    def _send_mouse(self, kind: str, at: NDArray[np.float64], pressed: int) -> None:
+        event = {"type": kind, "x": float(at[0]), "y": float(at[1]), "button": "left", "buttons": pressed}
+        self.browser.execute_cdp_cmd("Input.dispatchMouseEvent", {**event, "clickCount": 1})
+
+    def close_notifications(self) -> None:
+        """Close all notifications."""
+        close = "document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
+        self.browser.execute_script(close)
+        time.sleep(1.5)
+
+    def find_canvas(self) -> tuple[float, float, float, float]:
+        """Return the left, top, width and height of the view, pixels."""
+        script = (
+            "const all = [...document.querySelectorAll('canvas')].map(c => c.getBoundingClientRect());"
+            "const r = all.sort((a, b) => b.width * b.height - a.width * a.height)[0];"
+            "return [r.left, r.top, r.width, r.height]"
+        )
+        left, top, width, height = self.browser.execute_script(script)
+        return left, top, width, height
+
+
+def wait_until(is_done: Callable[[], Any], problem: str, limit_s: float = 120.0, pause_s: float = 0.05) -> None:
+    """Look every `pause_s` seconds whether something is done.
+
+    Raises TimeoutError, with the problem, after `limit_s` seconds.
+    """
+    end_s = time.monotonic() + limit_s
+    while not is_done():
+        if time.monotonic() > end_s:
+            raise TimeoutError(problem)
+        time.sleep(pause_s)
+
+
+def find_arrow(page: Page, visitor: Visitor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where the finger's x arrow is grabbed, and where a drag of 4 mm along it ends, in pixels."""
+    assert page.view.finger_gizmo is not None
+    T = from_view(page.view.finger_gizmo)
+    x0, x1, y0, y1 = page.session.scene.geometry.rectangle
+    grab_m = T[:3, 3] + GRAB * max(x1 - x0, y1 - y0) * T[:3, 0]
+    return project(page, visitor, grab_m), project(page, visitor, grab_m + 4e-3 * T[:3, 0])
+
+
+def project(page: Page, visitor: Visitor, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pixel (2,) of the browser's window at which a point (3,), metres, of the view appears."""
+    camera, (left, top, width, height) = page.client.camera, visitor.find_canvas()
+    forward = np.asarray(camera.look_at) - camera.position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    ray = UNITS_PER_M * point_m - camera.position
+    scale = 0.5 * height / np.tan(0.5 * camera.fov) / (ray @ forward)
+    return np.array(
+        [left + 0.5 * width + scale * (ray @ right), top + 0.5 * height - scale * (ray @ np.cross(right, forward))]
+    )
+
+
+def make_part(path: Path) -> Path:
+    """Write an own part, an angle bracket with a pin, as STL in mm, and return its path."""
+    import trimesh
+
+    foot, wall = trimesh.creation.box((40, 24, 6)), trimesh.creation.box((6, 24, 26))
+    wall.apply_translation((-17, 0, 10))
+    pin = trimesh.creation.cylinder(3.5, 9, sections=48)
+    pin.apply_translation((10, 3, 6))
+    trimesh.boolean.union([foot, wall, pin], engine="manifold").export(path)
+    return path
+
+
+def await_page(server: AppServer, visitor: Visitor) -> Page:
+    """Wait until the visitor's page is complete, and return it."""
+    visitor.await_text("Download the result")
+    wait_until(lambda: server.pages, "no visitor is known")
+    page = next(reversed(server.pages.values()))
+    wait_until(lambda: page.follower.done, "no contact shape is drawn")
+    return page
+
+
+def measure_updates(page: Page, count: int = 100) -> float:
+    """Return how often per second the contact shape and the gel are computed and sent, one request after another."""
+    T, depth_m, start_s = page.session.T_base_sensor, page.session.press_depth_m, time.perf_counter()
+    for number in range(1, count + 1):
+        done = page.follower.done
+        page.follower.ask((T @ make_translation([1e-3 * np.sin(number), 0, 0]), depth_m))
+        wait_until(lambda done=done: page.follower.done > done, "the contact shape is not drawn", pause_s=0.0005)
+    return count / (time.perf_counter() - start_s)
+
+
+def visit(store: StageStore, picture: Path | None, shots: Path | None) -> list[tuple[str, str]]:
+    """Visit the page from an own mesh to the exported result, and return the rows of the record."""
+    rows: list[tuple[str, str]] = []
+    start_s = time.perf_counter()
+
+    def note(step: str, text: str = "") -> None:
+        nonlocal start_s
+        now_s = time.perf_counter()
+        rows.append((step, text or f"{now_s - start_s:.1f} s"))
+        start_s = time.perf_counter()
+
+    with tempfile.TemporaryDirectory() as name, AppServer(port=0, store=store) as server:
+        folder = Path(name)
+        note("start the page")
+        visitor = Visitor(server.url, folder)
+        try:
+            page = await_page(server, visitor)
+            note("open the page in a browser")
+            visitor.upload(0, make_part(folder / "bracket.stl"))
+            visitor.await_text("bracket: 40.0 x 24.0 x 26.0 mm")
+            note("upload an own STL file")
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1")
+            note("add the first touch")
+            time.sleep(2.0)  # the view draws the new object
+            start_s, done = time.perf_counter(), page.follower.done
+            moves = visitor.drag(*find_arrow(page, visitor), seconds=5.0)
+            note("moves of the mouse per second that the browser accepts", f"{moves / 5.0:.0f}")
+            note("updates per second while dragging", f"{(page.follower.done - done) / 5.0:.0f}")
+            note("updates per second without the mouse", f"{measure_updates(page):.0f}")
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1, touch-2")
+            note("add the second touch")
+            visitor.click("Locate")
+            visitor.await_text("Located in", 600.0)
+            note("locate from two touches, and build the model")
+            visitor.click("Suggest the next touch")
+            visitor.await_text("The next touch is green")
+            note("suggest the next touch")
+            visitor.click("Add this touch")
+            visitor.await_text("touch-3")
+            note("add the third touch")
+            count = len(page.session.history)
+            visitor.click("Locate")
+            wait_until(lambda: len(page.session.history) > count, "no second result")
+            note("locate from three touches")
+            visitor.click("Download the result")
+            names = zipfile.ZipFile(visitor.await_download(ARCHIVE)).namelist()
+            note("export the result")
+            assert {"result.json", "report.html", "locate.py", "bracket.stl"} <= set(names)
+            errors_m = page.session.require_result().measure_errors_m(page.session.object)
+            rows.append(("verdict", str(page.session.require_result().verdict)))
+            rows.append(("error of the first pose", f"{1e3 * float(np.asarray(errors_m)[0]):.3f} mm"))
+            if picture is not None:
+                visitor.close_notifications()
+                visitor.browser.save_screenshot(str(picture))
+            if shots is not None:
+                take_shots(server, visitor, shots)
+        finally:
+            visitor.close()
+    return rows
+
+
+def take_shots(server: AppServer, visitor: Visitor, shots: Path) -> None:
+    """Write screenshots of the page: the result, and a fresh visit at the width of a phone."""
+    visitor.browser.execute_script(
+        "[...document.querySelectorAll('button')].find(b => b.innerText.includes('Locate')).scrollIntoView()"
+    )
+    time.sleep(1.0)
+    visitor.browser.save_screenshot(str(shots / "result.png"))
+    phone = Visitor(server.url, shots, PHONE)
+    try:
+        await_page(server, phone)
+        phone.close_notifications()
+        phone.browser.save_screenshot(str(shots / "phone.png"))
+    finally:
+        phone.close()
+
+
+def main() -> None:
+    """Record a visit with an empty store, and print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--picture", action="store_true", help="renew docs/images/app.png")
+    parser.add_argument("--shots", type=Path, help="folder for more screenshots")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        rows = visit(StageStore(Path(folder)), PICTURE if given.picture else None, given.shots)
+    print("| step | measured |\n|---|---|")
+    print("\n".join(f"| {step} | {value} |" for step, value in rows))
+
+
+if __name__ == "__main__":
+    main()

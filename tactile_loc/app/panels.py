@@ -1,0 +1,381 @@
+"""The controls of the page: object, sensor, press, touches, result, prior and export of one visitor."""
+
+from __future__ import annotations
+
+import io
+import logging
+import tempfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast, get_args
+
+import numpy as np
+
+from tactile_loc.app.follower import Follower
+from tactile_loc.app.pictures import paint_beside, paint_shape
+from tactile_loc.app.scene_view import SceneView, choose_magnification, from_view
+from tactile_loc.app.session import Session
+from tactile_loc.app.virtual_finger import Pose
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.meshes import Units
+from tactile_loc.locate.results.localization import Localization
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+logger = logging.getLogger(__name__)
+
+OWN = "own file"
+READ_FROM_PATHS = ("file", "calibrated")  # sensors that are chosen by their path
+IN_FILE = "as in the file"
+EMPTY = np.full((96, 96, 3), 236, np.uint8)
+ARCHIVE = "tactile-loc-result.zip"
+PRIOR_MM, PRIOR_DEG = 5.0, 15.0
+
+
+class Page:
+    """The controls and the view of one visitor, with the visitor's session."""
+
+    def __init__(self, client: ClientHandle, session: Session) -> None:
+        self.client, self.session, self.view = client, session, SceneView(client)
+        self.follower: Follower[tuple[Pose, float]] = Follower(self._follow)
+        client.gui.configure_theme(control_width="large", show_share_button=False)
+        client.gui.main_panel.dock_right()
+        self._add_object_controls()
+        self._add_press_controls()
+        self._add_result_controls()
+        self._add_file_controls()
+        self._add_prior_controls()
+        self._add_export_controls()
+        self._show_object()
+
+    def close(self) -> None:
+        """End the visitor's thread."""
+        self.follower.stop()
+
+    # reports to the visitor
+
+    def guard(self, work: Callable[[], None]) -> Callable[[Any], None]:
+        """Return a callback that does the work, unless the program set the value. It shows errors as notifications."""
+
+        def act(event: Any) -> None:
+            if getattr(event, "client_id", 0) is not None:
+                self.attempt(work)
+
+        return act
+
+    def attempt(self, work: Callable[[], None]) -> None:
+        """Do the work, and show an error as a notification."""
+        try:
+            work()
+        except TactileLocError as error:
+            self._notify("This did not work", str(error), "red")
+        except Exception as error:  # the page must go on; the log has the details
+            logger.exception("the page failed")
+            self._notify("The program failed", f"{type(error).__name__}: {error}", "red")
+
+    def _notify(self, title: str, text: str, colour: Any = "blue") -> None:
+        self.client.add_notification(title, text, auto_close_seconds=12.0, color=colour)
+
+    # object and sensor
+
+    def _add_object_controls(self) -> None:
+        gui, config = self.client.gui, self.session.localizer.config
+        with gui.add_folder("1. Object and sensor"):
+            demo = config.object.path if config.object.path in DEMO_OBJECTS else OWN
+            self.objects = gui.add_dropdown("Object", (*DEMO_OBJECTS, OWN), initial_value=demo)
+            self.units = gui.add_dropdown(
+                "Unit of own files", get_args(Units), initial_value="mm", hint="A STEP file states its own unit."
+            )
+            self.upload = gui.add_upload_button("Open your own mesh", hint="An STL, OBJ, PLY or STEP file.")
+            names = [name for name in registry().names("sensor") if name not in READ_FROM_PATHS]
+            chosen = config.sensor.name if config.sensor.name in names else OWN
+            self.sensors = gui.add_dropdown("Sensor", (*names, OWN), initial_value=chosen)
+            self.sensor_path = gui.add_text(
+                "Sensor file", str(config.sensor.options.get("path", "")), visible=chosen == OWN,
+                hint="A sensor's .toml file or a calibration folder on this computer.",
+            )  # fmt: skip
+            self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN)
+            self.about = gui.add_markdown("")
+        self.objects.on_update(self.guard(self._choose_object))
+        self.upload.on_upload(self.guard(self._upload_object))
+        self.sensors.on_update(self.guard(self._choose_sensor))
+        self.use_sensor.on_click(self.guard(self._read_sensor))
+
+    def _choose_object(self) -> None:
+        if self.objects.value != OWN:
+            self.session.load_object(self.objects.value)
+            self._show_object()
+
+    def _upload_object(self) -> None:
+        uploaded = self.upload.value
+        self.session.upload_object(uploaded.name, uploaded.content, cast(Units, self.units.value))
+        self.objects.value = OWN
+        self._show_object()
+        for note in self.session.object.notes:
+            self._notify("Note", note)
+
+    def _choose_sensor(self) -> None:
+        self.sensor_path.visible = self.use_sensor.visible = self.sensors.value == OWN
+        if self.sensors.value != OWN:
+            self.session.choose_sensor(self.sensors.value)
+            self._show_object()
+
+    def _read_sensor(self) -> None:
+        self.session.choose_sensor(self.sensor_path.value)
+        self._show_object()
+
+    def _show_object(self) -> None:
+        """Draw the session's object and sensor, and begin without touches."""
+        session, geometry = self.session, self.session.scene.geometry
+        obj, size_mm = session.object, 1e3 * session.object.mesh.extents_m
+        self.about.content = (
+            f"**{obj.name}**: {size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, symmetry {obj.symmetry}"
+        )
+        self.view.show_object(obj, geometry)
+        gizmo = self.view.add_finger_gizmo(session.T_base_sensor, geometry)
+        gizmo.on_update(self._follow_drag)
+        self.depth.max = round(1e3 * geometry.max_depth_m, 2)
+        self.depth.value = round(1e3 * session.press_depth_m, 2)
+        self.prior_on.value = False
+        self._show_touches()
+        self._ask_press()
+
+    # the press
+
+    def _add_press_controls(self) -> None:
+        gui = self.client.gui
+        with gui.add_folder("2. Touch"):
+            gui.add_markdown("Drag the arrows and rings. The finger moves along its axis onto the object.")
+            self.depth = gui.add_slider("Press (mm)", 0.05, 2.0, 0.01, 0.5)
+            self.shape = gui.add_image(EMPTY, label="Contact shape")
+            self.noise = gui.add_dropdown("Noise", tuple(NOISE), initial_value="none")
+            self.add = gui.add_button("Add this touch", color="blue")
+            self.clear = gui.add_button("Remove all touches")
+            self.touches = gui.add_markdown("")
+        self.depth.on_update(self.guard(self._ask_press))
+        self.add.on_click(self.guard(self._add_touch))
+        self.clear.on_click(self.guard(self._clear_touches))
+
+    def _follow_drag(self, event: Any) -> None:
+        self.attempt(self._settle if event.phase == "end" else self._ask_press)
+
+    def _ask_press(self) -> None:
+        if self.view.finger_gizmo is not None:
+            self.follower.ask((self.view.read_finger(self.session.scene.geometry), 1e-3 * self.depth.value))
+
+    def _follow(self, asked: tuple[Pose, float]) -> None:
+        self.attempt(lambda: self._show_press(*asked))
+
+    def _show_press(self, T_base_sensor: Pose, depth_m: float) -> None:
+        press = self.session.press(T_base_sensor, depth_m)
+        self.view.show_press(press)
+        self.shape.image = paint_shape(press.shape, press.geometry)
+        self.shape.label = "Contact shape" if press.touches else "Contact shape: the finger misses the object"
+
+    def _settle(self) -> None:
+        """Move the gizmo to the finger after a drag."""
+        press = self.session.press(self.view.read_finger(self.session.scene.geometry), 1e-3 * self.depth.value)
+        if press.touches:
+            self.view.move_finger_gizmo(press.T_base_sensor, self.session.scene.geometry)
+
+    def _add_touch(self) -> None:
+        geometry = self.session.scene.geometry
+        self.session.press(self.view.read_finger(geometry), 1e-3 * self.depth.value)
+        self.session.add_touch(self.noise.value)
+        self._show_touches()
+
+    def _clear_touches(self) -> None:
+        self.session.clear_touches()
+        self._show_touches()
+
+    def _show_touches(self) -> None:
+        """List and draw the touches. A result stays until the next one, unless no touch is left."""
+        touches = self.session.touches
+        names = ", ".join(touch.name for touch in touches)
+        self.touches.content = f"Touches: {names}" if touches else "No touch yet."
+        self.view.show_touches(touches)
+        if self.session.result is None:
+            self._clear_result()
+
+    # the result
+
+    def _add_result_controls(self) -> None:
+        gui = self.client.gui
+        with gui.add_folder("3. Locate"):
+            self.locate = gui.add_button("Locate", color="green")
+            self.status = gui.add_markdown("")
+            self.verdict = gui.add_markdown("", visible=False)
+            self.number = gui.add_slider("Pose", 1, 2, 1, 1, visible=False)
+            self.shown_touch = gui.add_slider("Shown touch", 1, 2, 1, 1, visible=False)
+            self.pose = gui.add_markdown("", visible=False)
+            self.compared = gui.add_image(EMPTY, label="Left: observed. Right: predicted by this pose", visible=False)
+            self.history = gui.add_markdown("", visible=False)
+            self.next = gui.add_button("Suggest the next touch", visible=False)
+        self.locate.on_click(self.guard(self._locate))
+        self.number.on_update(self.guard(self._show_pose))
+        self.shown_touch.on_update(self.guard(self._show_pose))
+        self.next.on_click(self.guard(self._suggest_next))
+
+    def _locate(self) -> None:
+        """Locate the object in the thread of this callback, so that the page can still be used."""
+        self._read_prior()
+        self.locate.disabled = True
+        count = len(self.session.touches)
+        self.status.content = f"Locating from {count} touches. The first time for an object takes up to a minute ..."
+        try:
+            found = self.session.locate()
+        finally:
+            self.locate.disabled = False
+            self.status.content = ""
+        if found is self.session.result:
+            self._show_result(found)
+        else:
+            self._notify("The touches changed", "Locate again to use the present touches.")
+
+    def _show_result(self, found: Localization) -> None:
+        self.status.content = f"Located in {sum(found.seconds.values()):.2f} s"
+        self.verdict.content = found.summary().replace("\n", "\n\n")
+        self.history.content = self._write_history()
+        for slider, count in ((self.number, len(found.hypotheses)), (self.shown_touch, len(found.touches))):
+            slider.max, slider.value, slider.visible = max(count, 2), 1, count > 1
+        for handle in (self.verdict, self.pose, self.compared, self.history, self.next):
+            handle.visible = True
+        self._show_pose()
+
+    def _write_history(self) -> str:
+        rows = (
+            f"| {one.touches} | {one.verdict} | {format_percent(one.probability_within)} | {one.explanations} |"
+            for one in self.session.history
+        )
+        tolerance = self.session.require_result().tolerance.describe()
+        head = f"| touches | verdict | within {tolerance} | equal poses |\n|---|---|---|---|\n"
+        return head + "\n".join(rows)
+
+    def _show_pose(self) -> None:
+        """Show the chosen hypothesis: its place in the view, its numbers, and the contact that it predicts."""
+        found = self.session.result
+        if found is None:
+            return
+        chosen = min(int(self.number.value), len(found.hypotheses)) - 1
+        touch = min(int(self.shown_touch.value), len(found.touches)) - 1
+        observed, predicted, geometry = self.session.predict(chosen, touch)
+        self.compared.image = paint_beside(paint_shape(observed, geometry), paint_shape(predicted, geometry))
+        self.pose.content = describe_pose(found, chosen)
+        self.view.show_result(found, chosen)
+
+    def _clear_result(self) -> None:
+        self.view.clear_result()
+        self.status.content = ""
+        for handle in (
+            self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history, self.next
+        ):  # fmt: skip
+            handle.visible = False
+
+    def _suggest_next(self) -> None:
+        """Draw the next touch, and move the finger there."""
+        rated, geometry = self.session.suggest_next(), self.session.scene.geometry
+        self.view.show_next(rated, geometry)
+        doubt = rated.information + rated.entropy
+        text = f"It is expected to remove {rated.information:.2f} of {doubt:.2f} nats of doubt."
+        if self.session.require_result().best.T_base_object is not None:
+            self.view.move_finger_gizmo(rated.approach.T_base_sensor, geometry)
+            self._settle()
+            self._ask_press()
+            text += " The finger is there; add this touch, and locate again."
+        self._notify("The next touch is green", text)
+
+    # touches from files
+
+    def _add_file_controls(self) -> None:
+        gui = self.client.gui
+        with gui.add_folder("Touches from files", expand_by_default=False):
+            gui.add_markdown(
+                "A contact shape (npz, npy, 16-bit png), or a photo of a calibrated sensor. For several touches with "
+                "sensor poses, upload the files first, and then their list (touches.toml)."
+            )
+            self.touch_unit = gui.add_dropdown("Unit of depths", (IN_FILE, *METRES_PER_UNIT), initial_value=IN_FILE)
+            self.touch_kind = gui.add_dropdown("Depths are", (IN_FILE, *get_args(DepthKind)), initial_value=IN_FILE)
+            self.touch_file = gui.add_upload_button("Upload a touch or a list")
+        self.touch_file.on_upload(self.guard(self._upload_touch))
+
+    def _upload_touch(self) -> None:
+        uploaded = self.touch_file.value
+        unit, kind = (
+            None if chosen.value == IN_FILE else chosen.value for chosen in (self.touch_unit, self.touch_kind)
+        )
+        self.session.read_touch_file(uploaded.name, uploaded.content, unit, kind)
+        self._show_touches()
+
+    # the prior
+
+    def _add_prior_controls(self) -> None:
+        gui = self.client.gui
+        with gui.add_folder("Expected pose", expand_by_default=False):
+            gui.add_markdown("Drag the yellow object roughly to where you expect it.")
+            self.prior_on = gui.add_checkbox("Use an expected pose", initial_value=False)
+            self.prior_mm = gui.add_number("Its error (mm)", PRIOR_MM, min=0.1, max=1000.0, step=0.1)
+            self.prior_deg = gui.add_number("Its error (degrees)", PRIOR_DEG, min=0.1, max=180.0, step=0.1)
+        self.prior_on.on_update(self.guard(self._toggle_prior))
+
+    def _toggle_prior(self) -> None:
+        if self.prior_on.value:
+            self.view.add_prior(np.eye(4))
+        else:
+            self.view.remove_prior()
+
+    def _read_prior(self) -> None:
+        """Take the expected pose from its gizmo."""
+        gizmo = self.view.prior_gizmo
+        T = None if gizmo is None or not self.prior_on.value else from_view(gizmo)
+        self.session.set_prior(T, 1e-3 * self.prior_mm.value, float(np.radians(self.prior_deg.value)))
+
+    # export
+
+    def _add_export_controls(self) -> None:
+        gui = self.client.gui
+        with gui.add_folder("4. Export"):
+            self.export = gui.add_button(
+                "Download the result", hint="result.json, report.html, the touches, and a Python script."
+            )
+        self.export.on_click(self.guard(self._export))
+
+    def _export(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            self.session.export(Path(folder))
+            content = pack_folder(Path(folder))
+        self.client.send_file_download(ARCHIVE, content, save_immediately=True)
+
+
+def describe_pose(found: Localization, number: int) -> str:
+    """Return the probability of a hypothesis, how well it explains the touches, and the error of its place."""
+    hypothesis = found.hypotheses[number]
+    text = (
+        f"Pose {number + 1} of {len(found.hypotheses)}: probability {format_percent(hypothesis.probability)}, "
+        f"imprint IoU {format_percent(hypothesis.imprint_iou)}"
+    )
+    in_base = hypothesis.T_base_object is not None
+    covariance = hypothesis.base_covariance if in_base else hypothesis.covariance
+    if covariance is None:
+        return text
+    std_mm = 1e3 * np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
+    larger = choose_magnification(covariance)
+    drawn = "" if larger == 1 else f", drawn {larger:.0f} times larger"
+    x, y, z = (f"{value:.2g}" for value in std_mm)
+    return f"{text}. Standard deviations of x, y, z: {x}, {y}, {z} mm (ellipsoid{drawn})."
+
+
+def pack_folder(folder: Path) -> bytes:
+    """Return all files below a folder as a ZIP archive."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                archive.write(path, path.relative_to(folder))
+    return packed.getvalue()

@@ -1,0 +1,144 @@
+"""The page in a headless browser: press, add, locate and export; and two visitors at once."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import sys
+import threading
+import zipfile
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tactile_loc.app.follower import Follower
+from tactile_loc.app.pictures import colour_probability, paint_beside, paint_shape
+from tactile_loc.app.scene_view import choose_magnification, from_view, to_view
+from tactile_loc.core.errors import ConfigError, MissingLibraryError, ObjectError
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.store.store import StageStore
+
+PROGRAM = Path(__file__).parents[2] / "docs" / "app_session.py"
+PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
+
+
+def load_program() -> ModuleType:
+    """The program that records a visit; it drives the browser."""
+    spec = importlib.util.spec_from_file_location("app_session", PROGRAM)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_poses_of_the_view_are_those_of_the_session():
+    T = make_transform(draw_rotations(1, np.random.default_rng(0))[0], [0.01, -0.02, 0.03])
+    node = type("Node", (), to_view(T))
+    np.testing.assert_allclose(from_view(node), T, atol=1e-12)
+
+
+@pytest.mark.parametrize(("std_m", "times"), [(5e-3, 1), (4e-4, 1), (4e-5, 10), (4e-9, 1000)])
+def test_a_small_ellipsoid_is_drawn_larger(std_m, times):
+    assert choose_magnification(std_m**2 * np.eye(6)) == times
+
+
+def test_the_picture_of_a_shape_shows_contact():
+    geometry = registry().create("sensor", MINI.name, {}).geometry.resize_long_side(72)
+    depth = np.full(geometry.shape, 1e-3, np.float32)
+    depth[20:30, 30:50] = 0
+    picture = paint_shape(ContactShape(depth, 1e-3), geometry)
+    assert picture.shape == (4 * geometry.shape[0], 4 * geometry.shape[1], 3)
+    assert (picture[4 * 25, 4 * 40] != picture[0, 0]).any()
+    assert paint_beside(picture, picture).shape[1] > 2 * picture.shape[1]
+    assert colour_probability(1.0, 1.0) != colour_probability(0.0, 1.0)
+
+
+def test_only_the_newest_request_counts():
+    started, release, seen = threading.Event(), threading.Event(), []
+
+    def work(request: int) -> None:
+        seen.append(request)
+        started.set()
+        release.wait(10)
+
+    follower = Follower(work)
+    follower.ask(0)
+    assert started.wait(10)
+    for request in range(1, 5):
+        follower.ask(request)
+    release.set()
+    for _ in range(1000):
+        if follower.done == 2:
+            break
+        threading.Event().wait(0.01)
+    follower.stop()
+    assert seen == [0, 4]
+
+
+def test_the_server_refuses_a_wrong_object_and_port_before_it_starts(tmp_path):
+    pytest.importorskip("viser")
+    from tactile_loc.app.server import AppServer
+
+    with pytest.raises(ObjectError):
+        AppServer(ObjectConfig(path="missing.stl"), store=StageStore(tmp_path))
+    with pytest.raises(ConfigError):
+        AppServer(PIN, port=70000, store=StageStore(tmp_path))
+
+
+def test_without_viser_the_message_names_the_extra(monkeypatch):
+    from tactile_loc.app.server import require_viser
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[app\]'"):
+        require_viser()
+
+
+@pytest.mark.slow
+def test_visitors_press_locate_and_export(tmp_path, store):
+    pytest.importorskip("viser")
+    pytest.importorskip("selenium")
+    program = load_program()
+    if shutil.which("chromedriver") is None or not any(map(shutil.which, program.BROWSERS)):
+        pytest.skip("there is no chromium with its chromedriver")
+    from tactile_loc.app.server import AppServer
+
+    with AppServer(PIN, MINI, port=0, store=store) as server:
+        visitor = program.Visitor(server.url, tmp_path)
+        other = program.Visitor(server.url, tmp_path)
+        try:
+            assert server.url.startswith("http://127.0.0.1:")
+            program.await_page(server, visitor)
+            program.wait_until(lambda: len(server.pages) == 2, "a visitor is missing")
+            mine, theirs = (server.pages[number] for number in sorted(server.pages))
+            visitor.click("Locate")
+            visitor.await_text("there is no touch yet")
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1")
+            visitor.click("Locate")
+            visitor.await_text("Located in", 300)
+            visitor.click("Suggest the next touch")
+            visitor.await_text("The next touch is green")
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1, touch-2")
+            visitor.click("Download the result")
+            with zipfile.ZipFile(visitor.await_download(program.ARCHIVE)) as archive:
+                assert {"result.json", "locate.py", "touch-1.npz"} <= set(archive.namelist())
+                record = json.loads(archive.read("result.json"))
+            assert record["verdict"] in visitor.read()
+            assert sorted(len(page.session.touches) for page in (mine, theirs)) == [0, 2]
+            assert "No touch yet" in other.read()
+            wrong = tmp_path / "wrong.stl"
+            wrong.write_text("this is no mesh")
+            other.upload(0, wrong)
+            other.await_text("This did not work")
+            assert "pin: 16.0" in other.read()
+        finally:
+            visitor.close()
+            other.close()

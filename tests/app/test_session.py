@@ -1,0 +1,217 @@
+"""The state behind the page: objects, presses, touches, results, and the independence of two visitors."""
+
+from __future__ import annotations
+
+import json
+import runpy
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.app.export import _copy_object
+from tactile_loc.app.session import Session, list_poses, place_above
+from tactile_loc.app.shared_localizers import SharedLocalizers, write_upload
+from tactile_loc.core.errors import ConfigError, NoContactError, ObjectError, ResultError, TactileLocError, TouchError
+from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.io.touches import write_touch
+from tactile_loc.store.store import StageStore
+
+SENSOR = SlotConfig(name="gelsight-mini")
+DEPTH_M = 8e-4
+
+
+@pytest.fixture(scope="module")
+def localizers(tmp_path_factory) -> SharedLocalizers:
+    return SharedLocalizers(tmp_path_factory.mktemp("uploads"), StageStore(tmp_path_factory.mktemp("store")))
+
+
+@pytest.fixture
+def session(localizers) -> Session:
+    return Session(localizers, ObjectConfig(path="pin"), SENSOR)
+
+
+@pytest.fixture(scope="module")
+def located(localizers) -> Session:
+    """A session with a result from two touches of the pin, the second on its side."""
+    session = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    session.press(session.T_base_sensor, DEPTH_M)
+    session.add_touch()
+    session.locate()
+    session.press(session.suggest_next().approach.T_base_sensor, DEPTH_M)
+    session.add_touch()
+    session.locate()
+    return session
+
+
+def make_block() -> bytes:
+    content: bytes = trimesh.creation.box((30, 20, 10)).export(file_type="stl")
+    return content
+
+
+def test_a_press_moves_the_finger_along_its_axis_to_the_object(session):
+    high = session.T_base_sensor @ make_translation([0, 0, -0.03])
+    press = session.press(high, DEPTH_M)
+    assert press.touches
+    moved = np.linalg.inv(high) @ press.T_base_sensor
+    np.testing.assert_allclose(moved[:2, 3], 0, atol=1e-12)
+    assert moved[2, 3] > 0.02
+    assert press.shape.press_depth_m == DEPTH_M
+    assert press.shape.depth_m.min() < 0.1 * DEPTH_M
+
+
+def test_the_gel_surface_is_pressed_in_by_the_press_depth(session):
+    press = session.press(session.T_base_sensor, DEPTH_M)
+    vertices, faces = press.build_gel_surface()
+    rest_m = session.scene.geometry.surface_m
+    assert vertices[:, 2].min() == pytest.approx(rest_m - DEPTH_M, abs=0.1 * DEPTH_M)
+    assert vertices[:, 2].max() == pytest.approx(rest_m, abs=1e-6)
+    assert faces.max() < len(vertices)
+
+
+def test_a_finger_beside_the_object_shows_no_contact_and_makes_no_touch(session):
+    beside = make_translation([0.5, 0, 0]) @ session.T_base_sensor
+    assert not session.press(beside, DEPTH_M).touches
+    with pytest.raises(NoContactError):
+        session.add_touch()
+    assert session.touches == ()
+
+
+def test_the_preview_and_the_touch_show_the_same_press(session):
+    press = session.press(session.T_base_sensor, DEPTH_M)
+    touch = session.add_touch()
+    np.testing.assert_allclose(touch.T_base_sensor, press.T_base_sensor, atol=2e-5)
+    np.testing.assert_allclose(touch.T_base_sensor @ touch.T_sensor_object, np.eye(4), atol=1e-9)
+    few, many = (shape.contact.mean() for shape in (press.shape, touch.contact_shape))
+    assert few == pytest.approx(many, rel=0.2)
+
+
+def test_touches_are_located_in_the_objects_resting_frame(located):
+    assert located.result is not None
+    true = located.object.symmetry
+    errors_m = located.result.measure_errors_m(located.object)
+    assert errors_m is not None
+    assert errors_m[0] < 1e-4
+    best = list_poses(located.result)[0]
+    np.testing.assert_allclose(best[:3, :3] @ true.centre_m + best[:3, 3], true.centre_m, atol=5e-4)
+    assert [judged.touches for judged in located.history] == [1, 2]
+
+
+def test_nothing_is_located_without_a_touch(session):
+    with pytest.raises(TouchError):
+        session.locate()
+    with pytest.raises(ResultError):
+        session.suggest_next()
+
+
+def test_two_sessions_do_not_disturb_each_other_but_share_a_localizer(located, localizers):
+    other = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    assert other.localizer is located.localizer
+    assert (other.touches, other.result, len(located.touches)) == ((), None, 2)
+    other.load_object("head")
+    assert (other.object.name, located.object.name) == ("head", "pin")
+    assert other.inbox != located.inbox
+
+
+def test_a_new_sensor_removes_the_touches(session):
+    session.press(session.T_base_sensor, DEPTH_M)
+    session.add_touch()
+    session.choose_sensor("digit")
+    assert session.touches == ()
+    assert session.press_depth_m <= session.scene.geometry.max_depth_m
+
+
+def test_an_uploaded_mesh_is_read_in_its_unit(session):
+    session.upload_object("block.stl", make_block(), "mm")
+    np.testing.assert_allclose(session.object.mesh.extents_m, [0.03, 0.02, 0.01], atol=1e-9)
+    assert session.press(place_above(session.object, session.scene), DEPTH_M).touches
+
+
+def test_a_damaged_upload_leaves_the_object(session):
+    with pytest.raises(ObjectError):
+        session.upload_object("part.stl", b"this is no mesh")
+    assert session.object.name == "pin"
+
+
+@pytest.mark.parametrize("name", ["../part.stl", "/etc/part.stl", "..\\part.stl"])
+def test_an_uploaded_file_stays_in_its_folder(tmp_path, name):
+    assert write_upload(tmp_path, name, b"x") == tmp_path / "part.stl"
+
+
+@pytest.mark.parametrize("name", ["", "..", "a/.."])
+def test_an_upload_needs_a_name(tmp_path, name):
+    with pytest.raises(TactileLocError):
+        write_upload(tmp_path, name, b"x")
+
+
+def test_an_uploaded_touch_is_added_with_its_pose(session, tmp_path):
+    session.press(session.T_base_sensor, DEPTH_M)
+    touch = session.add_touch()
+    content = write_touch(tmp_path / "touch.npz", touch).read_bytes()
+    (read,) = session.read_touch_file("mine.npz", content)
+    assert (read.name, len(session.touches)) == ("mine.npz", 2)
+    np.testing.assert_allclose(read.T_base_sensor, touch.T_base_sensor)
+
+
+def test_a_list_places_the_touches_uploaded_before(session):
+    depth = np.full(session.scene.geometry.shape, 0.8, np.float32)
+    depth[50:90, 60:120] = 0.1
+    array = session.inbox / "saved.npy"
+    np.save(array, depth)
+    content = array.read_bytes()
+    session.read_touch_file("a.npy", content, "mm", "distance")
+    text = '[[touch]]\npath = "a.npy"\nunit = "mm"\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n'
+    (read,) = session.read_touch_file("touches.toml", text.encode())
+    assert session.touches == (read,)
+    np.testing.assert_allclose(read.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
+
+
+@pytest.mark.parametrize("entry", ['path = "/etc/hostname"', 'path = "../a.npy"', 'path = "a.npy"\nsensor = "x/y"'])
+def test_a_list_names_only_uploaded_files(session, entry):
+    with pytest.raises(ConfigError):
+        session.read_touch_file("touches.toml", f"[[touch]]\n{entry}\n".encode())
+
+
+def test_a_prior_needs_the_pose_of_the_sensor(session):
+    depth = np.full(session.scene.geometry.shape, 0.8, np.float32)
+    depth[50:90, 60:120] = 0.1
+    array = session.inbox / "saved.npy"
+    np.save(array, depth)
+    session.read_touch_file("a.npy", array.read_bytes(), "mm", "distance")
+    session.set_prior(np.eye(4), 0.005, 0.2)
+    with pytest.raises(TouchError):
+        session.locate()
+    with pytest.raises(ConfigError):
+        session.set_prior(np.eye(4), 0.0, 0.2)
+
+
+def test_a_prior_moves_the_probability_to_the_poses_near_it(located, localizers):
+    session = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    session.touches = located.touches[:1]
+    far_m = 1e3  # standard deviation that says nothing
+    session.set_prior(np.eye(4), far_m, far_m)
+    pose = list_poses(session.locate())[1]
+    session.set_prior(pose, 5e-4, 0.05)
+    best = list_poses(session.locate())[0]
+    assert PoseMetric(session.object).symmetric_distance(best[None], pose[None])[0] < 1e-3
+
+
+def test_the_exported_script_computes_the_same_result(located, localizers, tmp_path, monkeypatch, capsys):
+    located.set_prior(np.eye(4), 5e-3, 0.2)
+    found = located.locate()
+    written = {path.name for path in located.export(tmp_path)}
+    located.set_prior(None, 1, 1)
+    assert {"result.json", "result.npz", "report.html", "locate.py", "touch-1.npz", "touch-2.npz"} <= written
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(localizers.store.root))
+    runpy.run_path(str(tmp_path / "locate.py"))
+    assert capsys.readouterr().out.strip() == found.summary()
+    first, again = (json.loads((tmp_path / part).read_text()) for part in ("result.json", "again/result.json"))
+    assert (again["verdict"], again["hypotheses"]) == (first["verdict"], first["hypotheses"])
+
+
+def test_the_script_of_an_uploaded_mesh_holds_its_copy(session, tmp_path):
+    session.upload_object("block.stl", make_block(), "mm")
+    assert _copy_object(tmp_path, session.localizer.config.object.path) == "HERE / 'block.stl'"
+    assert (tmp_path / "block.stl").read_bytes() == make_block()
