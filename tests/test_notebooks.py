@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 NAMES = [path.stem for path in NOTEBOOKS]
-FASTEST = "first-touch"
+FASTEST = "write-a-refiner"
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != FASTEST]
 PAGE = (ROOT / "docs" / "notebooks.md").read_text()
 LONGEST_CELL = 25  # lines

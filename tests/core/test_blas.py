@@ -7,7 +7,7 @@ import threading
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tactile_loc.core.blas import use_one_blas_thread
+from tactile_loc.core.blas import _find_libraries, use_one_blas_thread
 
 
 def count_blas_threads() -> set[int]:
@@ -16,8 +16,10 @@ def count_blas_threads() -> set[int]:
 
 @pytest.fixture(autouse=True)
 def three_threads():
+    _find_libraries.cache_clear()  # other tests may have loaded more libraries since
     with threadpool_limits(3, user_api="blas"):
         yield
+    _find_libraries.cache_clear()
 
 
 def test_a_block_has_one_thread():
