@@ -15,7 +15,8 @@ def use_one_blas_thread() -> Iterator[None]:
 
     The threads of OpenBLAS wait in busy loops after each product, for longer than the products of a search take. So two
     threads need almost twice the processor time, and slow down all other work. Blocks of several threads may overlap:
-    the first block decides, and the others change nothing. Libraries that are loaded after the first block are not changed.
+    the first block decides, and the others change nothing. Libraries that are loaded after the first block are left
+    alone.
     """
     with _find_libraries().limit(limits=1, user_api="blas"):
         yield
