@@ -51,6 +51,7 @@ ELSEWHERE = {
     "other-tools.md": "test_docs_conversions.py",
     "examples.md": "test_examples.py",
     "notebooks.md": "test_notebooks.py",
+    "app.md": "test_app_command.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

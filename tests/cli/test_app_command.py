@@ -1,0 +1,35 @@
+"""`tactile-loc app` serves its page on this machine until Ctrl-C: the commands of docs/app.md."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from urllib.request import urlopen
+
+import pytest
+from cli_helpers import HANGS_S, assert_refused, command, hear_ctrl_c
+
+pytest.importorskip("viser")
+
+
+def test_the_page_is_served_until_ctrl_c(store):
+    process = subprocess.Popen(
+        command("app", "--object", "pin", "--port", "0"), env={**os.environ, "TACTILE_LOC_STORE": str(store)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c,
+    )  # fmt: skip
+    try:
+        url = next(word for word in process.stdout.readline().split() if word.startswith("http"))
+        assert url.startswith("http://127.0.0.1:")
+        with urlopen(url, timeout=HANGS_S) as page:
+            assert page.status == 200
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=HANGS_S)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+
+
+def test_a_wrong_object_is_refused_before_the_page_is_served(cli):
+    assert_refused(cli("app", "--object", "missing.stl"), "missing.stl")
