@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import NO_CONTACT, UNSEEN
+from tactile_loc.io.shape_pictures import Picture, paint_shape
 
 WIDE_PX, GAP_PX = 288, 12  # long side of one picture, and the gap between two
 
-Picture = NDArray[np.uint8]
 
-
-def paint_shape(shape: ContactShape, geometry: SensorGeometry) -> Picture:
-    """Return a picture (H, W, 3) of a contact shape, with dark pixels where the object is deepest in the gel."""
+def paint_wide(shape: ContactShape, geometry: SensorGeometry) -> Picture:
+    """Return a picture (H, W, 3) of a contact shape whose long side has about WIDE_PX pixels."""
     step = max(1, round(max(shape.depth_m.shape) / WIDE_PX))
-    depth_m, observed = shape.depth_m[::step, ::step], geometry.observed_mask[::step, ::step]
-    share = np.clip(depth_m / np.float32(shape.press_depth_m), 0, 1)
-    picture = _list_colours()[(255 * share).astype(np.uint8)]
-    picture[depth_m >= np.float32(shape.press_depth_m)] = _read_colour(NO_CONTACT)
-    picture[~observed] = _read_colour(UNSEEN)
+    picture = paint_shape(shape.subsample(step), geometry.subsample(step))
     grown = max(1, WIDE_PX // max(picture.shape[:2]))
     return picture.repeat(grown, axis=0).repeat(grown, axis=1)
 
@@ -40,17 +31,3 @@ def colour_probability(probability: float, most: float) -> tuple[int, int, int]:
 
     red, green, blue, _ = colormaps["plasma"](0.1 + 0.75 * probability / max(most, 1e-12), bytes=True)
     return int(red), int(green), int(blue)
-
-
-@cache
-def _list_colours() -> Picture:
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps["viridis"](np.arange(256), bytes=True)[:, :3], np.uint8)
-
-
-@cache
-def _read_colour(text: str) -> Picture:
-    from matplotlib.colors import to_rgb
-
-    return np.round(255 * np.array(to_rgb(text))).astype(np.uint8)

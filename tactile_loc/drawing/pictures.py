@@ -17,6 +17,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
+from tactile_loc.io.shape_pictures import NO_CONTACT, OUTLINE
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.files import write_atomically
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
     from matplotlib.layout_engine import LayoutEngine
 
-NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
 EXPECTED = "#ffffff"  # colour of the predicted outline on a photo
 MOST_TOUCHES = 30
 MOST_TOGETHER = 6  # number of touches drawn in the result of several touches

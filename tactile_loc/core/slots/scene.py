@@ -138,10 +138,14 @@ class Scene:
         )
 
     def show_like(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> ContactShape:
-        """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask."""
+        """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask.
+
+        The shape has the pixels of the scene, which may be fewer than those of the touch.
+        """
         if touch.has_depths:
             return self.contact_shape(T_sensor_object, touch.press_depth_m)
-        shown = self.match_touch(touch).render_what_touch_shows(T_sensor_object[None], touch)[0]
+        pressed = self if self.geometry.indentation_m else self.match_touch(touch)
+        shown = pressed.render_what_touch_shows(T_sensor_object[None], touch)[0]
         return ContactShape(shown, touch.press_depth_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:

@@ -17,14 +17,12 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import View
 from tactile_loc.io.images import encode_png
+from tactile_loc.io.shape_pictures import OUTLINE, paint_shape, read_colour
 from tactile_loc.locate.results.hypothesis import Hypothesis
 from tactile_loc.locate.results.verdict import Verdict
 
 MOST_ROWS, MOST_TOUCHES = 5, 4
 SIDE_PX = 96  # pixels along the long side of a picture
-# colours of the depth, from full penetration to the press depth; of pixels without contact or view; of the outline
-DEPTH_COLOURS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], float)
-NO_CONTACT, UNSEEN, OUTLINE = (236, 239, 241), (176, 190, 197), (224, 49, 49)
 VERDICT_COLOURS = {Verdict.CERTAIN: "#2b8a3e", Verdict.AMBIGUOUS: "#e67700"}
 OTHER_COLOUR = "#c92a2a"
 CELL = 'style="text-align:left;padding:2px 10px"'
@@ -109,19 +107,15 @@ def _draw_prediction(view: View, hypothesis: Hypothesis) -> str:
     """Draw the contact shape that a hypothesis predicts for a touch, with the outline of the observed contact."""
     geometry, observed = _thin(view)
     scene = replace(view.scene, geometry=geometry)
-    made = scene.contact_shape(view.T_sensor_first @ hypothesis.T_sensor_object, view.touch.press_depth_m)
+    made = scene.show_like(view.T_sensor_first @ hypothesis.T_sensor_object, view.touch)
     return _draw(made, geometry, observed)
 
 
 def _draw(shape: ContactShape, geometry: SensorGeometry, observed: NDArray[np.bool_]) -> str:
     """Return an image element of a contact shape (H, W), with the outline of the observed contact (H, W)."""
-    share = np.clip(shape.depth_m / shape.press_depth_m, 0, 1) * (len(DEPTH_COLOURS) - 1)
-    steps = np.arange(len(DEPTH_COLOURS))
-    colours = np.stack([np.interp(share, steps, channel) for channel in DEPTH_COLOURS.T], axis=-1)
-    colours[~shape.contact] = NO_CONTACT
-    colours[~geometry.observed_mask] = UNSEEN
-    colours[_find_outline(observed)] = OUTLINE
-    png = base64.b64encode(encode_png(colours.astype(np.uint8))).decode()
+    picture = paint_shape(shape, geometry)
+    picture[_find_outline(observed)] = read_colour(OUTLINE)
+    png = base64.b64encode(encode_png(picture)).decode()
     return f'<img alt="contact shape" width="{SIDE_PX}" src="data:image/png;base64,{png}">'
 
 

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.shape_pictures import NO_CONTACT, OUTLINE, read_colour
 from tactile_loc.locate.localizer import localize_together
-from tactile_loc.locate.results.result_html import MOST_ROWS, MOST_TOUCHES, OUTLINE, SIDE_PX
+from tactile_loc.locate.results.result_html import MOST_ROWS, MOST_TOUCHES, SIDE_PX
 
 
 def read_pictures(page: str) -> list[np.ndarray]:
@@ -32,7 +34,7 @@ def test_a_notebook_displays_the_summary_and_the_hypotheses(localization):
 
 def test_each_picture_has_the_observed_outline(localization):
     first, *others = read_pictures(localization._repr_html_())
-    outlines = [(picture == OUTLINE).all(axis=2) for picture in (first, *others)]
+    outlines = [(picture == read_colour(OUTLINE)).all(axis=2) for picture in (first, *others)]
     assert max(first.shape) in range(SIDE_PX // 2, 2 * SIDE_PX)
     assert outlines[0].any()
     assert all(np.array_equal(outline, outlines[0]) for outline in outlines)
@@ -41,6 +43,18 @@ def test_each_picture_has_the_observed_outline(localization):
 def test_the_best_pose_predicts_the_observed_contact(localization):
     observed, best, *_ = read_pictures(localization._repr_html_())
     assert np.abs(observed.astype(int) - best).mean() < 5
+
+
+def test_a_mask_is_predicted_at_the_press_of_the_pose(localization):
+    """The assumed press of the mask is a third of the true one, so a prediction at this press would be smaller."""
+    touch = localization.touch
+    press_m = touch.press_depth_m / 3
+    mask = Touch.from_mask(
+        touch.contact_shape.contact, sensor=touch.geometry, press_depth_m=press_m, press_std_m=touch.press_depth_m / 3
+    )
+    page = dataclasses.replace(localization, touch=mask)._repr_html_()
+    observed, best = ((picture != read_colour(NO_CONTACT)).any(axis=2) for picture in read_pictures(page)[:2])
+    assert (observed & best).sum() > 0.9 * (observed | best).sum()
 
 
 def test_every_touch_has_a_column_of_pictures(localizer):
