@@ -8,7 +8,6 @@ step, and how often the contact shape is drawn in each second of a drag. Writes 
 from __future__ import annotations
 
 import argparse
-import shutil
 import tempfile
 import time
 import zipfile
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from browser import open_browser
 from numpy.typing import NDArray
 
 from tactile_loc.app.panels import ARCHIVE, Page
@@ -26,11 +26,6 @@ from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.store.store import StageStore
 
 PICTURE = Path(__file__).parent / "images" / "app.png"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)  # fmt: skip
 DESKTOP, PHONE = (1280, 1000), (500, 900)  # pixels; headless Chromium is at least 500 wide
 GRAB = 0.75  # where the arrow is grabbed, share of its length
 
@@ -39,15 +34,7 @@ class Visitor:
     """A headless browser on the page. Downloads arrive in `folder`."""
 
     def __init__(self, url: str, folder: Path, size: tuple[int, int] = DESKTOP) -> None:
-        from selenium import webdriver
-        from selenium.webdriver.chrome.service import Service
-
-        options = webdriver.ChromeOptions()
-        options.binary_location = str(next(filter(None, map(shutil.which, BROWSERS))))
-        for flag in (*FLAGS, f"--window-size={size[0]},{size[1]}"):
-            options.add_argument(flag)
-        options.add_experimental_option("prefs", {"download.default_directory": str(folder)})
-        self.browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+        self.browser = open_browser(*size, preferences={"download.default_directory": str(folder)})
         self.folder = folder
         self.browser.get(url)
 

@@ -14,22 +14,15 @@ import tempfile
 import time
 from pathlib import Path
 
+from browser import open_browser
+
 IMAGES, EXAMPLES = Path(__file__).parent / "images", Path(__file__).parents[1] / "examples"
 PORTS = (19090, 19876)  # of the viewer's page and of its data
 DRAWN_AFTER_S = 25
-BROWSER = (
-    "--no-sandbox", "--headless=new", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--window-size=1000,640",
-)  # fmt: skip
 
 
 def draw_rerun(script: Path, picture: Path) -> None:
     """Write the recording of a script, and a picture of it in the Rerun viewer."""
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    for argument in BROWSER:
-        options.add_argument(argument)
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "touch.rrd"
         subprocess.run([sys.executable, script, "--out", recording], check=True)
@@ -39,7 +32,7 @@ def draw_rerun(script: Path, picture: Path) -> None:
             [Path(sys.executable).with_name("rerun"), recording, "--serve-web", *ports], start_new_session=True
         )
         try:
-            driver = webdriver.Chrome(options=options)
+            driver = open_browser(1000, 640)
             address = f"rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy"
             driver.get(f"http://127.0.0.1:{page}/?url={address}&renderer=webgl")
             time.sleep(DRAWN_AFTER_S)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
+import packages
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -31,19 +29,6 @@ CORE_FILE_ACCESS = {
     "registry.py": {"load"},  # an entry point
     "code_cache.py": {"load", "mkdir", "read_bytes", "rmtree", "unlink"},  # compiled code
 }
-
-
-def loaded(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-packages = loaded(ROOT / "docs" / "packages.py")
 
 
 @pytest.fixture(scope="module")

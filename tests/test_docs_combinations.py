@@ -2,27 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
+import combinations as page
 import pytest
 
 from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, Declared
-
-SCRIPT = Path(__file__).parents[1] / "docs" / "combinations.py"
-
-
-def loaded() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_combinations", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-page = loaded()
 
 
 def test_the_table_is_up_to_date():

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
+import pictures as guide
 import pytest
 
 from tactile_loc.core.geometry.hand_eye import move
@@ -15,13 +12,6 @@ from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rota
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.tracker import TrackedPose
-
-spec = importlib.util.spec_from_file_location("guide", Path(__file__).parents[1] / "docs" / "pictures.py")
-assert spec is not None
-assert spec.loader is not None
-guide = importlib.util.module_from_spec(spec)
-sys.modules[spec.name] = guide  # dataclasses look their module up
-spec.loader.exec_module(guide)
 
 COUNT = 12
 GEL = np.array([0.0, 0.0, 0.01])

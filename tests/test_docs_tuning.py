@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
+import tuning
 
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.options import TUNABLE
 
-SCRIPT = Path(__file__).parents[1] / "docs" / "tuning.py"
-
-
-def load() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_tuning", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-tuning = load()
 PAGE = tuning.PAGE.read_text(encoding="utf-8")
 
 

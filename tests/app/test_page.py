@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import shutil
 import sys
 import threading
 import zipfile
-from pathlib import Path
-from types import ModuleType
 
+import app_session as program
+import browser
 import numpy as np
 import pytest
 
 from tactile_loc.app.follower import Follower
-from tactile_loc.app.pictures import colour_probability, paint_beside, paint_shape
+from tactile_loc.app.pictures import colour_probability, paint_beside, paint_wide
 from tactile_loc.app.scene_view import choose_magnification, from_view, to_view
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, ObjectError
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
@@ -24,18 +22,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.store.store import StageStore
 
-PROGRAM = Path(__file__).parents[2] / "docs" / "app_session.py"
 PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
-
-
-def load_program() -> ModuleType:
-    """The program that records a visit; it drives the browser."""
-    spec = importlib.util.spec_from_file_location("app_session", PROGRAM)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_poses_of_the_view_are_those_of_the_session():
@@ -53,7 +40,7 @@ def test_the_picture_of_a_shape_shows_contact():
     geometry = registry().create("sensor", MINI.name, {}).geometry.resize_long_side(72)
     depth = np.full(geometry.shape, 1e-3, np.float32)
     depth[20:30, 30:50] = 0
-    picture = paint_shape(ContactShape(depth, 1e-3), geometry)
+    picture = paint_wide(ContactShape(depth, 1e-3), geometry)
     assert picture.shape == (4 * geometry.shape[0], 4 * geometry.shape[1], 3)
     assert (picture[4 * 25, 4 * 40] != picture[0, 0]).any()
     assert paint_beside(picture, picture).shape[1] > 2 * picture.shape[1]
@@ -104,8 +91,7 @@ def test_without_viser_the_message_names_the_extra(monkeypatch):
 def test_visitors_press_locate_and_export(tmp_path, store):
     pytest.importorskip("viser")
     pytest.importorskip("selenium")
-    program = load_program()
-    if shutil.which("chromedriver") is None or not any(map(shutil.which, program.BROWSERS)):
+    if browser.find_browser() is None:
         pytest.skip("there is no chromium with its chromedriver")
     from tactile_loc.app.server import AppServer
 
