@@ -1,4 +1,4 @@
-"""Locate an object from a depth map in numpy: state what the numbers mean, and their unit."""
+"""Locate an object from a depth map in numpy. You state the meaning and the unit of the numbers."""
 
 import argparse
 

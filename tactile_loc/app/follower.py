@@ -14,7 +14,8 @@ class Follower(Generic[Asked]):
 
     def __init__(self, work: Callable[[Asked], None]) -> None:
         self.done = 0  # number of requests that were worked on
-        self._work, self._wanted, self._stopped = work, [], False  # type: ignore[var-annotated]
+        self._work, self._stopped = work, False
+        self._wanted: list[Asked] = []
         self._changed = Condition()
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()

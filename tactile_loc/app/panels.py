@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import logging
+import shutil
 import tempfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 
 from tactile_loc.app.follower import Follower
-from tactile_loc.app.pictures import paint_beside, paint_shape
+from tactile_loc.app.pictures import paint_beside, paint_wide
 from tactile_loc.app.scene_view import SceneView, choose_magnification, from_view
 from tactile_loc.app.session import Session
 from tactile_loc.app.virtual_finger import Pose
@@ -176,7 +175,7 @@ class Page:
     def _show_press(self, T_base_sensor: Pose, depth_m: float) -> None:
         press = self.session.press(T_base_sensor, depth_m)
         self.view.show_press(press)
-        self.shape.image = paint_shape(press.shape, press.geometry)
+        self.shape.image = paint_wide(press.shape, press.geometry)
         self.shape.label = "Contact shape" if press.touches else "Contact shape: the finger misses the object"
 
     def _settle(self) -> None:
@@ -266,7 +265,7 @@ class Page:
         chosen = min(int(self.number.value), len(found.hypotheses)) - 1
         touch = min(int(self.shown_touch.value), len(found.touches)) - 1
         observed, predicted, geometry = self.session.predict(chosen, touch)
-        self.compared.image = paint_beside(paint_shape(observed, geometry), paint_shape(predicted, geometry))
+        self.compared.image = paint_beside(paint_wide(observed, geometry), paint_wide(predicted, geometry))
         self.pose.content = describe_pose(found, chosen)
         self.view.show_result(found, chosen)
 
@@ -348,8 +347,9 @@ class Page:
 
     def _export(self) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            self.session.export(Path(folder))
-            content = pack_folder(Path(folder))
+            exported = Path(folder) / "result"
+            self.session.export(exported)
+            content = Path(shutil.make_archive(str(exported), "zip", exported)).read_bytes()
         self.client.send_file_download(ARCHIVE, content, save_immediately=True)
 
 
@@ -369,13 +369,3 @@ def describe_pose(found: Localization, number: int) -> str:
     drawn = "" if larger == 1 else f", drawn {larger:.0f} times larger"
     x, y, z = (f"{value:.2g}" for value in std_mm)
     return f"{text}. Standard deviations of x, y, z: {x}, {y}, {z} mm (ellipsoid{drawn})."
-
-
-def pack_folder(folder: Path) -> bytes:
-    """Return all files below a folder as a ZIP archive."""
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                archive.write(path, path.relative_to(folder))
-    return packed.getvalue()

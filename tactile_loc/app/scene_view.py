@@ -78,15 +78,9 @@ class SceneView:
     def _add_mesh(self, name: str, mesh: TriangleMesh, colour: tuple[int, int, int], **options: Any) -> Any:
         vertices = np.asarray(UNITS_PER_M * mesh.vertices_m, np.float32)
         return self.scene.add_mesh_simple(
-            name,
-            vertices,
-            mesh.faces.astype(np.uint32),
-            color=colour,
-            flat_shading=True,
-            side="double",
-            **PLAIN,
+            name, vertices, mesh.faces.astype(np.uint32), color=colour, flat_shading=True, side="double", **PLAIN,
             **options,
-        )
+        )  # fmt: skip
 
     def _look_at(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         middle = UNITS_PER_M * mesh.corners_m.mean(axis=0)
@@ -239,6 +233,6 @@ class SceneView:
 
 
 def choose_magnification(covariance: NDArray[np.float64]) -> float:
-    """Return 1, 10, 100 or 1000: by how much the ellipsoid of a covariance (6, 6) is drawn larger, to be seen."""
+    """Return the magnification, 1 to 1000, that makes the ellipsoid of a covariance (6, 6) visible."""
     largest_m = SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 1e-18)))
     return float(10.0 ** np.clip(np.floor(np.log10(LARGEST_M / largest_m)), 0, 3))

@@ -1,4 +1,4 @@
-"""What the sessions of a page share: localizers, whose models are built once, and the files that were uploaded."""
+"""Localizers and uploaded files that the sessions of a page share. The model of a localizer is built only once."""
 
 from __future__ import annotations
 

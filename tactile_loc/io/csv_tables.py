@@ -21,9 +21,7 @@ def read_table(path: Path, what: str, error: type[TactileLocError]) -> tuple[Seq
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
-            rows = [
-                {key.strip(): (cell or "").strip() for key, cell in row.items() if key is not None} for row in reader
-            ]
+            rows = [_clean(row) for row in reader]
             columns = [name.strip() for name in reader.fieldnames or ()]
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         reason = getattr(problem, "strerror", None) or problem

@@ -174,16 +174,9 @@ class Localizer:
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
         banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
         search = PlaceSearch(
-            places,
-            key,
-            self.scene,
-            self.encoder,
-            new_matcher,
-            self.sampler.options,
-            config.search,
-            banks.bank,
+            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank,
             banks.mask_bank,
-        )
+        )  # fmt: skip
         return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
     @property
@@ -328,9 +321,7 @@ class Localizer:
             float(iou), (float(iou),), touch.T_base_sensor,
         )  # fmt: skip
         (known,) = self.refinement.add_covariances([view], [hypothesis])
-        verdict = judge(
-            known.probability, known.imprint_iou, posterior.elsewhere, depths_known=touch.has_depths
-        )  # fmt: skip
+        verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere, depths_known=touch.has_depths)
         return JudgedHypothesis(**vars(known), verdict=verdict)
 
     @use_one_blas_thread()
@@ -338,9 +329,7 @@ class Localizer:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        if not touch.has_depths:
-            return self.refinement.refine([View(touch, self.scene.match_touch(touch))], candidates)
-        return self.refinement.refiner.refine_many(touch, candidates, self.scene.match_touch(touch))
+        return self.refinement.refine([make_view(touch, self, touch)], candidates)
 
 
 def _make_generator(count: int, seed: int) -> np.random.Generator:

@@ -151,8 +151,7 @@ class Identification:
             return judge(None)
         best = first.found.best
         iou = best.imprint_iou if best.is_refined else math.nan
-        known = all(touch.has_depths for touch in first.found.touches)
-        return judge(first.probability, iou, self.none, depths_known=known)
+        return judge(first.probability, iou, self.none, depths_known=first.found.depths_known)
 
 
 def identify(

@@ -155,8 +155,12 @@ class Localization:
         if self._is_contradicted:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
-        known = all(touch.has_depths for touch in self.touches)
-        return judge(self.probability_within(), iou, self.posterior.elsewhere, depths_known=known)
+        return judge(self.probability_within(), iou, self.posterior.elsewhere, depths_known=self.depths_known)
+
+    @property
+    def depths_known(self) -> bool:
+        """Whether all touches have depths; a contact mask has none."""
+        return all(touch.has_depths for touch in self.touches)
 
     @property
     def _is_contradicted(self) -> bool:
