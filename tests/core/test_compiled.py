@@ -120,7 +120,8 @@ def start(folder, environment=None, **values):
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
     command = [sys.executable, "main.py"]
-    environment = {**os.environ, **(environment or {})}
+    # Python's own byte code is not renewed if a source changes within a second and keeps its size
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **(environment or {})}
     return subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
