@@ -29,7 +29,7 @@ LAYERS: tuple[dict[str, float], ...] = (
     {"drawing": 2.8},
     {"evaluation": 2.8, "testing": 4.6},
     {"sweeps": 1, "reports": 3.2},
-    {"tactile_loc": 1, "app": 3.2},
+    {"tactile_loc": 0.4, "benchmark": 2, "app": 3.6},
     {"benchmarks": 0, "cli": 2, "docs": 4},
 )
 LAYER_OF = {package: number for number, layer in enumerate(LAYERS) for package in layer}

@@ -43,6 +43,12 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.sensor_geometry import find_drawing as find_drawing
     from tactile_loc.core.objects.symmetry import SymmetryGroup as SymmetryGroup
 
+    # what a benchmark combines
+    from tactile_loc.core.slots.benchmarking import LocatingProblem as LocatingProblem, Method as Method
+    from tactile_loc.core.slots.benchmarking import RecordedSource as RecordedSource, RecordedTouch as RecordedTouch
+    from tactile_loc.core.slots.benchmarking import ScoredPoses as ScoredPoses, SimulatedSource as SimulatedSource
+    from tactile_loc.core.slots.benchmarking import TouchSource as TouchSource
+
     # errors that a component raises, each with a short message for the user
     from tactile_loc.core.errors import ConfigError as ConfigError, GridError as GridError
     from tactile_loc.core.errors import MissingLibraryError as MissingLibraryError, RenderError as RenderError

@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.models import ParameterInfo
 
-from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.core.slots.registry import KINDS, SLOTS, registry
 from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
 from tactile_loc_cli.options import RunOptions, Takes
@@ -143,13 +143,13 @@ def _offer_demo_objects(_: typer.Context) -> Offers:
 
 
 def _offer_slots(_: typer.Context) -> Offers:
-    yield from ((slot, "") for slot in SLOTS)
+    yield from ((slot, "") for slot in KINDS)
 
 
 def _offer_components_of_slot(context: typer.Context) -> Offers:
     """Offer the components of the slot that the user wrote before the name."""
     slot = context.params.get("slot")
-    yield from _offer_components(slot, context) if slot in SLOTS and context.info_name == "plugins" else ()
+    yield from _offer_components(slot, context) if slot in KINDS and context.info_name == "plugins" else ()
 
 
 OFFERS: Mapping[str, Callable[[typer.Context], Offers]] = {

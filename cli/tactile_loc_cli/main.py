@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from tactile_loc_cli.command import Quiet, Verbose, make_command
 from tactile_loc_cli.commands import store as store_commands
 from tactile_loc_cli.commands.app import app as serve_app
+from tactile_loc_cli.commands.benchmark import benchmark
 from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
 from tactile_loc_cli.commands.identify import identify
@@ -101,8 +102,8 @@ def begin(
 
 
 for command in (
-    run, build, simulate, evaluate, sweep, report, live, replay, calibrate, mount, next_touch, identify, objects,
-    plugins, new_plugin,
+    run, build, simulate, evaluate, sweep, benchmark, report, live, replay, calibrate, mount, next_touch, identify,
+    objects, plugins, new_plugin,
 ):  # fmt: skip
     app.command()(make_command(command))
 for name, command in store_commands.COMMANDS.items():

@@ -14,7 +14,7 @@ import typer
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, advise_choice, name_source, quote
-from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.core.slots.registry import KINDS, SLOTS, registry, validate_options
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
@@ -348,8 +348,8 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
 
 def require_slot(slot: str) -> None:
     """Raise UnknownPluginError if there is no slot of this name."""
-    if slot not in SLOTS:
-        raise UnknownPluginError(f"there is no slot {slot!r}; {advise_choice(slot, SLOTS)}")
+    if slot not in KINDS:
+        raise UnknownPluginError(f"there is no slot {slot!r}; {advise_choice(slot, KINDS)}")
 
 
 def require_mcap(flag: str, path: Path) -> None:

@@ -41,11 +41,19 @@ BUILT_IN = [
     ("fuser", "kinematic", "fusers.kinematic:KinematicFuser", "uses contact or no contact only: the paper's baseline"),
 ]  # fmt: skip
 
+# kind, name, class, summary, and the extra to install
+OF_BENCHMARK = [
+    ("touch-source", "simulated", "sources.simulated:SimulatedTouches", "contact shapes by a renderer of tactile-loc"),
+    ("method", "tactile-loc", "methods.ours:TactileLoc", "tactile-loc itself, with any settings"),
+]  # fmt: skip
+
 
 @hookimpl
 def tactile_loc_components() -> list[ComponentSpec]:
-    """Return the built-in components of all seven slots."""
+    """Return the built-in components of all seven slots, and those that a benchmark combines."""
+    rooms = ((__name__, BUILT_IN), ("tactile_loc.benchmark", OF_BENCHMARK))
     return [
-        ComponentSpec(slot, name, f"{__name__}.{kind}", summary, "".join(requires), INTERFACE_VERSION)
-        for slot, name, kind, summary, *requires in BUILT_IN
+        ComponentSpec(slot, name, f"{room}.{kind}", summary, "".join(requires), INTERFACE_VERSION)
+        for room, offered in rooms
+        for slot, name, kind, summary, *requires in offered
     ]

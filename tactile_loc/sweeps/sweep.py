@@ -18,8 +18,9 @@ from tactile_loc.core.progress import Progress
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.store.files import read_json, remove_abandoned, require_writable, write_atomically, write_json
 from tactile_loc.sweeps.combination import Combination, combine, order_for_running
+from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob
 from tactile_loc.sweeps.plan import Plan, find_varied_options, find_varying_slots, name_choices
-from tactile_loc.sweeps.workers import COVERAGES, ERRORS, TIMES, BuildJournal, Job, Outcome, Outcomes
+from tactile_loc.sweeps.workers import BuildJournal, Job, Outcome, Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -162,7 +163,7 @@ def _run(
     kept: FinishedRows, progress: Progress, before: int,
 ) -> dict[str, Outcome]:  # fmt: skip
     by_key = {one.key: one for one in missing}
-    jobs = [Job(one.key, one.config, one.count, store) for one in missing]
+    jobs = [CombinationJob(one.key, one.config, one.count, store) for one in missing]
     outcomes: dict[str, Outcome] = {}
     running = workers.run_jobs(jobs, {one.key: objects[one.object] for one in missing})
     with progress.task("sweep", before + len(jobs)) as advance, closing(running):

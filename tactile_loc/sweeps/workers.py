@@ -1,4 +1,4 @@
-"""Workers that evaluate combinations: local processes or a Dask cluster. Dask reassigns the jobs of a dead worker."""
+"""Workers that do jobs: local processes or a Dask cluster. Dask reassigns the jobs of a dead worker."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import threading
-import time
 import traceback
 import uuid
 from collections import deque
@@ -16,25 +15,13 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-import numpy as np
-
-from tactile_loc.core.errors import ConfigError, MissingLibraryError, OutputError, TactileLocError
+from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.evaluation.metrics import LEVELS, PosteriorSummary
-from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation, evaluate
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import detached
-from tactile_loc.sweeps.combination import describe_components, make_combination_key
-
-ERRORS = tuple(f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share"))
-COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
-TIMES = (*(f"{stage}_ms" for stage in STAGES), "total_ms")
 
 JOURNALS = "sweep-builds"  # a folder of the store
 RETRIES = 2  # repetitions after failures outside the evaluation, such as a broken connection
@@ -53,14 +40,25 @@ class ClusterError(TactileLocError):
     """A Dask cluster cannot be reached or started, or has stopped."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """A combination for a worker; `store` is the folder of the stage store that all workers share."""
+class Job(Protocol):
+    """Work for one process: it measures one object. A job is pickled, so it holds only plain values.
 
-    key: str
-    config: RunConfig
-    count: int
-    store: Path
+    `key` identifies the job, and `store` is the folder of the stage store that all workers share.
+    """
+
+    @property
+    def key(self) -> str:
+        """A hash of all inputs of the job."""
+        ...
+
+    @property
+    def store(self) -> Path:
+        """The folder of the stage store."""
+        ...
+
+    def measure(self, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
+        """Return the measured values, as JSON values. Raises TactileLocError if the job is impossible."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -116,55 +114,18 @@ def _locate_journal(store: Path, key: str) -> Path:
 
 
 def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
-    """Evaluate a combination on its object. An error is returned in the outcome."""
+    """Do a job on its object. An error is returned in the outcome."""
     with _ALONE:
         store = StageStore(job.store)
         store.built = built = BuildJournal(job.store, job.key)
         measured, error, trace = None, "", ""
         try:
-            measured = _measure(job, obj, store)
+            measured = job.measure(obj, store)
         except TactileLocError as raised:
             error = str(raised)
         except Exception as raised:  # noqa: BLE001 - a component may raise anything
             error, trace = f"{type(raised).__name__}: {raised}", traceback.format_exc()
         return Outcome(job.key, measured, built.names, " ".join(error.split()), trace)
-
-
-def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
-    config = job.config
-    if make_combination_key(config, obj, job.count, describe_components(config)) != job.key:
-        raise ConfigError(
-            "the worker's tactile-loc, plugins or sensor file differ from those of the machine that started the sweep; "
-            "install the same versions there"
-        )
-    localizer = Localizer(config, obj, store)
-    start_s = time.perf_counter()
-    localizer.describe_scores()  # builds the grid and its shapes, and trains the encoder
-    _ = localizer.probabilities.temperature_scaling
-    model_s = time.perf_counter() - start_s if store.built else 0.0
-    evaluation = evaluate(localizer, job.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
-    return {**summarise(evaluation, localizer.model.size), "model_s": round(model_s, 3)}
-
-
-def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None]:
-    """Return ERRORS (mm, and shares of a random pose's mean error), COVERAGES, nll_nats and TIMES (medians, ms).
-
-    Numbers have six digits. A number that is not finite becomes None, such as the likelihood if a matcher did not score
-    the true pose.
-    """
-    errors = []
-    for line in LINES:
-        metres = evaluation.select_errors(line)
-        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalise_errors(line))]
-    posterior = PosteriorSummary.of(evaluation.posterior_metrics, grid_poses)
-    times = 1e3 * np.median(evaluation.seconds, axis=0)
-    values = {
-        **dict(zip(ERRORS, errors, strict=True)),
-        **dict(zip(COVERAGES, posterior.coverage, strict=True)), "nll_nats": posterior.nll,
-        **dict(zip(TIMES, (*times, 1e3 * np.median(evaluation.seconds.sum(axis=1))), strict=True)),
-    }  # fmt: skip
-    rounded = {name: float(f"{value:.6g}") if np.isfinite(value) else None for name, value in values.items()}
-    return {"grid_poses": grid_poses, **rounded}
 
 
 Outcomes = Generator[Outcome, None, None]
@@ -258,7 +219,7 @@ def _run(
                 obj = objects[job.key]
                 if obj.name not in held:
                     held[obj.name] = client.submit(_return_object, obj, key=f"object-{obj.name}-{token}")
-                name = f"combination-{job.key}-{token}"
+                name = f"job-{job.key}-{token}"
                 future = client.submit(evaluate_job, job, held[obj.name], key=name, retries=RETRIES)
                 futures[future] = job
                 running.add(future)

@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.slots.component import Capabilities, Component, ComponentOptions
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.slots.registry import KINDS
 
 Check = Callable[[Any], None]
 
@@ -72,8 +72,8 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def check_declaration(component: Component) -> None:
-    """The slot is one of the seven, the version is a positive integer, and capabilities are declared."""
-    require(component.slot in SLOTS, f"slot must be one of {', '.join(SLOTS)}, not {component.slot!r}")
+    """The slot is known, the version is a positive integer, and capabilities are declared."""
+    require(component.slot in KINDS, f"slot must be one of {', '.join(KINDS)}, not {component.slot!r}")
     version = component.version
     good = isinstance(version, int) and not isinstance(version, bool) and version >= 1
     require(good, f"version must be an integer of at least 1, not {version!r}")

@@ -13,8 +13,9 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import combination as module
 from tactile_loc.sweeps.combination import STAGES, combine, find_missing_stages, list_model_keys, order_for_running
+from tactile_loc.sweeps.combination_job import CombinationJob
 from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.workers import Job, evaluate_job
+from tactile_loc.sweeps.workers import evaluate_job
 
 
 def keys(values: dict) -> list[str]:
@@ -114,7 +115,7 @@ def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperat
     )
     (one,) = combinations
     before = find_missing_stages(combinations, objects, tmp_path)
-    outcome = evaluate_job(Job(one.key, one.config, one.count, tmp_path), objects["pin"])
+    outcome = evaluate_job(CombinationJob(one.key, one.config, one.count, tmp_path), objects["pin"])
     assert not outcome.error
     built = Counter(name.split()[0] for name in outcome.built)
     assert {**built, "bank": 1} == {stage: count for stage, count in before.items() if count}

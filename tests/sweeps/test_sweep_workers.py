@@ -23,19 +23,15 @@ from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.io.config import RunConfig
 from tactile_loc.sweeps import workers
 from tactile_loc.sweeps.combination import combine
+from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob, summarise
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
 from tactile_loc.sweeps.workers import (
-    COVERAGES,
-    ERRORS,
     JOURNALS,
-    TIMES,
     DaskWorkers,
-    Job,
     LocalWorkers,
     evaluate_job,
     replace_lost_workers,
-    summarise,
 )
 
 
@@ -117,7 +113,7 @@ def test_stages_built_by_a_killed_worker_are_counted(tiny, tmp_path):
     journal = tmp_path / "store" / JOURNALS / f"{one.key}.txt"
     journal.parent.mkdir(parents=True)
     journal.write_text("grid 0123456789abcdef\n")
-    job = Job(one.key, one.config, 1, tmp_path / "store")
+    job = CombinationJob(one.key, one.config, 1, tmp_path / "store")
     outcome = evaluate_job(job, objects["pin"])
     assert outcome.built[0] == "grid 0123456789abcdef"
     assert outcome.built[1].startswith("grid ")
@@ -129,7 +125,7 @@ def test_stages_built_by_a_killed_worker_are_counted(tiny, tmp_path):
 
 def test_a_worker_with_other_versions_refuses_the_job(tiny, tmp_path):
     (one,), objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "none"}))
-    outcome = evaluate_job(Job("0" * 16, one.config, one.count, tmp_path), objects["pin"])
+    outcome = evaluate_job(CombinationJob("0" * 16, one.config, one.count, tmp_path), objects["pin"])
     assert "versions" in outcome.error
     assert not outcome.trace
 
@@ -210,7 +206,7 @@ def test_a_job_whose_result_is_lost_is_awaited_again(tmp_path, monkeypatch):
         submit=lambda *arguments, **keywords: LosingFuture(),
         cancel=lambda futures: None,
     )
-    job = Job("key", RunConfig.from_dict({}, "a test"), 1, tmp_path)
+    job = CombinationJob("key", RunConfig.from_dict({}, "a test"), 1, tmp_path)
     pin = SimpleNamespace(name="pin")
     assert list(workers._run(client, [job], {"key": pin}, None)) == [(job, "measured again")]
 

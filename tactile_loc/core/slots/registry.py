@@ -31,6 +31,7 @@ from tactile_loc.core.slots.interface import INTERFACE_VERSION, adapt, require_i
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
+KINDS = (*SLOTS, "touch-source", "method")  # a benchmark combines sources of touches with methods
 
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
@@ -38,7 +39,7 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 
 @dataclass(frozen=True)
 class ComponentSpec:
-    """One component offered for one slot.
+    """One component offered for one slot, or for one of the other KINDS.
 
     `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
     the component needs and tactile-loc does not. `interface` is the version of the plugin interface for which the
@@ -103,8 +104,8 @@ class Registry:
             if not offers:
                 raise TypeError("offers no component: its hook is missing or returns nothing")
             for spec in offers:
-                if not isinstance(spec, ComponentSpec) or spec.slot not in SLOTS:
-                    raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")
+                if not isinstance(spec, ComponentSpec) or spec.slot not in KINDS:
+                    raise TypeError(f"offers {spec!r}; the slots are {', '.join(KINDS)}")
                 if not isinstance(spec.interface, int) or spec.interface < 1:
                     raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
         except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
@@ -154,8 +155,8 @@ class Registry:
         return found[0]
 
     def _describe_unknown(self, slot: str, name: str) -> str:
-        if slot not in SLOTS:
-            return f"there is no slot {slot!r}; {advise_choice(slot, SLOTS)}"
+        if slot not in KINDS:
+            return f"there is no slot {slot!r}; {advise_choice(slot, KINDS)}"
         broken = "".join(f". The plugin {f.plugin} could not be loaded ({f.error})" for f in self.failures)
         also = ", and no folder or file with that name" if slot == "sensor" else ""
         return f"there is no {slot} {name!r}{also}; {advise_choice(name, self.names(slot))}{broken}".replace("?.", "?")

@@ -22,7 +22,7 @@ from tactile_loc.core.errors import (
 )
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.refiner import RefinedPose, Refiner
-from tactile_loc.core.slots.registry import ADDED, SLOTS, Registry, registry, validate_options
+from tactile_loc.core.slots.registry import ADDED, Registry, registry, validate_options
 
 HOOK = """
 from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
@@ -75,7 +75,7 @@ def test_every_slot_has_built_in_components_of_its_type():
     found = registry()
     assert found.failures == []
     built_in = [c for c in found.components if c.distribution == "tactile-loc"]
-    assert {c.spec.slot for c in built_in} == set(SLOTS)
+    assert {c.spec.slot for c in built_in} == set(KINDS)
     for component in built_in:
         kind = found.load(component.spec.slot, component.spec.name)
         assert issubclass(kind, Component)

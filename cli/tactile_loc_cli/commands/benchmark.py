@@ -1,0 +1,92 @@
+"""`tactile-loc benchmark`: compare methods on touches from many sources."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tactile_loc_cli import options
+from tactile_loc_cli.console import format_count, make_progress, say, say_table, say_written
+from tactile_loc_cli.failures import UNEXPECTED, Finding
+from tactile_loc_cli.options import declare
+
+if TYPE_CHECKING:
+    from tactile_loc.benchmark.runner import Benchmark
+    from tactile_loc.sweeps.sweep import Workers
+
+DEFAULT_OUT = Path("benchmark")
+
+SuiteName = Annotated[str, declare("--suite", "NAME|FILE.toml", "The suite: quick, full, or a file.")]
+Sources = Annotated[list[str] | None, declare("--source", "LABEL,...", "Only these sources of touches.")]
+Methods = Annotated[
+    list[str] | None, declare("--method", "LABEL,...", "Only these methods; also the name of a method of a plugin.")
+]
+Data = Annotated[Path | None, declare("--data", "FOLDER", "Folder of recorded touches and further meshes.")]
+Examples = Annotated[int | None, declare("--examples", "N", "Examples of each object. Default: the suite's.", min=1)]
+Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
+Scheduler = Annotated[
+    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
+]
+Out = Annotated[Path, declare("--out", "FOLDER", "Folder of the rows and tables.")]
+
+
+def benchmark(
+    suite: SuiteName = "quick",
+    source: Sources = None,
+    method: Methods = None,
+    data: Data = None,
+    examples: Examples = None,
+    workers: Processes = None,
+    scheduler: Scheduler = None,
+    out: Out = DEFAULT_OUT,
+    store: options.Store = None,
+) -> dict[str, Any]:
+    """Compare methods on touches from several sources.
+
+    A suite has objects, sources of touches, and methods. Each source draws the same presses. Every method locates the
+    objects from one touch and from several (docs/benchmark.md). A source whose library is missing is left out, with the
+    reason. After an interruption, the same command resumes.
+    """
+    from tactile_loc.benchmark.files import tabulate, write_benchmark
+    from tactile_loc.benchmark.runner import run_benchmark
+    from tactile_loc.benchmark.suite import Suite
+    from tactile_loc.benchmark.summary import summarise
+    from tactile_loc.store.store import StageStore
+    from tactile_loc.sweeps.plan import split_all
+
+    chosen = Suite.from_toml(suite, data)
+    chosen = chosen.select(source and split_all(source), method and split_all(method))
+    if examples is not None:
+        chosen = chosen.model_copy(update={"examples": examples})
+    found = run_benchmark(chosen, out, StageStore(store).root, _make_workers(workers, scheduler, out), make_progress())
+    if found.rows:
+        say_table(tabulate(summarise(found.rows)), left=(0, 2))
+    outcome = _say_outcome(found, out, write_benchmark(out, found))
+    if found.failed:
+        raise Finding(UNEXPECTED, outcome)
+    return outcome
+
+
+def _make_workers(count: int | None, scheduler: str | None, out: Path) -> Workers:
+    from tactile_loc.core.errors import ConfigError
+    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
+
+    if scheduler is not None:
+        if count is not None:
+            raise ConfigError("--workers is for local processes; leave it out with --scheduler")
+        return DaskWorkers(scheduler)
+    return LocalWorkers(count or count_cores(), 1, out / "workers.log")
+
+
+def _say_outcome(found: Benchmark, out: Path, files: list[Path]) -> dict[str, Any]:
+    for one in found.sources:
+        if one.problem:
+            say(f"left out: {one.entry.label}: {one.problem}")
+    for cell in found.failed:
+        say(f"failed: {cell.name}: {cell.error}")
+    say(f"{format_count(len(found.cells), 'job')}, {found.done} done now")
+    return {
+        "suite": found.suite.name, "out": str(out), "jobs": len(found.cells), "done": found.done,
+        "failed": len(found.failed), "left_out": {s.entry.label: s.problem for s in found.sources if s.problem},
+        "written": say_written(files),
+    }  # fmt: skip

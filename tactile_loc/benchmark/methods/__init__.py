@@ -1,0 +1,1 @@
+"""The built-in methods: tactile-loc itself, and its competitors."""
