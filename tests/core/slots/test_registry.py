@@ -22,7 +22,7 @@ from tactile_loc.core.errors import (
 )
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.refiner import RefinedPose, Refiner
-from tactile_loc.core.slots.registry import ADDED, Registry, registry, validate_options
+from tactile_loc.core.slots.registry import ADDED, KINDS, Registry, registry, validate_options
 
 HOOK = """
 from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
