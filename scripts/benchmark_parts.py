@@ -59,9 +59,7 @@ def cam() -> Manifold:
 
 def clip() -> Manifold:
     """Return a spring clip: a base with a bead, and two arms of different lengths with barbs."""
-    base = box(26, 10, 4) + Manifold.cylinder(10, 1.5, circular_segments=SIDES).rotate((-90, 0, 0)).translate(
-        (13, 0, 0)
-    )
+    bead = Manifold.cylinder(10, 1.5, circular_segments=SIDES).rotate((-90, 0, 0)).translate((13, 0, 0))
     short = prism([(0, 0), (3, 0), (3, 14), (6, 16), (3, 21), (0, 21)], 10).rotate((90, 0, 0)).translate((3, 10, 3))
     tall = prism([(0, 0), (3.5, 0), (3.5, 26), (0, 26), (-2.5, 21), (0, 19)], 6).rotate((90, 0, 0))
     return box(26, 10, 4) + bead + short + tall.translate((19, 8, 3)) - drill(1.6, (20.7, 0, 12), (90, 0, 0))
