@@ -15,7 +15,7 @@ SLOW ?= not slow
 # start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow pytest lint smoke docs notebooks audit sbom fuzz kill soak mutate bench bench-compare bench-taxim clean
+.PHONY: help setup demo test test-slow pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate bench bench-compare bench-taxim clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -53,13 +53,16 @@ lint: $(STAMP) ## check style, format, types and English
 smoke: $(STAMP) ## build the wheel, install it into a fresh environment and try it there
 	@scripts/smoke-wheel.sh $(VENV)/bin/python
 
+docs: notebooks ## build the documentation site in out/site, with the outputs of its notebooks
+	@$(MAKE) --no-print-directory docs-quick
+
 # --quiet would also hide warnings from --strict. So the output of mkdocs is shown only when it fails, each line once.
-docs: $(STAMP) ## build the documentation site in out/site; any warning is an error
+docs-quick: $(STAMP) ## build the site without executing notebooks; any warning is an error
 	@echo "docs: out/site/index.html"
 	@said=$$(NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict 2>&1) || \
 		{ printf '%s\n' "$$said" | grep -v '^INFO' | awk '!told[$$0]++' >&2; exit 1; }
 
-notebooks: $(STAMP) ## execute the notebooks, about two minutes, into out/notebooks
+notebooks: $(STAMP) ## execute the notebooks that have changed, about two minutes, into out/notebooks
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python scripts/notebooks.py
 
 audit: $(STAMP) ## look for known vulnerabilities of the pinned packages; needs the internet

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import yaml
 
 ROOT = Path(__file__).parents[1]
@@ -53,11 +54,12 @@ class Site:
         (folder / "docs").mkdir()
         (folder / "scripts").mkdir()
         shutil.copy(ROOT / "Makefile", folder)
-        shutil.copy(ROOT / "scripts" / "site_checks.py", folder / "scripts")
+        for name in ("site_checks.py", "site_notebooks.py", "notebooks.py"):
+            shutil.copy(ROOT / "scripts" / name, folder / "scripts")
         for name in ("javascripts", "stylesheets"):
             shutil.copytree(ROOT / "docs" / name, folder / "docs" / name)
-        settings, _ = (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")
-        (folder / "mkdocs.yml").write_text(f"{settings}\nnav: [{', '.join(PAGES)}]\n")
+        self._settings, _ = (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")
+        self._list_pages([])
         (folder / "small.py").write_text(MODULE)
         self.write(PAGES)
         self._pretend_setup()
@@ -77,6 +79,16 @@ class Site:
         for name, text in pages.items():
             (self.folder / "docs" / name).write_text(text)
 
-    def make_docs(self) -> subprocess.CompletedProcess[str]:
+    def _list_pages(self, notebooks: list[str]) -> None:
+        (self.folder / "mkdocs.yml").write_text(f"{self._settings}\nnav: [{', '.join([*PAGES, *notebooks])}]\n")
+
+    def write_notebook(self, name: str, code: str) -> None:
+        """Write a notebook with a cell of code, and add it to the navigation, which has no other notebook."""
+        cells = [nbformat.v4.new_markdown_cell(f"# The notebook {name}\n\nText.\n"), nbformat.v4.new_code_cell(code)]
+        (self.folder / "docs" / "notebooks").mkdir(exist_ok=True)
+        nbformat.write(nbformat.v4.new_notebook(cells=cells), self.folder / "docs" / "notebooks" / f"{name}.ipynb")
+        self._list_pages([f"notebooks/{name}.ipynb"])
+
+    def make_docs(self, target: str = "docs") -> subprocess.CompletedProcess[str]:
         own = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
-        return subprocess.run(["make", "docs"], cwd=self.folder, env=own, capture_output=True, text=True, check=False)
+        return subprocess.run(["make", target], cwd=self.folder, env=own, capture_output=True, text=True, check=False)

@@ -25,6 +25,7 @@ PAGES = {
 def built(tmp_path_factory) -> Path:
     site = Site(tmp_path_factory.mktemp("site").resolve())
     site.write(PAGES)
+    site.write_notebook("metals", "print('molyb' + 'denum')")
     made = site.make_docs()
     assert made.returncode == 0, made.stderr
     return site.folder / "out" / "site"
@@ -59,11 +60,16 @@ def search(browser, words: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("start", ["disk", "server"])
-def test_a_query_lists_the_page_that_contains_the_word(start, built, browser, served):
+@pytest.mark.parametrize(
+    ("word", "title"),
+    [("zirconium", "Other"), ("molybdenum", "The notebook metals")],
+    ids=["page", "notebook's output"],
+)
+def test_a_query_lists_the_page_that_contains_the_word(start, word, title, built, browser, served):
     list_errors(browser), list_requests(browser)
     browser.get(f"{built.as_uri()}/index.html" if start == "disk" else f"{served}index.html")
-    (found,) = search(browser, "zirconium")
-    assert found.startswith("Other")
+    (found,) = search(browser, word)
+    assert found.startswith(title)
     assert list_errors(browser) == []
     requests = list_requests(browser)
     assert any("index.html" in url for url in requests)

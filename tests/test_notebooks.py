@@ -67,14 +67,56 @@ def test_a_notebook_runs_and_shows_its_results(notebooks, name, monkeypatch, sto
     assert not any("warning" in output.get("text", "").lower() for output in outputs if output.get("name") == "stderr")
 
 
-def test_an_error_in_a_cell_is_reported(notebooks, monkeypatch, tmp_path, capsys):
-    broken = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1 / 0")])
-    for folder in ("in", "out"):
-        (tmp_path / folder).mkdir()
-    nbformat.write(broken, tmp_path / "in" / "broken.ipynb")
+@pytest.fixture
+def elsewhere(notebooks, monkeypatch, tmp_path) -> Path:
+    """A project without notebooks: its folder of notebooks. The program runs there, without arguments."""
+    (tmp_path / "in").mkdir()
     for name, value in (("SOURCES", tmp_path / "in"), ("EXECUTED", tmp_path / "out"), ("ROOT", tmp_path)):
         monkeypatch.setattr(notebooks, name, value)
     monkeypatch.setattr(sys, "argv", ["notebooks.py"])
+    return tmp_path / "in"
+
+
+def write_notebook(path: Path, code: str) -> Path:
+    nbformat.write(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)]), path)
+    return path
+
+
+def test_an_error_in_a_cell_is_reported(notebooks, elsewhere, capsys):
+    path = write_notebook(elsewhere / "broken.ipynb", "1 / 0")
     assert notebooks.main() == 1
     assert "ZeroDivisionError" in capsys.readouterr().err
-    assert not list((tmp_path / "out").iterdir())
+    assert notebooks.read_executed(path) is None
+
+
+def test_only_changed_notebooks_are_executed(notebooks, elsewhere, monkeypatch):
+    executed = []
+
+    def execute(path: Path) -> nbformat.NotebookNode:
+        executed.append(path.stem)
+        return nbformat.read(path, as_version=4)
+
+    monkeypatch.setattr(notebooks, "execute", execute)
+    first, _ = (write_notebook(elsewhere / f"{name}.ipynb", "1") for name in ("first", "second"))
+    assert notebooks.main() == 0
+    assert executed == ["first", "second"]
+    assert notebooks.main() == 0
+    assert executed == ["first", "second"]
+    write_notebook(first, "2")
+    assert notebooks.read_executed(first) is None
+    notebooks.main()
+    assert executed[2:] == ["first"]
+    monkeypatch.setattr(sys, "argv", ["notebooks.py", "--again", "second"])
+    notebooks.main()
+    assert executed[3:] == ["second"]
+
+
+def test_a_change_of_the_package_makes_executed_notebooks_old(notebooks, elsewhere):
+    path, module = write_notebook(elsewhere / "one.ipynb", "1"), elsewhere.parent / "tactile_loc" / "module.py"
+    keys = {notebooks.compute_key(path)}
+    module.parent.mkdir()
+    for text in ("a = 1", "a = 2"):
+        module.write_text(text)
+        notebooks._hash_package.cache_clear()
+        keys.add(notebooks.compute_key(path))
+    assert len(keys) == 3
