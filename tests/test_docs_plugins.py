@@ -52,6 +52,30 @@ def test_only_the_example_files_are_shown():
     assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE + CHECKS, re.MULTILINE)) == files()
 
 
+def test_the_component_without_a_package_is_used_and_replaced():
+    code = re.search(r"^## Without a package.*?^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    assert code
+    found: dict[str, Any] = {}
+    plugin.registry.cache_clear()
+    try:
+        exec(code[1], found)
+        refiner, scene = found["localizer"].refinement.refiner, found["localizer"].scene.press(1e-3)
+        assert isinstance(refiner, found["LazyRefiner"])
+        T = scene.bring_to_contact(np.eye(4)[None])[0][0]
+        touch = plugin.Touch(scene.contact_shape(T, 1e-3), scene.geometry)
+        refined = refiner.refine(touch, plugin.Candidate(T, 0, 0.0), scene)
+        assert np.array_equal(refined.T_sensor_object, T)
+        assert refined.contact_iou > 0.95
+        exec(code[1], found)
+        assert plugin.registry().names("refiner").count("lazy") == 1
+        with pytest.raises(PluginConflictError):
+            plugin.registry().add(found["LazyRefiner"], "joint")
+        with pytest.raises(PluginLoadError):
+            plugin.registry().add(plugin.Refiner, "lazy")
+    finally:
+        plugin.registry.cache_clear()
+
+
 def test_the_custom_property_example_passes_and_can_fail():
     code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", CHECKS, re.MULTILINE | re.DOTALL)
     assert code
