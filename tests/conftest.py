@@ -15,9 +15,12 @@ import pytest
 import trimesh
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
 
+from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing import pictures, pose_panel
 from tactile_loc.locate import conformal_fit, probabilities
@@ -156,6 +159,21 @@ def camera(request: pytest.FixtureRequest) -> SensorGeometry:
 def flat_camera() -> SensorGeometry:
     """Orthographic, 60 x 44 pixels, off centre: x in [-11.6, 12.4], y in [-8.4, 9.2] mm."""
     return SensorGeometry("orthographic", 60, 44, 2500.0, 2500.0, 29.0, 21.0, 0.010, 0.002)
+
+
+@pytest.fixture(scope="session")
+def press_block_elastically(make_box: MakeObject, flat_camera: SensorGeometry) -> Callable[[float, float], Touch]:
+    """Press a block of the given sides, metres, 0.8 mm deep into a gel that is displaced far around it, too."""
+
+    def press(x_m: float, y_m: float) -> Touch:
+        sensor = dataclasses.replace(flat_camera, gel=Gel(thickness_m=5e-3)).press(8e-4)
+        scene = Scene(make_box(x_m, y_m, 0.010), sensor, HeightmapRenderer())
+        shape = scene.contact_shape(make_translation([1e-3, 0.0, 0.02]), 8e-4)
+        displaced_m = np.ptp(np.nonzero(shape.contact)[1]) * sensor.pixel_pitch_m
+        assert displaced_m > 1.4 * x_m
+        return Touch(shape, sensor)
+
+    return press
 
 
 @pytest.fixture(scope="session")

@@ -269,12 +269,12 @@ def add_panels(parent: Figure | SubFigure, count: int, columns: int, **options: 
 
 
 def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
-    """Draw the outline of the touch's contact as the sensor sees it, in mm."""
+    """Draw the outline of the touch's contact with the object as the sensor sees it, in mm."""
     left, right, bottom, top = compute_extent_mm(touch.geometry)
     height, width = touch.geometry.shape
     x = left + (np.arange(width) + 0.5) / width * (right - left)
     y = top + (np.arange(height) + 0.5) / height * (bottom - top)
-    axes.contour(x, y, touch.contact_shape.contact.astype(float), levels=[0.5], colors=colour, linewidths=1.1)
+    axes.contour(x, y, touch.touching_shape.contact.astype(float), levels=[0.5], colors=colour, linewidths=1.1)
 
 
 def compute_extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:

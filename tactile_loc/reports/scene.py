@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.sensing.touch import ContactShape, cut_to_touching
 from tactile_loc.drawing.pictures import compute_extent_mm, group_nearby
 from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
 from tactile_loc.drawing.raytracing import CREASE_DEG, View, compute_normals
@@ -123,12 +123,17 @@ def build_empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
 
 
 def trace_outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
-    """Return the closed outlines (P, 3) of a contact (H, W) on the undeformed gel, in mm, in the sensor frame."""
+    """Return the closed outlines (P, 3) of a contact shape (H, W), in mm, in the sensor frame, on the undeformed gel.
+
+    They surround the part at which the gel touches the object.
+    """
     from contourpy import contour_generator
 
     left, right, bottom, top = compute_extent_mm(geometry)
     height, width = geometry.shape
-    framed = np.pad((shape.contact & geometry.observed_mask).astype(float), 1)  # outlines close at the image's border
+    framed = np.pad(
+        (cut_to_touching(shape, geometry).contact & geometry.observed_mask).astype(float), 1
+    )  # outlines close at the image's border
     borders: Any = contour_generator(z=framed).lines(0.5)
     found = []
     for line in borders:

@@ -19,6 +19,7 @@ from tactile_loc.drawing.pictures import (
     MOST_TOGETHER,
     MOST_TOUCHES,
     draw_contact_shape,
+    draw_outline,
     draw_result,
     draw_touches,
     make_figure,
@@ -194,3 +195,12 @@ def test_a_figure_is_saved_in_a_new_folder_but_not_below_a_file(tmp_path, figure
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         save_figure(tmp_path / "file" / "a.png", figure)
+
+
+def test_the_outline_on_an_elastic_gel_encloses_the_contact_alone(press_block_elastically):
+    touch = press_block_elastically(0.008, 0.006)
+    axes = make_figure(3, 3).add_subplot()
+    draw_outline(axes, touch)
+    (contour,) = axes.collections
+    x, y = np.concatenate([path.vertices for path in contour.get_paths()]).T
+    assert [np.ptp(x), np.ptp(y)] == pytest.approx([8, 6], abs=1.0)

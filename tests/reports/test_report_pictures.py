@@ -61,6 +61,12 @@ def test_an_outline_encloses_the_contact_in_mm(shapes, flat_camera):
     assert [y.min(), y.max()] == pytest.approx([1e3 * (v - flat_camera.cy) / sy for v in (10, 30)], abs=0.01)
 
 
+def test_the_outline_on_an_elastic_gel_encloses_the_contact_alone(press_block_elastically):
+    touch = press_block_elastically(0.008, 0.006)
+    x, y = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", trace_outline(touch.contact_shape, touch.geometry)), float).T
+    assert [np.ptp(x), np.ptp(y)] == pytest.approx([8, 6], abs=1.0)
+
+
 def test_an_outline_at_the_border_is_closed(flat_camera):
     shape = ContactShape(np.zeros(flat_camera.shape, np.float32), 0.002)
     path = trace_outline(shape, flat_camera)

@@ -243,19 +243,8 @@ class Touch:
 
     @cached_property
     def touching_shape(self) -> ContactShape:
-        """The part of the contact shape at which the gel touches the object, cut at the indentation.
-
-        A rigid gel touches wherever it is pressed. An elastic gel is pressed in around the contact, too.
-        """
-        shape = self.contact_shape
-        if not self.geometry.gel.is_elastic:
-            return shape
-        from tactile_loc.core.sensing.gel_surface import find_touching
-
-        press = np.float32(self.indentation_m)
-        depth_m = np.where(shape.contact & self.geometry.observed_mask, shape.depth_m, press)
-        touching = find_touching(depth_m, self.indentation_m, self.geometry)
-        return ContactShape(np.where(touching, depth_m, press), self.indentation_m)
+        """The part of the contact shape at which the gel touches the object: see `cut_to_touching`."""
+        return cut_to_touching(self.contact_shape, self.geometry)
 
     def thin(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
         """Return the sensor and the touching shape with fewer pixels: about `pixels` on the longer side."""
@@ -278,6 +267,21 @@ class Touch:
 
     def _find_step(self, pixels: int) -> int:
         return max(1, round(max(self.geometry.shape) / pixels))
+
+
+def cut_to_touching(shape: ContactShape, geometry: SensorGeometry) -> ContactShape:
+    """Return the part of a contact shape (H, W) at which the gel touches the object, cut at the indentation.
+
+    A rigid gel touches wherever it is pressed. An elastic gel is pressed in around the contact, too.
+    """
+    if not geometry.gel.is_elastic:
+        return shape
+    from tactile_loc.core.sensing.gel_surface import find_touching
+
+    pressed_m = shape.deepest_m
+    depth_m = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.float32(pressed_m))
+    touching = find_touching(depth_m, pressed_m, geometry)
+    return ContactShape(np.where(touching, depth_m, np.float32(pressed_m)), pressed_m)
 
 
 def require_depths(touch: Touch, task: str) -> None:

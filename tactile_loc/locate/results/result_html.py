@@ -99,8 +99,8 @@ def _count_rest(found: Displayed) -> str:
 
 def _thin(view: View) -> tuple[SensorGeometry, NDArray[np.bool_]]:
     """Return the sensor with few pixels, and which of them (H, W) the touch marks as contact."""
-    geometry, _ = view.touch.thin(SIDE_PX)
-    return geometry, view.touch.thin_surface(SIDE_PX).contact
+    geometry, touching = view.touch.thin(SIDE_PX)
+    return geometry, touching.contact
 
 
 def _draw_prediction(view: View, hypothesis: Hypothesis) -> str:
