@@ -65,13 +65,15 @@ needs() {
     grep -qF "pip install 'tactile-loc[$extra]'" needs.log && [ "$code" = 2 ] ||
         give_up "tactile-loc $* ended with exit code $code and does not name the extra $extra: $(cat needs.log)"
 }
-touch empty.mcap empty.step
+touch empty.mcap empty.mp4 empty.step
+needs app app
 needs camera live --camera 0 --object hook --port 0
 needs kiss run --refiner kiss-icp --out refused
 needs learned run --encoder moco --out refused
 needs recordings replay empty.mcap --image-topic /gel/image --object hook
 needs step run --object empty.step --units mm --touch touch.npz --out refused
 needs sweep sweep --object hook --out refused
+needs testing plugins refiner icp --check --properties
+needs video calibrate empty.mp4 --ball-radius 3 --mm-per-px 0.06 --out refused
 needs view run --rerun refused.rrd --out refused
-if ../venv/bin/tactile-loc app --help >help.log 2>&1; then needs app app; fi
 say "the wheel works"
