@@ -153,6 +153,10 @@ SETTINGS = {
         "the GelSlim, the outline of a pressed object is up to 8 % larger",
     ),
 }
+FINGER: dict[str, Values] = {
+    "follows the finger {} to {} times a second": range_of("app", 1, "updates/s"),
+    "The largest mesh has {} triangles": lambda r: [max(r.column("app", 1, "triangles"))],
+}
 QUOTES: dict[str, dict[str, Values]] = {
     "README.md": {
         "a second contact reduces the median error from {} to {} mm before refinement": second_contact,
@@ -188,6 +192,7 @@ QUOTES: dict[str, dict[str, Values]] = {
     },
     "docs/identify.md": {"a fixed misfit: {} nats for one touch, {} nats for each of several":
                          lambda r: [NullEvidence().alone, NullEvidence().together]},
+    "docs/app.md": FINGER,
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
     "docs/benchmarks/one-touch.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),
@@ -271,7 +276,7 @@ QUOTES: dict[str, dict[str, Values]] = {
     "docs/benchmarks/simulated-images.md": {
         "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
     },
-    "docs/benchmarks/speed.md": {
+    "docs/benchmarks/speed.md": FINGER | {
         "has a median error of at most {} mm": lambda r: [max(r.column("joint", 1, "error, mm"))],
     },
 }  # fmt: skip
