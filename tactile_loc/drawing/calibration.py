@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,10 +12,14 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.circles import compare_colours
 from tactile_loc.calibration.estimator import GelEstimator
+from tactile_loc.calibration.folder import PICTURE
+from tactile_loc.calibration.frames import SHEET
+from tactile_loc.calibration.labelling import Labels
 from tactile_loc.calibration.labels import LabelledPresses
+from tactile_loc.calibration.outcome import Outcome
 from tactile_loc.calibration.reading import read_gel
 from tactile_loc.calibration.unlabelled import FoundPress, FoundPresses
-from tactile_loc.drawing.pictures import add_panels, compute_extent_mm, make_figure
+from tactile_loc.drawing.pictures import add_panels, compute_extent_mm, make_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +30,17 @@ USED, DROPPED = "#ffffff", "#e03131"
 TILE_INCH, MOST_COLUMNS = 1.9, 8
 STRONG = 0.995  # quantile of the absolute colour changes that reaches the end of the drawn range
 LONGEST = 30  # characters of a name
+
+
+def save_held_out(folder: Path, outcome: Outcome) -> Path:
+    """Draw the held-out presses of a calibration into its folder, and return the picture's path. Raises OutputError."""
+    figure = draw_held_out(outcome.estimator, outcome.presses, outcome.held_out, outcome.title)
+    return save_figure(folder / PICTURE, figure)
+
+
+def save_labels(folder: Path, labels: Labels) -> Path:
+    """Draw the circles found in the images of a folder into it, and return the picture's path. Raises OutputError."""
+    return save_figure(folder / SHEET, draw_labels(labels.found, labels.title))
 
 
 def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:
