@@ -15,7 +15,9 @@ from tactile_loc.imaging.optics import OPTICS, Optics
 from tactile_loc.imaging.shading import render_background, render_images
 from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.images import encode_png
+from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import write_touch_list
+from tactile_loc.locate.localizer import Localizer
 
 PHOTO_PX, MM_PER_PX, BALL_MM, BALLS = (320, 240), 0.0634, 6.0, 20  # size of photos, scale, diameter, and presses
 PLACES = (-6e-3, 6e-3), (-4e-3, 4e-3), (3e-4, 1e-3)  # ranges of the presses' x, y and depth, metres
@@ -51,15 +53,21 @@ def photograph_balls(folder: Path, rng: np.random.Generator) -> tuple[Path, Path
 def photograph_part(session: Session, path: Path, rng: np.random.Generator) -> NDArray[np.float64]:
     """Write an archive of simulated photos of the session's object, with their list; return the pose (4, 4), metres.
 
-    The photos are of its calibrated sensor. The pose is that of the object in the base frame.
+    The pose is that of the object in the base frame.
     """
-    localizer = session.localizer
-    touches = localizer.simulate_together(PHOTOS, seed=1, press_depth_m=1e-3 * PART_MM)
-    background = session.calibrator.made.outcome.background
+    geometry, lamps = choose_camera()
+    sensor = path.with_name("camera.toml")
+    write_sensor_file(sensor, geometry)
+    chosen = session.localizer.config.object
+    camera = Localizer.create(
+        chosen.path, units=chosen.units, sensor={"name": "file", "path": str(sensor)}, store=session.localizers.store
+    )
+    touches = camera.simulate_together(PHOTOS, seed=1, press_depth_m=1e-3 * PART_MM)
+    untouched = render_background(geometry, lamps)
     with zipfile.ZipFile(path, "w") as archive:
         for touch in touches:
             depth_m, press_m = touch.contact_shape.depth_m[None], np.array([touch.press_depth_m])
-            image = render_touches(depth_m, press_m, touch.geometry, choose_camera()[1], rng, background=background)[0]
+            image = render_touches(depth_m, press_m, geometry, lamps, rng, background=untouched)[0]
             archive.writestr(f"{touch.name}.png", encode_png(image))
         poses = {f"{touch.name}.png": touch.T_base_sensor for touch in touches}
         archive.write(write_touch_list(path.with_name(LIST), poses), LIST)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,18 +41,47 @@ class Notices:
         return act
 
     def attempt(self, work: Callable[[], None]) -> None:
-        """Do the work, and show an error as a notification."""
-        try:
-            work()
-        except TactileLocError as error:
-            self.notify("This did not work", name_controls(hide_folder(str(error), self.folder)), "red")
-        except Exception as error:  # the page must go on; the log has the details
-            logger.exception("the page failed")
-            self.notify("The program failed", f"{type(error).__name__}: {error}", "red")
+        """Do the work, and show its warnings and an error as notifications."""
+        with catch_warnings() as warnings:
+            try:
+                work()
+            except TactileLocError as error:
+                self.notify("This did not work", self._word(str(error)), "red")
+            except Exception as error:  # the page must go on; the log has the details
+                logger.exception("the page failed")
+                self.notify("The program failed", f"{type(error).__name__}: {error}", "red")
+        for text in dict.fromkeys(warnings):
+            self.notify("Warning", self._word(text), "yellow")
+
+    def _word(self, text: str) -> str:
+        return name_controls(hide_folder(text, self.folder))
 
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
         """Show a notification."""
         self.client.add_notification(title, text, auto_close_seconds=SECONDS, color=colour)
+
+
+class _ThreadWarnings(logging.Handler):
+    """Keeps the warnings that its own thread logs."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.thread, self.texts = threading.get_ident(), list[str]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.thread == self.thread and record.levelno == logging.WARNING:
+            self.texts.append(record.getMessage())
+
+
+@contextmanager
+def catch_warnings() -> Iterator[list[str]]:
+    """Yield a list that receives the warnings that the library logs in this thread during the block."""
+    handler, library = _ThreadWarnings(), logging.getLogger("tactile_loc")
+    library.addHandler(handler)
+    try:
+        yield handler.texts
+    finally:
+        library.removeHandler(handler)
 
 
 def name_controls(text: str) -> str:

@@ -23,7 +23,7 @@ class TaskProgress(Progress):
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a task of `total` steps. The yielded function raises CalibrationError when the work is no longer wanted."""
+        """Open a task of `total` steps. The yielded function raises CalibrationError if the work is unwanted."""
         self._task, self._done, self._total, self._shown_s = description, 0, max(total, 1), 0.0
         yield self._advance
 

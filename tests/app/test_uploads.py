@@ -8,7 +8,6 @@ import zipfile
 import pytest
 
 from tactile_loc.app import uploads
-from tactile_loc.app.notices import hide_folder, name_controls
 from tactile_loc.app.uploads import list_files, unpack_upload, write_upload
 from tactile_loc.core.errors import UploadError
 
@@ -73,8 +72,3 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, l
 def test_a_damaged_or_empty_archive_is_refused(tmp_path, content):
     with pytest.raises(UploadError):
         unpack_upload(tmp_path, "some.zip", content)
-
-
-def test_messages_use_the_words_of_the_page(tmp_path):
-    text = f"{tmp_path}/touches/a.npy has no unit; give `touch_unit` or `other`"
-    assert name_controls(hide_folder(text, tmp_path)) == 'a.npy has no unit; give "Unit of depths" or `other`'
