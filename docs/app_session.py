@@ -2,7 +2,9 @@
 """A recorded visit of the interactive page, from an own mesh to a located object, with the seconds of each step.
 
 Starts the page as `tactile-loc app` does, and drives it in a headless Chromium with selenium. Prints a row for each
-step, and how often the contact shape is drawn in each second of a drag. Writes docs/images/app.png with `--picture`.
+step, and how often the contact shape is drawn in each second of a drag. Then it calibrates a sensor from simulated
+photos of a ball, and locates the object from a photo of this sensor. With `--picture`, it writes docs/images/app.png
+and docs/images/app-calibration.png.
 """
 
 from __future__ import annotations
@@ -16,17 +18,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from app_photos import BALL_MM, BALLS, MM_PER_PX, PHOTOS, photograph_balls, photograph_part
 from browser import open_browser
 from numpy.typing import NDArray
 
 from tactile_loc.app.panels import ARCHIVE, Page
 from tactile_loc.app.scene_view import UNITS_PER_M, from_view
 from tactile_loc.app.server import AppServer
+from tactile_loc.app.session import list_poses
 from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.store.store import StageStore
 
-PICTURE = Path(__file__).parent / "images" / "app.png"
-DESKTOP, PHONE = (1280, 1000), (500, 900)  # pixels; headless Chromium is at least 500 wide
+PICTURES = Path(__file__).parent / "images"
+DESKTOP, PHONE = (1280, 1000), (390, 844)  # pixels
 GRAB = 0.75  # where the arrow is grabbed, share of its length
 
 
@@ -36,6 +41,9 @@ class Visitor:
     def __init__(self, url: str, folder: Path, size: tuple[int, int] = DESKTOP) -> None:
         self.browser = open_browser(*size, preferences={"download.default_directory": str(folder)})
         self.folder = folder
+        if size == PHONE:  # a window is at least 500 pixels wide
+            screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 2, "mobile": True}
+            self.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
         self.browser.get(url)
 
     def close(self) -> None:
@@ -56,9 +64,48 @@ class Visitor:
         wait_until(lambda: self.browser.execute_script(find, text), f"there is no button {text!r}")
         self.browser.execute_script("arguments[0].click()", self.browser.execute_script(find, text))
 
-    def upload(self, number: int, path: Path) -> None:
-        """Give a file to the upload button with a number, from 0."""
-        self.browser.find_elements("css selector", "input[type=file]")[number].send_keys(str(path))
+    def click_text(self, text: str) -> None:
+        """Click on a heading."""
+        find = (
+            "return [...document.querySelectorAll('*')]"
+            ".find(one => one.children.length < 2 && (one.innerText || '').trim() === arguments[0])"
+        )
+        self.browser.execute_script(find, text).click()
+
+    def scroll_to(self, text: str) -> None:
+        """Scroll to the button with a text."""
+        find = "[...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0])).scrollIntoView()"
+        self.browser.execute_script(find, text)
+
+    def open_tab(self, text: str) -> None:
+        """Show the tab with a text."""
+        find = "return [...document.querySelectorAll('[role=tab]')].find(tab => tab.innerText.includes(arguments[0]))"
+        wait_until(lambda: self.browser.execute_script(find, text), f"there is no tab {text!r}")
+        self.browser.execute_script(find, text).click()
+
+    def upload(self, text: str, path: Path) -> None:
+        """Give a file to the upload button with a text."""
+        find = (
+            "return [...document.querySelectorAll('input[type=file]')]"
+            ".find(input => input.parentElement.innerText.includes(arguments[0]))"
+        )
+        wait_until(lambda: self.browser.execute_script(find, text), f"there is no upload button {text!r}")
+        self.browser.execute_script(find, text).send_keys(str(path))
+
+    def fill(self, label: str, value: object) -> None:
+        """Write a value into the visible field whose label begins with a text."""
+        from selenium.webdriver.common.keys import Keys
+
+        find = (
+            "const shown = [...document.querySelectorAll('label')].filter(label => label.offsetParent);"
+            "let row = shown.find(label => label.innerText.startsWith(arguments[0]));"
+            "while (row && !row.querySelector('input, textarea')) row = row.parentElement;"
+            "return row && row.querySelector('input, textarea')"
+        )
+        wait_until(lambda: self.browser.execute_script(find, label), f"there is no field {label!r}")
+        field = self.browser.execute_script(find, label)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(str(value), Keys.TAB)
 
     def await_download(self, name: str) -> Path:
         """Wait for a downloaded file, and return its path."""
@@ -167,7 +214,13 @@ def measure_updates(page: Page, count: int = 100) -> float:
     return count / (time.perf_counter() - start_s)
 
 
-def visit(store: StageStore, picture: Path | None, shots: Path | None) -> list[tuple[str, str]]:
+def read_errors(page: Page) -> list[tuple[str, str]]:
+    """Return the errors of the calibrated sensor on held-out photos, each with its name."""
+    lines = page.session.calibrator.made.outcome.list_errors()
+    return [(f"its error of the {name}", value) for name, value in (line.split(": ") for line in lines)]
+
+
+def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[tuple[str, str]]:
     """Visit the page from an own mesh to the exported result, and return the rows of the record."""
     rows: list[tuple[str, str]] = []
     start_s = time.perf_counter()
@@ -175,7 +228,8 @@ def visit(store: StageStore, picture: Path | None, shots: Path | None) -> list[t
     def note(step: str, text: str = "") -> None:
         nonlocal start_s
         now_s = time.perf_counter()
-        rows.append((step, text or f"{now_s - start_s:.1f} s"))
+        if step:
+            rows.append((step, text or f"{now_s - start_s:.1f} s"))
         start_s = time.perf_counter()
 
     with tempfile.TemporaryDirectory() as name, AppServer(port=0, store=store) as server:
@@ -185,7 +239,7 @@ def visit(store: StageStore, picture: Path | None, shots: Path | None) -> list[t
         try:
             page = await_page(server, visitor)
             note("open the page in a browser")
-            visitor.upload(0, make_part(folder / "bracket.stl"))
+            visitor.upload("Open your own mesh", make_part(folder / "bracket.stl"))
             visitor.await_text("bracket: 40.0 x 24.0 x 26.0 mm")
             note("upload an own STL file")
             visitor.click("Add this touch")
@@ -220,9 +274,43 @@ def visit(store: StageStore, picture: Path | None, shots: Path | None) -> list[t
             errors_m = page.session.require_result().measure_errors_m(page.session.object)
             rows.append(("verdict", str(page.session.require_result().verdict)))
             rows.append(("error of the first pose", f"{1e3 * float(np.asarray(errors_m)[0]):.3f} mm"))
-            if picture is not None:
+            visitor.close_notifications()
+            if pictures is not None:
+                visitor.browser.save_screenshot(str(pictures / "app.png"))
+            untouched, photos = photograph_balls(folder, np.random.default_rng(0))
+            visitor.open_tab("Calibrate a sensor")
+            visitor.upload("Upload the photo without contact", untouched)
+            visitor.await_text(f"Without contact: {untouched.name}")
+            visitor.upload("Upload photos of the ball", photos)
+            visitor.await_text(f"Photos of presses: {BALLS}")
+            visitor.fill("Ball diameter", BALL_MM)
+            visitor.fill("Size of a pixel", MM_PER_PX)
+            wait_until(lambda: page.calibration.scale.value == MM_PER_PX, "the scale does not arrive")
+            note("")
+            visitor.click("Calibrate")
+            visitor.await_text("Use this sensor", 600.0)
+            note(f"calibrate a sensor from {BALLS} simulated photos of a ball")
+            rows += read_errors(page)
+            if pictures is not None:
+                visitor.scroll_to("Download the sensor")
                 visitor.close_notifications()
-                visitor.browser.save_screenshot(str(picture))
+                visitor.browser.save_screenshot(str(pictures / "app-calibration.png"))
+            visitor.click("Use this sensor")
+            visitor.await_text("is the sensor now")
+            T = photograph_part(page.session, folder / "touches.zip", np.random.default_rng(0))
+            visitor.open_tab("Locate")
+            visitor.click_text("Touches from files")
+            note("")
+            visitor.upload("Upload a touch or a list", folder / "touches.zip")
+            wait_until(lambda: len(page.session.touches) == PHOTOS, "the photos do not arrive")
+            note(f"read a list of {PHOTOS} simulated photos with this sensor")
+            visitor.click("Locate")
+            visitor.await_text("Located in", 600.0)
+            note("locate from these photos, and build the model for this sensor")
+            best = list_poses(page.session.require_result())[0]
+            away_m = float(PoseMetric(page.session.object).symmetric_distance(best[None], T[None])[0])
+            rows.append(("verdict from these photos", str(page.session.require_result().verdict)))
+            rows.append(("distance of the first pose from the true one", f"{1e3 * away_m:.2f} mm"))
             if shots is not None:
                 take_shots(server, visitor, shots)
         finally:
@@ -232,9 +320,7 @@ def visit(store: StageStore, picture: Path | None, shots: Path | None) -> list[t
 
 def take_shots(server: AppServer, visitor: Visitor, shots: Path) -> None:
     """Write screenshots of the page: the result, and a fresh visit at the width of a phone."""
-    visitor.browser.execute_script(
-        "[...document.querySelectorAll('button')].find(b => b.innerText.includes('Locate')).scrollIntoView()"
-    )
+    visitor.scroll_to("Locate")
     time.sleep(1.0)
     visitor.browser.save_screenshot(str(shots / "result.png"))
     phone = Visitor(server.url, shots, PHONE)
@@ -249,11 +335,11 @@ def take_shots(server: AppServer, visitor: Visitor, shots: Path) -> None:
 def main() -> None:
     """Record a visit with an empty store, and print it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--picture", action="store_true", help="renew docs/images/app.png")
+    parser.add_argument("--picture", action="store_true", help="renew the pictures in docs/images")
     parser.add_argument("--shots", type=Path, help="folder for more screenshots")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        rows = visit(StageStore(Path(folder)), PICTURE if given.picture else None, given.shots)
+        rows = visit(StageStore(Path(folder)), PICTURES if given.picture else None, given.shots)
     print("| step | measured |\n|---|---|")
     print("\n".join(f"| {step} | {value} |" for step, value in rows))
 

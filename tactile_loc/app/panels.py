@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
+from tactile_loc.app.calibration_tab import CalibrationTab
+from tactile_loc.app.calibrator import MadeSensor
+from tactile_loc.app.file_controls import FileControls
 from tactile_loc.app.follower import Follower
-from tactile_loc.app.pictures import paint_beside, paint_wide
+from tactile_loc.app.notices import Notices
+from tactile_loc.app.pictures import EMPTY, paint_beside, paint_wide
 from tactile_loc.app.scene_view import SceneView, choose_magnification, from_view
 from tactile_loc.app.session import Session
 from tactile_loc.app.virtual_finger import Pose
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.formatting import format_percent
-from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
@@ -28,12 +28,8 @@ from tactile_loc.locate.results.localization import Localization
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-logger = logging.getLogger(__name__)
-
 OWN = "own file"
 READ_FROM_PATHS = ("file", "calibrated")  # sensors that are chosen by their path
-IN_FILE = "as in the file"
-EMPTY = np.full((96, 96, 3), 236, np.uint8)
 ARCHIVE = "tactile-loc-result.zip"
 PRIOR_MM, PRIOR_DEG = 5.0, 15.0
 
@@ -43,44 +39,26 @@ class Page:
 
     def __init__(self, client: ClientHandle, session: Session) -> None:
         self.client, self.session, self.view = client, session, SceneView(client)
+        self.notices = Notices(client, session.folder)
         self.follower: Follower[tuple[Pose, float]] = Follower(self._follow)
         client.gui.configure_theme(control_width="large", show_share_button=False)
         client.gui.main_panel.dock_right()
-        self._add_object_controls()
-        self._add_press_controls()
-        self._add_result_controls()
-        self._add_file_controls()
-        self._add_prior_controls()
-        self._add_export_controls()
+        tabs = client.gui.add_tab_group()
+        with tabs.add_tab("Locate"):
+            self._add_object_controls()
+            self._add_press_controls()
+            self._add_result_controls()
+            self.files = FileControls(client, session, self.notices, self._show_touches)
+            self._add_prior_controls()
+            self._add_export_controls()
+        with tabs.add_tab("Calibrate a sensor"):
+            self.calibration = CalibrationTab(client, session.calibrator, self.notices, self._use_calibrated)
         self._show_object()
 
     def close(self) -> None:
-        """End the visitor's thread."""
+        """End the visitor's thread, and delete the visitor's files."""
         self.follower.stop()
-
-    # reports to the visitor
-
-    def guard(self, work: Callable[[], None]) -> Callable[[Any], None]:
-        """Return a callback that does the work, unless the program set the value. It shows errors as notifications."""
-
-        def act(event: Any) -> None:
-            if getattr(event, "client_id", 0) is not None:
-                self.attempt(work)
-
-        return act
-
-    def attempt(self, work: Callable[[], None]) -> None:
-        """Do the work, and show an error as a notification."""
-        try:
-            work()
-        except TactileLocError as error:
-            self._notify("This did not work", str(error), "red")
-        except Exception as error:  # the page must go on; the log has the details
-            logger.exception("the page failed")
-            self._notify("The program failed", f"{type(error).__name__}: {error}", "red")
-
-    def _notify(self, title: str, text: str, colour: Any = "blue") -> None:
-        self.client.add_notification(title, text, auto_close_seconds=12.0, color=colour)
+        self.session.close()
 
     # object and sensor
 
@@ -102,10 +80,10 @@ class Page:
             )  # fmt: skip
             self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN)
             self.about = gui.add_markdown("")
-        self.objects.on_update(self.guard(self._choose_object))
-        self.upload.on_upload(self.guard(self._upload_object))
-        self.sensors.on_update(self.guard(self._choose_sensor))
-        self.use_sensor.on_click(self.guard(self._read_sensor))
+        self.objects.on_update(self.notices.guard(self._choose_object))
+        self.upload.on_upload(self.notices.guard(self._upload_object))
+        self.sensors.on_update(self.notices.guard(self._choose_sensor))
+        self.use_sensor.on_click(self.notices.guard(self._read_sensor))
 
     def _choose_object(self) -> None:
         if self.objects.value != OWN:
@@ -118,7 +96,7 @@ class Page:
         self.objects.value = OWN
         self._show_object()
         for note in self.session.object.notes:
-            self._notify("Note", note)
+            self.notices.notify("Note", note)
 
     def _choose_sensor(self) -> None:
         self.sensor_path.visible = self.use_sensor.visible = self.sensors.value == OWN
@@ -129,6 +107,15 @@ class Page:
     def _read_sensor(self) -> None:
         self.session.choose_sensor(self.sensor_path.value)
         self._show_object()
+
+    def _use_calibrated(self, made: MadeSensor) -> None:
+        """Take the sensor that the visitor calibrated."""
+        self.session.choose_sensor(str(made.folder))
+        self.sensors.value = OWN
+        self.sensor_path.value = str(made.folder)
+        self.sensor_path.visible = self.use_sensor.visible = True
+        self._show_object()
+        self.notices.notify(f"{made.folder.name} is the sensor now", "Go to the tab Locate. Its touches were removed.")
 
     def _show_object(self) -> None:
         """Draw the session's object and sensor, and begin without touches."""
@@ -158,19 +145,19 @@ class Page:
             self.add = gui.add_button("Add this touch", color="blue")
             self.clear = gui.add_button("Remove all touches")
             self.touches = gui.add_markdown("")
-        self.depth.on_update(self.guard(self._ask_press))
-        self.add.on_click(self.guard(self._add_touch))
-        self.clear.on_click(self.guard(self._clear_touches))
+        self.depth.on_update(self.notices.guard(self._ask_press))
+        self.add.on_click(self.notices.guard(self._add_touch))
+        self.clear.on_click(self.notices.guard(self._clear_touches))
 
     def _follow_drag(self, event: Any) -> None:
-        self.attempt(self._settle if event.phase == "end" else self._ask_press)
+        self.notices.attempt(self._settle if event.phase == "end" else self._ask_press)
 
     def _ask_press(self) -> None:
         if self.view.finger_gizmo is not None:
             self.follower.ask((self.view.read_finger(self.session.scene.geometry), 1e-3 * self.depth.value))
 
     def _follow(self, asked: tuple[Pose, float]) -> None:
-        self.attempt(lambda: self._show_press(*asked))
+        self.notices.attempt(lambda: self._show_press(*asked))
 
     def _show_press(self, T_base_sensor: Pose, depth_m: float) -> None:
         press = self.session.press(T_base_sensor, depth_m)
@@ -217,10 +204,10 @@ class Page:
             self.compared = gui.add_image(EMPTY, label="Left: observed. Right: predicted by this pose", visible=False)
             self.history = gui.add_markdown("", visible=False)
             self.next = gui.add_button("Suggest the next touch", visible=False)
-        self.locate.on_click(self.guard(self._locate))
-        self.number.on_update(self.guard(self._show_pose))
-        self.shown_touch.on_update(self.guard(self._show_pose))
-        self.next.on_click(self.guard(self._suggest_next))
+        self.locate.on_click(self.notices.guard(self._locate))
+        self.number.on_update(self.notices.guard(self._show_pose))
+        self.shown_touch.on_update(self.notices.guard(self._show_pose))
+        self.next.on_click(self.notices.guard(self._suggest_next))
 
     def _locate(self) -> None:
         """Locate the object in the thread of this callback, so that the page can still be used."""
@@ -236,7 +223,7 @@ class Page:
         if found is self.session.result:
             self._show_result(found)
         else:
-            self._notify("The touches changed", "Locate again to use the present touches.")
+            self.notices.notify("The touches changed", "Locate again to use the present touches.")
 
     def _show_result(self, found: Localization) -> None:
         self.status.content = f"Located in {sum(found.seconds.values()):.2f} s"
@@ -288,29 +275,7 @@ class Page:
             self._settle()
             self._ask_press()
             text += " The finger is there; add this touch, and locate again."
-        self._notify("The next touch is green", text)
-
-    # touches from files
-
-    def _add_file_controls(self) -> None:
-        gui = self.client.gui
-        with gui.add_folder("Touches from files", expand_by_default=False):
-            gui.add_markdown(
-                "A contact shape (npz, npy, 16-bit png), or a photo of a calibrated sensor. For several touches with "
-                "sensor poses, upload the files first, and then their list (touches.toml)."
-            )
-            self.touch_unit = gui.add_dropdown("Unit of depths", (IN_FILE, *METRES_PER_UNIT), initial_value=IN_FILE)
-            self.touch_kind = gui.add_dropdown("Depths are", (IN_FILE, *get_args(DepthKind)), initial_value=IN_FILE)
-            self.touch_file = gui.add_upload_button("Upload a touch or a list")
-        self.touch_file.on_upload(self.guard(self._upload_touch))
-
-    def _upload_touch(self) -> None:
-        uploaded = self.touch_file.value
-        unit, kind = (
-            None if chosen.value == IN_FILE else chosen.value for chosen in (self.touch_unit, self.touch_kind)
-        )
-        self.session.read_touch_file(uploaded.name, uploaded.content, unit, kind)
-        self._show_touches()
+        self.notices.notify("The next touch is green", text)
 
     # the prior
 
@@ -321,7 +286,7 @@ class Page:
             self.prior_on = gui.add_checkbox("Use an expected pose", initial_value=False)
             self.prior_mm = gui.add_number("Its error (mm)", PRIOR_MM, min=0.1, max=1000.0, step=0.1)
             self.prior_deg = gui.add_number("Its error (degrees)", PRIOR_DEG, min=0.1, max=180.0, step=0.1)
-        self.prior_on.on_update(self.guard(self._toggle_prior))
+        self.prior_on.on_update(self.notices.guard(self._toggle_prior))
 
     def _toggle_prior(self) -> None:
         if self.prior_on.value:
@@ -343,7 +308,7 @@ class Page:
             self.export = gui.add_button(
                 "Download the result", hint="result.json, report.html, the touches, and a Python script."
             )
-        self.export.on_click(self.guard(self._export))
+        self.export.on_click(self.notices.guard(self._export))
 
     def _export(self) -> None:
         with tempfile.TemporaryDirectory() as folder:

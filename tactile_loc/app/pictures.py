@@ -9,6 +9,7 @@ from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.shape_pictures import Picture, paint_shape
 
 WIDE_PX, GAP_PX = 288, 12  # long side of one picture, and the gap between two
+EMPTY = np.full((96, 96, 3), 236, np.uint8)
 
 
 def paint_wide(shape: ContactShape, geometry: SensorGeometry) -> Picture:
@@ -17,6 +18,12 @@ def paint_wide(shape: ContactShape, geometry: SensorGeometry) -> Picture:
     picture = paint_shape(shape.subsample(step), geometry.subsample(step))
     grown = max(1, WIDE_PX // max(picture.shape[:2]))
     return picture.repeat(grown, axis=0).repeat(grown, axis=1)
+
+
+def paint_photo(photo: Picture, size_px: tuple[int, int]) -> Picture:
+    """Return a photo (H, W, 3) with a number of rows and columns, by its nearest pixels."""
+    rows, columns = (np.arange(n) * length // n for n, length in zip(size_px, photo.shape, strict=False))
+    return photo[rows[:, None], columns[None]]
 
 
 def paint_beside(left: Picture, right: Picture) -> Picture:

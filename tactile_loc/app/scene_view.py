@@ -38,6 +38,8 @@ SIGMAS = 2.0
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shadows slow down a view without a GPU
 LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
+FROM = np.array([0.75, -1.0, 0.7])  # direction from which the object is seen at first
+PHONE_ASPECT, PHONE_AWAY, SHEET = 0.6, 1.5, 0.6  # on a narrow page, controls cover the lower part (a share) of the view
 COVERING = 1.01  # scale of the chosen hypothesis, which hides the object at rest if both poses are equal
 
 
@@ -83,11 +85,15 @@ class SceneView:
         )  # fmt: skip
 
     def _look_at(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
-        middle = UNITS_PER_M * mesh.corners_m.mean(axis=0)
+        """Look at the middle of the object, in the part of the view that the controls leave free."""
+        camera, middle = self.client.camera, UNITS_PER_M * mesh.corners_m.mean(axis=0)
         size = UNITS_PER_M * (np.linalg.norm(mesh.extents_m) + max(np.ptp(geometry.rectangle[:2]), 0.01))
-        self.client.camera.near, self.client.camera.far = NEAR, FAR
-        self.client.camera.position = middle + size * np.array([0.75, -1.0, 0.7])
-        self.client.camera.look_at = middle  # after the position, which moves this point, too
+        if camera.aspect < PHONE_ASPECT:
+            size *= PHONE_AWAY
+            middle = middle - 0.5 * SHEET * measure_height(size * FROM, camera.fov)
+        camera.near, camera.far = NEAR, FAR
+        camera.position = middle + size * FROM
+        camera.look_at = middle  # after the position, which moves this point, too
 
     def add_finger_gizmo(self, T_base_sensor: Pose, geometry: SensorGeometry) -> TransformControlsHandle:
         """Add the gizmo that drags the finger. Its origin is the middle of the gel, and its z axis points out of it."""
@@ -230,6 +236,16 @@ class SceneView:
         """Remove the second object."""
         self.scene.remove_by_name("/prior")
         self.prior_gizmo = None
+
+
+def measure_height(away: NDArray[np.float64], fov_rad: float) -> NDArray[np.float64]:
+    """Return the vector (3,) from the bottom to the top of a camera's view, in the plane of the point it looks at.
+
+    The camera is at `away` (3,) from the point, and its up direction is +z.
+    """
+    forward = -away / np.linalg.norm(away)
+    up = np.array([0.0, 0.0, 1.0]) - forward[2] * forward
+    return np.asarray(2 * np.linalg.norm(away) * np.tan(0.5 * fov_rad) * up / np.linalg.norm(up))
 
 
 def choose_magnification(covariance: NDArray[np.float64]) -> float:

@@ -39,8 +39,9 @@ def require_viser() -> ModuleType:
 class AppServer:
     """Serves the page until it is closed. `pages` are those of the visitors, by viser's number of the client.
 
-    Uploaded files are kept in a temporary folder, which is removed at the end. Raises TactileLocError if the object or
-    the sensor cannot be used, ConfigError for a wrong port, and MissingLibraryError without viser.
+    Each visitor's files are kept in a temporary folder, which is removed when the visitor leaves. Raises
+    TactileLocError if the object or the sensor cannot be used, ConfigError for a wrong port, and MissingLibraryError
+    without viser.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class AppServer:
         self.chosen, self.sensor = chosen, sensor
         self.pages: dict[int, Page] = {}
         self._lock = Lock()
-        self.new_session()  # raises here, not when the first visitor comes
+        self.new_session().close()  # raises here, not when the first visitor comes
         with redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = viser.ViserServer(host, port, label="tactile-loc", verbose=False)
         self._server.on_client_connect(self._welcome)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,10 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc.app.calibrator import Calibrator
+from tactile_loc.app.chosen_camera import ChosenCamera
 from tactile_loc.app.export import write_export
-from tactile_loc.app.shared_localizers import SharedLocalizers, write_upload
+from tactile_loc.app.shared_localizers import SharedLocalizers
+from tactile_loc.app.uploads import is_archive, unpack_upload, write_upload
 from tactile_loc.app.virtual_finger import Pose, Press, make_touch, press_finger
-from tactile_loc.core.errors import ConfigError, ResultError, TouchError
+from tactile_loc.core.errors import ConfigError, ResultError, TouchError, UploadError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior
@@ -31,6 +36,7 @@ from tactile_loc.tasks.next_touch import RatedApproach, choose_next_touch
 from tactile_loc.tasks.pose_modes import PoseModes
 
 APPROACHES = 60  # approaches from which the next touch is chosen
+LIST = "touches.toml"  # list of touches in an archive
 PRESS = 0.5  # press of the first finger, share of the sensor's maximal depth
 
 
@@ -48,7 +54,8 @@ class Session:
     """The state of one visitor. The object rests with its frame at the base frame, in which touches have their poses.
 
     `press_depth_m` is the press of the virtual finger at `T_base_sensor`. `touches` are located together. A new object
-    or a new sensor removes the touches, because they belong to both.
+    or a new sensor removes the touches, because they belong to both. Uploaded files are kept in `folder`, until the
+    session is closed.
     """
 
     def __init__(
@@ -58,7 +65,11 @@ class Session:
         """Raises TactileLocError if the object or the sensor cannot be used."""
         self.localizers = localizers
         self.rng = np.random.default_rng(seed)
-        self.inbox = Path(tempfile.mkdtemp(dir=localizers.folder, prefix="touches-"))
+        self.folder = Path(tempfile.mkdtemp(dir=localizers.folder, prefix="visitor-"))
+        self.inbox = self.folder / "touches"
+        self.inbox.mkdir()
+        self.calibrator = Calibrator(self.folder / "calibration", localizers.store)
+        self.camera = ChosenCamera()
         self._begin(localizers.get(chosen or ObjectConfig(), sensor or RunConfig().sensor))
 
     def _begin(self, localizer: Localizer) -> None:
@@ -67,6 +78,13 @@ class Session:
         self.T_base_sensor = place_above(localizer.object, localizer.scene)
         self.press_depth_m = PRESS * localizer.scene.geometry.max_depth_m
         self.clear_touches()
+
+    def close(self) -> None:
+        """Close the camera, end a calibration, and delete the visitor's files."""
+        self.calibrator.stop()
+        self.camera.close()
+        self.localizers.forget(self.folder)
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     @property
     def object(self) -> ObjectModel:
@@ -87,7 +105,8 @@ class Session:
 
     def upload_object(self, name: str, content: bytes, units: Units = "auto") -> None:
         """Take another object from the content of a mesh file. Raises TactileLocError if it cannot be used."""
-        self.load_object(self.localizers.keep_upload(name, content), units)
+        own = self.folder / "meshes" / hashlib.sha256(content).hexdigest()[:16]
+        self.load_object(write_upload(own, name, content), units)
 
     def choose_sensor(self, sensor: str) -> None:
         """Take another sensor: a name, a .toml file or a calibration folder. Raises TactileLocError for bad input."""
@@ -120,10 +139,11 @@ class Session:
     ) -> tuple[Touch, ...]:
         """Add the touch in the content of a file, and return the added touches.
 
-        The file is a contact shape, a photo of a calibrated sensor, or a list of touches (.toml). A list replaces all
-        touches. It names files that were uploaded before. Raises TactileLocError for bad input.
+        The file is a contact shape, a photo of a calibrated sensor, a list of touches (.toml), or a zip archive of a
+        list LIST with its files. A list replaces all touches. Without an archive, it names files that were uploaded
+        before. Raises TactileLocError for bad input.
         """
-        path = write_upload(self.inbox, name, content)
+        path = self._unpack_list(name, content) if is_archive(name) else write_upload(self.inbox, name, content)
         if is_list(path):
             read = self._read_list(path)
             self.clear_touches()
@@ -132,13 +152,32 @@ class Session:
         self.touches = (*self.touches, *read)
         return read
 
+    def _unpack_list(self, name: str, content: bytes) -> Path:
+        """Unpack an archive into an own folder, and return the path of its list. Raises UploadError."""
+        folder = Path(tempfile.mkdtemp(dir=self.folder, prefix="archive-"))
+        lists = [path for path in unpack_upload(folder, name, content) if path.name == LIST]
+        if len(lists) != 1:
+            raise UploadError(
+                f"{name} holds {len(lists)} files {LIST}; it must hold one, with the touches that it names"
+            )
+        return lists[0]
+
     def _read_list(self, path: Path) -> tuple[Touch, ...]:
         """Read a list of uploaded touches of the chosen sensor. Raises TactileLocError for bad input."""
-        _require_plain_names(read_toml(path))
+        _require_own_files(read_toml(path))
         observations = read_observations(self.localizer, path)
         if any(localizer is not self.localizer for localizer, _ in observations):
             raise TouchError("the list names another sensor than the chosen one; remove its `sensor`, or choose it")
         return tuple(touch for _, touch in observations)
+
+    def take_camera_touch(self, source: str) -> Touch:
+        """Add the touch in the newest frame of a camera, a video or a folder, and return it: see `ChosenCamera`.
+
+        Raises SourceError if there is no frame, and TouchError if the sensor cannot read it as a touch.
+        """
+        touch = self.camera.take(source).read_touch(self.localizer.sensor)
+        self.touches = (*self.touches, touch)
+        return touch
 
     # answers
 
@@ -223,12 +262,17 @@ def _require_pose(touch: Touch) -> Pose:
     return touch.T_base_sensor
 
 
-def _require_plain_names(values: dict[str, Any]) -> None:
-    """Raise ConfigError if a list of touches names a file by more than its name, or a sensor by a path."""
+def _require_own_files(values: dict[str, Any]) -> None:
+    """Raise ConfigError if a list of touches names a file outside its folder, or a sensor by a path."""
     tables = values.get("touch")
     tables = [values, *(tables if isinstance(tables, list) else [])]
     for table in (table for table in tables if isinstance(table, dict)):
-        for key in ("path", "mount", "sensor"):
+        for key in ("path", "mount"):
             name = table.get(key)
-            if isinstance(name, str) and PurePath(name).name != name:
+            if isinstance(name, str) and (PurePath(name).is_absolute() or ".." in PurePath(name).parts):
                 raise ConfigError(f"the list names the file {name!r}; upload the file, and give only its name")
+        sensor = table.get("sensor")
+        if isinstance(sensor, str) and PurePath(sensor).name != sensor:
+            raise ConfigError(
+                f"the list names the sensor {sensor!r}; remove `sensor`, and choose the sensor on the page"
+            )

@@ -1,26 +1,23 @@
-"""Localizers and uploaded files that the sessions of a page share. The model of a localizer is built only once."""
+"""Localizers that the sessions of a page share. The model of a localizer is built only once."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path, PurePath
+from pathlib import Path
 from threading import Lock
 
-from tactile_loc.core.errors import OutputError
 from tactile_loc.core.progress import Progress
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.stored_object import load_stored_object
-from tactile_loc.store.files import write_atomically
 from tactile_loc.store.store import StageStore
 
 
 class SharedLocalizers:
-    """Localizers by object and sensor, for several sessions. Uploaded files are kept in `folder`.
+    """Localizers by object and sensor, for several sessions, whose files are kept in own folders in `folder`.
 
     Sessions with the same object and sensor get the same localizer. `use` lets only one of them work at a time, so a
     model is built only once.
@@ -54,17 +51,12 @@ class SharedLocalizers:
         with own:
             yield
 
-    def keep_upload(self, name: str, content: bytes) -> Path:
-        """Write an uploaded file to a folder of its own content, and return its path. Raises OutputError."""
-        return write_upload(self.folder / hashlib.sha256(content).hexdigest()[:16], name, content)
-
-
-def write_upload(folder: Path, name: str, content: bytes) -> Path:
-    """Write an uploaded file into a folder, and return its path. Only the last part of its name is used.
-
-    Raises OutputError if the name is empty, or if the file cannot be written.
-    """
-    plain = PurePath(name.replace("\\", "/")).name
-    if not plain or plain == "..":
-        raise OutputError(f"a file cannot be called {name!r}; give it another name")
-    return write_atomically(folder / plain, lambda temporary: temporary.write_bytes(content))
+    def forget(self, folder: Path) -> None:
+        """Forget the localizers whose object or sensor lies in a folder, which is removed afterwards."""
+        with self._lock:
+            for key, localizer in list(self._known.items()):
+                config = localizer.config
+                files = (config.object.path, str(config.sensor.options.get("path", "")))
+                if any(Path(file).is_relative_to(folder) for file in files):
+                    del self._known[key]
+                    self._in_use.pop(id(localizer), None)

@@ -277,6 +277,12 @@ def summarize_table(folder: Path) -> tuple[set[str], set[float]]:
     return {row.values["image"] for row in rows}, radii_mm
 
 
+def list_named_files(table: Path) -> set[str]:
+    """Return the paths of the images and meshes in a table, as it names them. Raises CalibrationError if unreadable."""
+    rows = _read_table(table)
+    return {row.values["image"] for row in rows} | {row.values.get("mesh") or "" for row in rows} - {""}
+
+
 def _parse_row(line: dict[str, str | None], where: str, folder: Path) -> Row:
     values = {key: (value or "").strip() for key, value in line.items() if key and not isinstance(value, list)}
     image, kind = values["image"], values["kind"]

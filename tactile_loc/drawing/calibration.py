@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,20 +12,36 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.circles import compare_colours
 from tactile_loc.calibration.estimator import GelEstimator
+from tactile_loc.calibration.folder import PICTURE
+from tactile_loc.calibration.frames import SHEET
+from tactile_loc.calibration.labelling import Labels
 from tactile_loc.calibration.labels import LabelledPresses
+from tactile_loc.calibration.outcome import Outcome
 from tactile_loc.calibration.reading import read_gel
 from tactile_loc.calibration.unlabelled import FoundPress, FoundPresses
-from tactile_loc.drawing.pictures import add_panels, compute_extent_mm, make_figure
+from tactile_loc.drawing.pictures import add_panels, compute_extent_mm, make_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST = 4
+READ_PANELS = "known", "estimated", "along x, at the deepest point"
 USED, DROPPED = "#ffffff", "#e03131"
 TILE_INCH, MOST_COLUMNS = 1.9, 8
 STRONG = 0.995  # quantile of the absolute colour changes that reaches the end of the drawn range
 LONGEST = 30  # characters of a name
+
+
+def save_held_out(folder: Path, outcome: Outcome) -> Path:
+    """Draw the held-out presses of a calibration into its folder, and return the picture's path. Raises OutputError."""
+    figure = draw_held_out(outcome.estimator, outcome.presses, outcome.held_out, outcome.title)
+    return save_figure(folder / PICTURE, figure)
+
+
+def save_labels(folder: Path, labels: Labels) -> Path:
+    """Draw the circles found in the images of a folder into it, and return the picture's path. Raises OutputError."""
+    return save_figure(folder / SHEET, draw_labels(labels.found, labels.title))
 
 
 def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:
@@ -37,25 +54,42 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True)
     figure.suptitle(title, size=13, weight="bold")
     rows: NDArray[Any] = figure.subplots(len(shown), 4, squeeze=False)
-    extent = compute_extent_mm(estimator.geometry)
     for row, number in zip(rows, shown, strict=True):
-        image, label = presses.read_press(number)
-        found_mm = 1e3 * read_gel(estimator, image, estimator.geometry.gel)[0]
-        known_mm = 1e3 * label.indentation_m
-        if not label.absolute:  # its depth has an unknown offset: take the offset from the estimate
-            known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
-        deepest = float(max(found_mm.max(), known_mm.max()))
-        row[0].imshow(image, extent=extent)
-        row[0].set_title(presses.name(number), size=9)
-        for axes, depth in zip(row[1:3], (known_mm, found_mm), strict=True):
-            drawn = axes.imshow(depth, extent=extent, cmap="viridis", vmin=0, vmax=deepest)
-        figure.colorbar(drawn, ax=list(row[1:3]), shrink=0.85, label="indentation (mm)")
-        _draw_profile(row[3], found_mm, known_mm, label.known, extent)
-        for axes in row[:3]:
-            axes.set_xlabel("x (mm)", size=8)
-    for axes, name in zip(rows[0, 1:], ("known", "estimated", "along x, at the deepest point"), strict=True):
+        _draw_reading(figure, row, estimator, presses, number)
+    for axes, name in zip(rows[0, 1:], READ_PANELS, strict=True):
         axes.set_title(name, size=10)
     return figure
+
+
+def draw_reading(outcome: Outcome, number: int) -> Figure:
+    """Draw one press, given by its number, in the width of a narrow page: the panels of `draw_held_out`."""
+    figure = make_figure(6.2, 5.2, constrained=True)
+    panels = list(figure.subplots(2, 2).flat)
+    _draw_reading(figure, panels, outcome.estimator, outcome.presses, number)
+    for axes, name in zip(panels[1:], READ_PANELS, strict=True):
+        axes.set_title(name, size=10)
+    return figure
+
+
+def _draw_reading(
+    figure: Figure, panels: Sequence[Axes], estimator: GelEstimator, presses: LabelledPresses, number: int
+) -> None:
+    """Draw a press into four panels: the image, the known and the estimated indentation, and their profiles."""
+    extent = compute_extent_mm(estimator.geometry)
+    image, label = presses.read_press(number)
+    found_mm = 1e3 * read_gel(estimator, image, estimator.geometry.gel)[0]
+    known_mm = 1e3 * label.indentation_m
+    if not label.absolute:  # its depth has an unknown offset: take the offset from the estimate
+        known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
+    deepest = float(max(found_mm.max(), known_mm.max()))
+    panels[0].imshow(image, extent=extent)
+    panels[0].set_title(presses.name(number), size=9)
+    for axes, depth in zip(panels[1:3], (known_mm, found_mm), strict=True):
+        drawn = axes.imshow(depth, extent=extent, cmap="viridis", vmin=0, vmax=deepest)
+    figure.colorbar(drawn, ax=list(panels[1:3]), shrink=0.85, label="indentation (mm)")
+    _draw_profile(panels[3], found_mm, known_mm, label.known, extent)
+    for axes in panels[:3]:
+        axes.set_xlabel("x (mm)", size=8)
 
 
 def _draw_profile(axes: Any, found_mm: Any, known_mm: Any, known: Any, extent: Sequence[float]) -> None:
@@ -86,11 +120,29 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     tiles[0].imshow(found.untouched)
     names = ", ".join(found.untouched_names) or "composed from presses"
     tiles[0].set_title(f"untouched gel\n{_shorten(names)}", size=7.5)
-    changes = [compare_colours(press.frame.image, found.untouched) for press in found.presses]
-    amplified = 127 / max(1.0, float(np.median([np.quantile(np.abs(change), STRONG) for change in changes])))
-    for axes, press, change in zip(tiles[1:], found.presses, changes, strict=False):
-        _draw_press(axes, press, np.clip(128 + amplified * change, 0, 255).astype(np.uint8))
+    for axes, press, change in zip(tiles[1:], found.presses, _amplify_changes(found, found.presses), strict=False):
+        _draw_press(axes, press, change)
     return figure
+
+
+def draw_circle(found: FoundPresses, number: int) -> Figure:
+    """Draw the circle of one press, given by its number, on the image and on its amplified change."""
+    press = found.presses[number]
+    height, width = found.untouched.shape[:2]
+    figure = make_figure(6.2, 3.0 * height / width + 0.5, constrained=True)
+    panels = list(figure.subplots(1, 2).flat)
+    for axes, picture in zip(panels, (press.frame.image, *_amplify_changes(found, [press])), strict=True):
+        axes.set(xticks=[], yticks=[])
+        _draw_press(axes, press, picture)
+    panels[1].set_title("change from the untouched gel\n", size=7.5)
+    return figure
+
+
+def _amplify_changes(found: FoundPresses, presses: Sequence[FoundPress]) -> list[NDArray[np.uint8]]:
+    """Return the amplified changes (H, W, 3) of presses from the untouched gel, around grey, all by one factor."""
+    changes = [compare_colours(press.frame.image, found.untouched) for press in presses]
+    factor = 127 / max(1.0, float(np.median([np.quantile(np.abs(change), STRONG) for change in changes])))
+    return [np.clip(128 + factor * change, 0, 255).astype(np.uint8) for change in changes]
 
 
 def _draw_press(axes: Axes, press: FoundPress, picture: NDArray[np.uint8]) -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import textwrap
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +18,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
+from tactile_loc.io.images import load_image
 from tactile_loc.io.shape_pictures import NO_CONTACT, OUTLINE
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.files import write_atomically
@@ -134,6 +136,13 @@ def save_figure(path: str | Path, figure: Figure, dpi: int | None = None) -> Pat
     Raises OutputError if the file cannot be written.
     """
     return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi or DPI, facecolor="white"))
+
+
+def render_figure(figure: Figure, dpi: int | None = None) -> NDArray[np.uint8]:
+    """Return a figure as a picture (H, W, 3) with `dpi` (default `DPI`) dots per inch."""
+    file = BytesIO()
+    figure.savefig(file, dpi=dpi or DPI, facecolor="white", format="png")
+    return load_image(BytesIO(file.getvalue()), "RGB")[1]
 
 
 def _draw_observed(panel: SubFigure, touch: Touch) -> None:

@@ -6,21 +6,29 @@ import json
 import sys
 import threading
 import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import app_session as program
 import browser
 import numpy as np
 import pytest
+from press_sets import BALL_M, MM, TINY, ball_set
+from test_uploads import pack
 
 from tactile_loc.app.follower import Follower
-from tactile_loc.app.pictures import colour_probability, paint_beside, paint_wide
-from tactile_loc.app.scene_view import choose_magnification, from_view, to_view
+from tactile_loc.app.pictures import colour_probability, paint_beside, paint_photo, paint_wide
+from tactile_loc.app.scene_view import choose_magnification, from_view, measure_height, to_view
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, ObjectError
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.io.images import encode_png
 from tactile_loc.store.store import StageStore
+
+if TYPE_CHECKING:
+    from tactile_loc.app.panels import Page
 
 PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
 
@@ -34,6 +42,21 @@ def test_poses_of_the_view_are_those_of_the_session():
 @pytest.mark.parametrize(("std_m", "times"), [(5e-3, 1), (4e-4, 1), (4e-5, 10), (4e-9, 1000)])
 def test_a_small_ellipsoid_is_drawn_larger(std_m, times):
     assert choose_magnification(std_m**2 * np.eye(6)) == times
+
+
+def test_the_height_of_a_view_is_upright_and_across_the_way_of_sight():
+    away = np.array([3.0, 0.0, 4.0])
+    height = measure_height(away, np.pi / 2)
+    assert height @ away == pytest.approx(0, abs=1e-9)
+    assert np.linalg.norm(height) == pytest.approx(10)
+    assert height[2] > 0
+
+
+def test_a_photo_is_scaled_to_its_neighbour():
+    photo = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    scaled = paint_photo(photo, (4, 6))
+    np.testing.assert_array_equal(scaled[::2, ::2], photo)
+    assert scaled.shape == (4, 6, 3)
 
 
 def test_the_picture_of_a_shape_shows_contact():
@@ -122,9 +145,41 @@ def test_visitors_press_locate_and_export(tmp_path, store):
             assert "No touch yet" in other.read()
             wrong = tmp_path / "wrong.stl"
             wrong.write_text("this is no mesh")
-            other.upload(0, wrong)
+            other.upload("Open your own mesh", wrong)
             other.await_text("This did not work")
             assert "pin: 16.0" in other.read()
+            calibrate_in_the_page(other, theirs, tmp_path)
+            assert theirs.session.localizer.config.sensor.name == "calibrated"
+            assert mine.session.localizer.config.sensor.name == MINI.name
+            own = [page.session.folder for page in (mine, theirs)]
+            assert all(folder.is_dir() for folder in own)
         finally:
             visitor.close()
             other.close()
+        program.wait_until(lambda: not any(folder.exists() for folder in own), "files of visitors are left")
+
+
+def calibrate_in_the_page(visitor: program.Visitor, page: Page, folder: Path) -> None:
+    """Calibrate a sensor from photos in the page, after a mistake, and use it."""
+    balls, diameter_mm = ball_set(7, px=80), 2 * BALL_M / MM
+    (folder / "untouched.png").write_bytes(encode_png(balls.background))
+    photos = {f"{number}.png": encode_png(image) for number, image in enumerate(balls.images)}
+    (folder / "balls.zip").write_bytes(pack(photos))
+    page.session.calibrator.options = TINY
+    visitor.open_tab("Calibrate a sensor")
+    visitor.click("Calibrate")
+    visitor.await_text("there is no photo of a press yet")
+    visitor.upload("Upload the photo without contact", folder / "untouched.png")
+    visitor.await_text("Without contact: untouched.png")
+    visitor.upload("Upload photos of the ball", folder / "balls.zip")
+    visitor.await_text("Photos of presses: 7")
+    visitor.fill("Ball diameter", diameter_mm)
+    visitor.fill("Size of a pixel", 0.2)
+    program.wait_until(lambda: page.calibration.scale.value == 0.2, "the scale does not arrive")
+    visitor.click("Calibrate")
+    visitor.await_text("1 of 7 presses were held out", 300)
+    visitor.click("Download the sensor")
+    with zipfile.ZipFile(visitor.await_download("my_sensor.zip")) as archive:
+        assert "my_sensor/calibration.json" in archive.namelist()
+    visitor.click("Use this sensor")
+    visitor.await_text("my_sensor is the sensor now")

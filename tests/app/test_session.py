@@ -8,14 +8,24 @@ import runpy
 import numpy as np
 import pytest
 import trimesh
+from test_uploads import pack
 
 from tactile_loc.app.export import _copy_object
 from tactile_loc.app.session import Session, list_poses, place_above
-from tactile_loc.app.shared_localizers import SharedLocalizers, write_upload
-from tactile_loc.core.errors import ConfigError, NoContactError, ObjectError, ResultError, TactileLocError, TouchError
+from tactile_loc.app.shared_localizers import SharedLocalizers
+from tactile_loc.core.errors import (
+    ConfigError,
+    NoContactError,
+    ObjectError,
+    ResultError,
+    SourceError,
+    TouchError,
+    UploadError,
+)
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.io.images import encode_png
 from tactile_loc.io.touches import write_touch
 from tactile_loc.store.store import StageStore
 
@@ -135,17 +145,6 @@ def test_a_damaged_upload_leaves_the_object(session):
     assert session.object.name == "pin"
 
 
-@pytest.mark.parametrize("name", ["../part.stl", "/etc/part.stl", "..\\part.stl"])
-def test_an_uploaded_file_stays_in_its_folder(tmp_path, name):
-    assert write_upload(tmp_path, name, b"x") == tmp_path / "part.stl"
-
-
-@pytest.mark.parametrize("name", ["", "..", "a/.."])
-def test_an_upload_needs_a_name(tmp_path, name):
-    with pytest.raises(TactileLocError):
-        write_upload(tmp_path, name, b"x")
-
-
 def test_an_uploaded_touch_is_added_with_its_pose(session, tmp_path):
     session.press(session.T_base_sensor, DEPTH_M)
     touch = session.add_touch()
@@ -172,6 +171,71 @@ def test_a_list_places_the_touches_uploaded_before(session):
 def test_a_list_names_only_uploaded_files(session, entry):
     with pytest.raises(ConfigError):
         session.read_touch_file("touches.toml", f"[[touch]]\n{entry}\n".encode())
+
+
+def save_depths(session) -> bytes:
+    """Write a contact shape, in mm, and return the content of its file."""
+    depth = np.full(session.scene.geometry.shape, 0.8, np.float32)
+    depth[50:90, 60:120] = 0.1
+    np.save(session.inbox / "saved.npy", depth)
+    return (session.inbox / "saved.npy").read_bytes()
+
+
+LISTED = '[[touch]]\npath = "parts/a.npy"\nunit = "mm"\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n'
+
+
+def test_a_list_and_its_files_come_in_one_archive(session):
+    content = pack({"mine/touches.toml": LISTED.encode(), "mine/parts/a.npy": save_depths(session)})
+    (read,) = session.read_touch_file("mine.zip", content)
+    assert session.touches == (read,)
+    np.testing.assert_allclose(read.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
+    assert session.read_touch_file("again.zip", content)
+    assert len(session.touches) == 1
+
+
+@pytest.mark.parametrize(
+    ("files", "error"),
+    [
+        ({"a.npy": b""}, UploadError),
+        ({"touches.toml": LISTED.encode(), "b/touches.toml": LISTED.encode()}, UploadError),
+        ({"touches.toml": LISTED.encode()}, TouchError),
+        ({"touches.toml": b"no list"}, ConfigError),
+        ({"touches.toml": b'[[touch]]\npath = "../../a.npy"\n'}, ConfigError),
+    ],
+)
+def test_an_archive_without_a_usable_list_is_refused(session, files, error):
+    session.press(session.T_base_sensor, DEPTH_M)
+    session.add_touch()
+    with pytest.raises(error):
+        session.read_touch_file("mine.zip", pack(files))
+    assert len(session.touches) == 1
+
+
+def test_a_frame_of_a_camera_becomes_a_touch(session, tmp_path):
+    session.press(session.T_base_sensor, DEPTH_M)
+    write_touch(tmp_path / "frame-1.npz", session.add_touch())
+    touch = session.take_camera_touch(str(tmp_path))
+    assert (touch.name, len(session.touches)) == ("frame-1.npz", 2)
+
+
+def test_a_camera_needs_a_calibrated_sensor(session, tmp_path):
+    (tmp_path / "photo.png").write_bytes(encode_png(np.full((60, 80, 3), 90, np.uint8)))
+    with pytest.raises(TouchError):
+        session.take_camera_touch(str(tmp_path))
+    with pytest.raises(SourceError):
+        session.take_camera_touch(str(tmp_path / "missing"))
+    assert session.touches == ()
+
+
+def test_a_closed_session_leaves_no_files_and_no_localizer(localizers):
+    before = set(localizers.folder.iterdir())
+    own = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    own.upload_object("block.stl", make_block(), "mm")
+    mesh = own.localizer.config.object.path
+    assert mesh.startswith(str(own.folder))
+    own.close()
+    assert set(localizers.folder.iterdir()) == before
+    assert all(known.config.object.path != mesh for known in localizers._known.values())
 
 
 def test_a_prior_needs_the_pose_of_the_sensor(session):

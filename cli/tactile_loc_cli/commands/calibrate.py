@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import os
 import tempfile
 from enum import StrEnum
 from pathlib import Path
@@ -12,17 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import CalibrationError, ConfigError, SensorError
+from tactile_loc.core.errors import ConfigError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli.console import make_progress, say
-from tactile_loc_cli.labelling import label_presses
 from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
-    from tactile_loc.calibration.estimator import GelEstimator
-    from tactile_loc.calibration.labels import Image, LabelledPresses
-    from tactile_loc.calibration.presses import PressFolder
-    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+    from tactile_loc.calibration.labelling import LabelledFolder
+    from tactile_loc.calibration.outcome import Outcome
 
 DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"
@@ -124,6 +118,9 @@ def calibrate(
     held out to measure the errors. Use the result with: run --object FILE --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
+    from tactile_loc.calibration.labelling import label_presses
+    from tactile_loc.calibration.outcome import calibrate_folder
+    from tactile_loc.store.store import StageStore
 
     require_writable(out)
     require_replaceable(out.absolute())
@@ -137,9 +134,14 @@ def calibrate(
             folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
             file = folder / "sensor.toml" if sensor is None else Path(sensor)
         else:
-            folder, file, labels = label_presses(folder, sensor, ball_radius, mm_per_px)
-        done = _calibrate(folder, file, estimator, background, image_size, curved, chosen, seed, out, store)
-        return {**done, **labels}
+            labelled = label_presses(folder, sensor, ball_radius, mm_per_px, make_progress())
+            labels = _report_labels(labelled, ball_radius)
+            folder, file = labelled.folder, labelled.sensor
+        outcome = calibrate_folder(
+            folder, file, estimator, chosen, background is Background.MEDIAN, image_size, curved, seed,
+            StageStore(store), make_progress(),
+        )  # fmt: skip
+        return {**_finish(outcome, out), **labels}
 
 
 def _require_one_source(
@@ -176,71 +178,31 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
     return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})  # parsing needs the name of a slot
 
 
-def _calibrate(
-    folder: Path, sensor: Path, estimator: Estimator, background: Background, image_size: tuple[int, int] | None,
-    curved: bool, options: dict[str, Any], seed: int, out: Path, store: Path | None,
-) -> dict[str, Any]:  # fmt: skip
-    from tactile_loc.calibration.calibrate import calibrate_stage
-    from tactile_loc.calibration.presses import choose_size_px, read_presses
-    from tactile_loc.store.store import StageStore
+def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[str, Any]:
+    """Print where the labels come from, draw new ones, and return those for the command's result."""
+    from tactile_loc.calibration.presses import TABLE
+    from tactile_loc.drawing.calibration import save_labels
 
-    if not os.path.isdir(folder):
-        raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
-    camera = _read_geometry(sensor)
-    size_px = image_size or choose_size_px(camera)
-    presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
-    if curved:
-        presses = _curve_gel(presses, seed)
-    presses = presses.measure_gel(progress=make_progress())
-    gel = _describe_gel(presses)
-    made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), make_progress())
-    dots = _describe_dots(presses)
-    record = {**record, "camera_px": list(presses.camera.shape), **dots, **gel}
-    return _finish(presses, made, presses.background if presses.gel is None else presses.gel.image, record, out)
-
-
-def _describe_dots(presses: PressFolder) -> dict[str, Any]:
-    """Return the gel's marker dots as part of the record, and print how many there are."""
-    if presses.gel is None:
+    table = labelled.folder / TABLE
+    if labelled.labels is None:
+        if ball_radius is not None:
+            new = labelled.unlisted
+            more = f"; {new} images are not in this table: remove it to detect the balls again" if new else ""
+            say(f"using the labels in {table}{more}")
         return {}
-    dots = presses.gel.record(presses.geometry.pixel_pitch_m)
-    if dots["count"]:
-        say(
-            f"the gel has {dots['count']} marker dots, {1e3 * dots['diameter_m']:.2f} mm wide and "
-            f"{1e3 * dots['spacing_m']:.2f} mm apart; they cover {100 * dots['covered']:.0f} % of the image and are "
-            "filled in"
-        )
-    return {"dots": dots}
-
-
-def _describe_gel(presses: PressFolder) -> dict[str, Any]:
-    """Return the gel's elasticity as part of the record, and print it; nothing if the presses do not determine it."""
-    fit, mm = presses.fit, 1e3
-    if fit is None:
-        return {}
-    shares = f"{100 * fit.rms:.0f} % of the colour profiles unexplained, a rigid gel {100 * fit.rigid_rms:.0f} %"
-    if fit.is_elastic:
-        say(
-            f"the gel is elastic: effective thickness {mm * fit.thickness_m:.1f} mm (standard deviation "
-            f"{mm * fit.std_m:.1f} mm), coating {mm * fit.coating_m:.2f} mm; it leaves {shares}"
-        )
-    else:
-        say(f"the gel is taken for rigid: an elastic gel leaves {shares}")
-    return {"gel": fit.record()}
-
-
-def _curve_gel(presses: PressFolder, seed: int) -> PressFolder:
-    from tactile_loc.calibration.relief import learn_relief
-
-    relief_m = learn_relief(presses, seed, make_progress())
-    say(f"the gel is curved: its edge is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
-    return dataclasses.replace(presses, geometry=dataclasses.replace(presses.geometry, relief_m=relief_m))
+    found, sheet = labelled.labels.found, save_labels(labelled.folder, labelled.labels)
+    for line in labelled.labels.describe():
+        say(line)
+    say(f"written: {table} (look at {sheet}; if a circle is wrong, edit its row and run the command again)")
+    dropped = {press.name: press.dropped for press in found.presses if press.dropped}
+    return {"labels": {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}}
 
 
 def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
     seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
+    from tactile_loc.calibration.outcome import Outcome
     from tactile_loc.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
     from tactile_loc.store.store import StageStore
 
@@ -252,52 +214,21 @@ def _calibrate_simulated(
     )
     if (native := find_camera_px(sensor)) is not None:
         record["camera_px"] = native
-    return _finish(presses, made, presses.background, record, out)
+    return _finish(Outcome(presses, made, presses.background, record), out)
 
 
-def _finish(
-    presses: LabelledPresses, made: GelEstimator, background: Image, record: dict[str, Any], out: Path
-) -> dict[str, Any]:
-    from tactile_loc.calibration.folder import PICTURE, write_calibration
-    from tactile_loc.drawing.calibration import draw_held_out
-    from tactile_loc.drawing.pictures import save_figure
+def _finish(outcome: Outcome, out: Path) -> dict[str, Any]:
+    """Write the calibration folder, and print the gel's properties and the errors."""
+    from tactile_loc.drawing.calibration import save_held_out
 
-    write_calibration(out.absolute(), made.geometry, background, made, {"presses": len(presses), **record})
-    held_out = record["held_out"]
-    title = f"{len(held_out['presses'])} of {len(presses)} presses were held out"
-    picture = save_figure(out / PICTURE, draw_held_out(made, presses, held_out["presses"], title))
-    say(f"{title}; mean errors on these:")
-    for line in _list_errors(held_out["mean"]):
-        say(line)
+    outcome.write(out.absolute())
+    picture = save_held_out(out, outcome)
+    for fact in outcome.facts:
+        say(fact)
+    say(f"{outcome.title}; mean errors on these:")
+    for line in outcome.list_errors():
+        say(f"  {line}")
     say(f"written: {out} (look at {picture})")
     say(f"use it with: tactile-loc run --object FILE --sensor {out} --touch IMAGE")
-    held_out = {"presses": len(held_out["presses"]), "mean_errors": _convert_to_si(held_out["mean"])}
-    return {"folder": str(out), "picture": str(picture), "presses": len(presses), "held_out": held_out}
-
-
-def _read_geometry(path: Path) -> SensorGeometry:
-    from tactile_loc.io.sensor_files import read_sensor_file
-
-    if not os.path.isfile(path):
-        raise SensorError(f"there is no sensor file {path}; write it (docs/files.md), or give --sensor")
-    return read_sensor_file(path)
-
-
-def _convert_to_si(mean: dict[str, float]) -> dict[str, float]:
-    """Return the same errors, with angles in radians."""
-    slope = {"slope_rad": math.radians(mean["slope_deg"])} if "slope_deg" in mean else {}
-    return {**slope, **{name: value for name, value in mean.items() if name != "slope_deg"}}
-
-
-def _list_errors(mean: dict[str, float]) -> list[str]:
-    quantities = {
-        "slope_deg": ("surface angle in the contact", 1, ".2f", "°"),
-        "shape_m": ("indentation in the contact, up to a constant", 1e3, ".3f", " mm"),
-        "depth_m": ("indentation in the contact", 1e3, ".3f", " mm"),
-        "untouched_m": ("indentation outside the contact", 1e3, ".3f", " mm"),
-    }
-    return [
-        f"  {label}: {scale * mean[name]:{digits}}{unit}"
-        for name, (label, scale, digits, unit) in quantities.items()
-        if name in mean
-    ]
+    held_out = {"presses": len(outcome.held_out), "mean_errors": outcome.convert_errors()}
+    return {"folder": str(out), "picture": str(picture), "presses": len(outcome.presses), "held_out": held_out}

@@ -227,6 +227,10 @@ class ImageFolder:
                 return
             time.sleep(POLL_S)
 
+    def take_newest(self) -> SourceFrame | None:
+        """Return the newest file that was not yielded yet, or None. Raises SourceError when the folder is missing."""
+        return next(self._take_newest(self._list_waiting()), None)
+
     def _list_waiting(self) -> list[tuple[int, Path]]:
         """Return the files that were not yielded yet, oldest first, each with its time of writing, ns."""
         try:

@@ -1,0 +1,94 @@
+"""Reports to one visitor: errors and notes as notifications, in the words of the page."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_loc.core.errors import TactileLocError
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+logger = logging.getLogger(__name__)
+
+SECONDS = 12.0  # for which a notification stays
+CONTROLS = {
+    "touch_unit": '"Unit of depths"', "touch_kind": '"Depths are"', "ball_radius": '"Ball diameter"',
+    "mm_per_px": '"Size of a pixel"', "camera": '"Camera"', "sensor": '"Sensor"', "units": '"Unit of own files"',
+}  # fmt: skip
+"""The page's control for each setting that messages of the library name."""
+
+
+class Notices:
+    """Notifications of one visitor, whose files lie in `folder`."""
+
+    def __init__(self, client: ClientHandle, folder: Path) -> None:
+        self.client, self.folder = client, folder
+
+    def guard(self, work: Callable[[], None]) -> Callable[[Any], None]:
+        """Return a callback that does the work, unless the program set the value. It shows errors as notifications."""
+
+        def act(event: Any) -> None:
+            if getattr(event, "client_id", 0) is not None:
+                self.attempt(work)
+
+        return act
+
+    def attempt(self, work: Callable[[], None]) -> None:
+        """Do the work, and show its warnings and an error as notifications."""
+        with catch_warnings() as warnings:
+            try:
+                work()
+            except TactileLocError as error:
+                self.notify("This did not work", self._word(str(error)), "red")
+            except Exception as error:  # the page must go on; the log has the details
+                logger.exception("the page failed")
+                self.notify("The program failed", f"{type(error).__name__}: {error}", "red")
+        for text in dict.fromkeys(warnings):
+            self.notify("Warning", self._word(text), "yellow")
+
+    def _word(self, text: str) -> str:
+        return name_controls(hide_folder(text, self.folder))
+
+    def notify(self, title: str, text: str, colour: Any = "blue") -> None:
+        """Show a notification."""
+        self.client.add_notification(title, text, auto_close_seconds=SECONDS, color=colour)
+
+
+class _ThreadWarnings(logging.Handler):
+    """Keeps the warnings that its own thread logs."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.thread, self.texts = threading.get_ident(), list[str]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.thread == self.thread and record.levelno == logging.WARNING:
+            self.texts.append(record.getMessage())
+
+
+@contextmanager
+def catch_warnings() -> Iterator[list[str]]:
+    """Yield a list that receives the warnings that the library logs in this thread during the block."""
+    handler, library = _ThreadWarnings(), logging.getLogger("tactile_loc")
+    library.addHandler(handler)
+    try:
+        yield handler.texts
+    finally:
+        library.removeHandler(handler)
+
+
+def name_controls(text: str) -> str:
+    """Replace the settings that a message names, such as `touch_unit`, with the page's controls."""
+    return re.sub(r"`(\w+)`", lambda found: CONTROLS.get(found[1], found[0]), text)
+
+
+def hide_folder(text: str, folder: Path) -> str:
+    """Replace the paths of files in a visitor's folder with their names."""
+    return re.sub(re.escape(str(folder)) + r"/(?:[^/\s]+/)*", "", text)

@@ -1,0 +1,74 @@
+"""Uploaded files and archives: limits, names, damaged archives, and paths that lead out of them."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import pytest
+
+from tactile_loc.app import uploads
+from tactile_loc.app.uploads import list_files, unpack_upload, write_upload
+from tactile_loc.core.errors import UploadError
+
+
+def pack(files: dict[str, bytes]) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("name", ["../part.stl", "/etc/part.stl", "..\\part.stl"])
+def test_an_uploaded_file_stays_in_its_folder(tmp_path, name):
+    assert write_upload(tmp_path, name, b"x") == tmp_path / "part.stl"
+
+
+@pytest.mark.parametrize("name", ["", "..", "a/.."])
+def test_an_upload_needs_a_name(tmp_path, name):
+    with pytest.raises(UploadError):
+        write_upload(tmp_path, name, b"x")
+
+
+def test_a_large_file_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(uploads, "LARGEST_MB", 1)
+    assert write_upload(tmp_path, "part.stl", bytes(1_000_000)).stat().st_size == 1_000_000
+    with pytest.raises(UploadError, match="1 MB"):
+        write_upload(tmp_path, "other.stl", bytes(1_000_001))
+    with pytest.raises(UploadError):
+        list(list_files("many.zip", bytes(1_000_001)))
+    assert not (tmp_path / "other.stl").exists()
+
+
+def test_an_archive_is_unpacked_with_its_folders_and_without_hidden_files(tmp_path):
+    content = pack({"a/b.txt": b"1", "c.txt": b"2", "__MACOSX/._c.txt": b"3", "a/.DS_Store": b"4"})
+    unpacked = unpack_upload(tmp_path, "some.ZIP", content)
+    assert {path.relative_to(tmp_path).as_posix(): path.read_bytes() for path in unpacked} == {
+        "a/b.txt": b"1",
+        "c.txt": b"2",
+    }
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["b.txt", "c.txt"]
+
+
+@pytest.mark.parametrize("name", ["../out.txt", "/out.txt", "a/../../out.txt", "..\\out.txt", "C:\\out.txt"])
+def test_a_path_that_leads_out_of_an_archive_is_refused(tmp_path, name):
+    with pytest.raises(UploadError):
+        unpack_upload(tmp_path / "in", "some.zip", pack({"good.txt": b"1", name: b"2"}))
+    assert not list(tmp_path.rglob("*.txt"))
+
+
+@pytest.mark.parametrize(("limit", "value"), [("UNPACKED_MB", 1), ("MOST_FILES", 2)])
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, limit, value):
+    monkeypatch.setattr(uploads, limit, value)
+    content = pack({f"{n}.txt": bytes(400_000) for n in range(3)})
+    assert len(content) < 10_000
+    with pytest.raises(UploadError, match=str(value)):
+        unpack_upload(tmp_path, "bomb.zip", content)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", pack({}), pack({"a.txt": bytes(5000)})[:60]])
+def test_a_damaged_or_empty_archive_is_refused(tmp_path, content):
+    with pytest.raises(UploadError):
+        unpack_upload(tmp_path, "some.zip", content)
