@@ -192,32 +192,27 @@ def _calibrate(
     if curved:
         presses = _curve_gel(presses, seed)
     presses = presses.measure_gel(progress=make_progress())
-    gel = _describe_gel(presses)
+    _say_gel(presses)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), make_progress())
-    dots = _describe_dots(presses)
-    record = {**record, "camera_px": list(presses.camera.shape), **dots, **gel}
-    return _finish(presses, made, presses.background if presses.gel is None else presses.gel.image, record, out)
+    _say_dots(presses)
+    return _finish(presses, made, presses.untouched, {**record, **presses.record()}, out)
 
 
-def _describe_dots(presses: PressFolder) -> dict[str, Any]:
-    """Return the gel's marker dots as part of the record, and print how many there are."""
-    if presses.gel is None:
-        return {}
-    dots = presses.gel.record(presses.geometry.pixel_pitch_m)
-    if dots["count"]:
+def _say_dots(presses: PressFolder) -> None:
+    dots = presses.record().get("dots", {})
+    if dots.get("count"):
         say(
             f"the gel has {dots['count']} marker dots, {1e3 * dots['diameter_m']:.2f} mm wide and "
             f"{1e3 * dots['spacing_m']:.2f} mm apart; they cover {100 * dots['covered']:.0f} % of the image and are "
             "filled in"
         )
-    return {"dots": dots}
 
 
-def _describe_gel(presses: PressFolder) -> dict[str, Any]:
-    """Return the gel's elasticity as part of the record, and print it; nothing if the presses do not determine it."""
+def _say_gel(presses: PressFolder) -> None:
+    """Print the gel's elasticity, if the presses determine it."""
     fit, mm = presses.fit, 1e3
     if fit is None:
-        return {}
+        return
     shares = f"{100 * fit.rms:.0f} % of the colour profiles unexplained, a rigid gel {100 * fit.rigid_rms:.0f} %"
     if fit.is_elastic:
         say(
@@ -226,7 +221,6 @@ def _describe_gel(presses: PressFolder) -> dict[str, Any]:
         )
     else:
         say(f"the gel is taken for rigid: an elastic gel leaves {shares}")
-    return {"gel": fit.record()}
 
 
 def _curve_gel(presses: PressFolder, seed: int) -> PressFolder:
