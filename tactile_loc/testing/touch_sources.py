@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -25,7 +25,7 @@ from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.core.slots.sensor import SensorModel
-from tactile_loc.testing.contract import Check, Untouched, require, require_equal
+from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_equal
 from tactile_loc.testing.problems import ReferenceRenderer, make_ball, make_plain_object, make_planar_pose
 
 BALL_M = 0.004
@@ -33,15 +33,15 @@ LIGHT, DEEP = 0.5, 0.9  # presses, shares of the deepest press
 GROWS = 1.1  # least ratio of the contact's areas at the deep and at the light press
 SEED = 7
 RIGID = 1e-9  # allowed error of a rotation
+RENDERER = ReferenceRenderer()
 
 _prepared: weakref.WeakKeyDictionary[TouchSource, PreparedSensor] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedSensor:
-    """The table of a source's sensor, the sensor, and the folder with its files."""
+    """A source's sensor, and the folder with its files."""
 
-    table: Mapping[str, Any]
     sensor: SensorModel
     folder: TemporaryDirectory[str]
 
@@ -72,8 +72,7 @@ def check_kind(source: TouchSource) -> None:
 
 def check_sensor_table(source: TouchSource) -> None:
     """`prepare_sensor` returns the `name` and the options of a sensor that can be made."""
-    table = prepare(source).table
-    require(isinstance(table.get("name"), str), "the sensor's table must have the sensor's name")
+    prepare(source)
 
 
 def check_press(source: TouchSource) -> None:
@@ -87,7 +86,7 @@ def check_press(source: TouchSource) -> None:
         require(seen.depth_m.dtype == np.float32, f"contact depths must be float32, not {seen.depth_m.dtype}")
     else:
         _require_image(seen, "press")
-    read(source, seen)
+    read_press(source, seen)
 
 
 def check_press_is_repeatable(source: TouchSource) -> None:
@@ -113,7 +112,7 @@ def check_deeper_press_shows_more(source: TouchSource) -> None:
     """A ball that is pressed more deeply has a greater press depth and a larger contact."""
     if not isinstance(source, SimulatedSource):
         return
-    light, deep = (read(source, press_ball(source, share)) for share in (LIGHT, DEEP))
+    light, deep = (read_press(source, press_ball(source, share)) for share in (LIGHT, DEEP))
     deeper = f"{1e3 * light.deepest_m:.3g} and {1e3 * deep.deepest_m:.3g} mm"
     require(deep.deepest_m > light.deepest_m, f"a deeper press must have a greater press depth, not {deeper}")
     areas = [measure_area(shape) for shape in (light, deep)]
@@ -154,10 +153,19 @@ def prepare(source: TouchSource) -> PreparedSensor:
     if source not in _prepared:
         folder = TemporaryDirectory()
         table = source.prepare_sensor(Path(folder.name))
-        options = {key: value for key, value in table.items() if key != "name"}
-        sensor = registry().create("sensor", str(table.get("name")), options)
-        _prepared[source] = PreparedSensor(table, sensor, folder)
+        _prepared[source] = PreparedSensor(_make_sensor(table), folder)
     return _prepared[source]
+
+
+def _make_sensor(table: Any) -> SensorModel:
+    named = isinstance(table, Mapping) and isinstance(table.get("name"), str)
+    require(named, "prepare_sensor must return a table with the sensor's name and its options")
+    options = {key: value for key, value in table.items() if key != "name"}
+    try:
+        sensor: SensorModel = registry().create("sensor", table["name"], options)
+    except TactileLocError as error:
+        raise ContractError(f"the table of prepare_sensor must describe a sensor that can be made: {error}") from error
+    return sensor
 
 
 def press_ball(source: SimulatedSource, share: float) -> Any:
@@ -176,15 +184,20 @@ def make_press(source: TouchSource, share: float) -> tuple[Scene, Poses]:
     return scene, T
 
 
-RENDERER = ReferenceRenderer()
-
-
 def read(source: TouchSource, seen: NDArray[np.uint8] | ContactShape) -> ContactShape:
     """Return the contact shape of an observation. Raises TouchError if the sensor reads none."""
     sensor = prepare(source).sensor
     shape = seen if isinstance(seen, ContactShape) else sensor.contact_shape(seen)
     Touch(shape, sensor.geometry)
     return shape
+
+
+def read_press(source: TouchSource, seen: NDArray[np.uint8] | ContactShape) -> ContactShape:
+    """Return the contact shape of a pressed ball. Raises ContractError if the sensor reads none."""
+    try:
+        return read(source, seen)
+    except TouchError as error:
+        raise ContractError(f"the sensor must read a pressed ball in what press returns: {error}") from error
 
 
 def measure_area(shape: ContactShape) -> int:
