@@ -1,6 +1,7 @@
 """Images drawn by the CycleGAN of tactile-mnist, which was trained on real touches of a GelSight Mini.
 
-The weights come with the package. The network gets the depths in a rigid gel, and returns a photo.
+The weights come with the package. The network gets the depths in a rigid gel, and returns a photo. It was trained on
+presses of one depth, 2.1 mm. It hardly shows lighter presses, so their readings are wrong.
 """
 
 from __future__ import annotations
