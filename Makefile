@@ -5,7 +5,6 @@ PYTHON ?=
 VENV := .venv
 STAMP := $(VENV)/.installed
 MUTATE := $(VENV)/.mutate
-TAXIM := .venv-taxim
 RUN := $(VENV)/bin/python -m
 PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # The slow tests take as long as all others. They train, kill and start many processes.
@@ -15,7 +14,7 @@ SLOW ?= not slow
 # start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate bench bench-compare bench-taxim clean
+.PHONY: help setup demo test test-slow pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -89,22 +88,13 @@ bench: $(STAMP) ## run all benchmarks, hours, and keep their tables
 bench-compare: $(STAMP) ## report the changes of benchmarks since the previous version
 	@$(VENV)/bin/python scripts/bench.py compare
 
-bench-taxim: $(TAXIM)/.installed ## locate touches that Taxim draws, in an environment of its own
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TAXIM)/bin/python benchmarks/taxim_images.py
-
 clean: ## remove .venv, out, build and the tools' caches
-	@echo "clean: removing .venv, .venv-taxim, out, build, dist and caches"
-	@rm -rf .venv .venv-taxim out build dist .mypy_cache .ruff_cache .pytest_cache *.egg-info
+	@echo "clean: removing .venv, out, build, dist and caches"
+	@rm -rf .venv out build dist .mypy_cache .ruff_cache .pytest_cache *.egg-info
 
 $(MUTATE): $(STAMP)
 	@echo "mutate: installing cosmic-ray"
 	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[mutate]'
-	@touch $@
-
-$(TAXIM)/.installed: pyproject.toml
-	@echo "bench-taxim: making $(TAXIM)"
-	@python=$$(PYTHON="$(PYTHON)" scripts/find-python.sh) && "$$python" -m venv $(TAXIM)
-	@$(TAXIM)/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[learned,taxim]'
 	@touch $@
 
 # A virtual environment contains its own path. After a copy or move of the folder it is made anew.

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import tempfile
 import time
 from pathlib import Path
@@ -24,6 +23,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.benchmark.sources.elastic import FAR_M
+from tactile_loc.benchmark.sources.layer import press_layer
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.gel import RIGID, Gel
@@ -48,25 +49,8 @@ Columns = tuple[list[float], list[float], list[float], list[float], list[float]]
 
 def deform(depth_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry, gel: Gel) -> NDArray[np.float32]:
     """Return the contact depths (H, W), metres, that ContactMechanics computes for an object in a rigid gel (H, W)."""
-    import ContactMechanics
-    from ContactMechanics.Systems import NonSmoothContactSystem
-    from SurfaceTopography import Topography
-
-    (height, width), (sx, sy) = geometry.shape, geometry.scale_at_surface
-    if math.isinf(gel.thickness_m or 0):
-        shape, sides_mm = (height, width), (height / sy * MM, width / sx * MM)
-        substrate = ContactMechanics.FreeFFTElasticHalfSpace(shape, 1.0, sides_mm)
-    else:
-        shape, sides_mm = (2 * height, 2 * width), (2 * height / sy * MM, 2 * width / sx * MM)
-        substrate = ContactMechanics.PeriodicFFTElasticHalfSpace(
-            shape, 1.0, sides_mm, thickness=(gel.thickness_m or 0) * MM, poisson=gel.poisson
-        )
-    heights_mm = np.full(shape, -50.0)
-    heights_mm[:height, :width] = np.where(depth_m < press_m, (press_m - depth_m) * MM, -50.0)
-    system = NonSmoothContactSystem(substrate, Topography(heights_mm, sides_mm))
-    if not system.minimize_proxy(offset=0.0, pentol=1e-4, maxiter=500).success:
-        raise RuntimeError("ContactMechanics did not converge")
-    return np.clip(press_m - system.disp[:height, :width] / MM, 0, press_m).astype(np.float32)
+    reach_m = np.where(depth_m < press_m, press_m - depth_m, -FAR_M)
+    return np.clip(press_m - press_layer(reach_m, geometry, gel), 0, press_m).astype(np.float32)
 
 
 def press_elastic(touch: Touch, source: RobotTouches, gel: Gel) -> Touch:

@@ -3,7 +3,7 @@
 
 Taxim draws the gel's surface and its image, with the colours of its GelSight and a flat gel. Its gel is no elastic
 layer: it follows the object where the object reaches deeper than 40 % of the press, and is smoothed with Gaussian
-pyramids elsewhere. The sensor is calibrated with `tactile-loc calibrate` on images of a pressed ball, without labels.
+pyramids elsewhere. The sensor is calibrated as by `tactile-loc calibrate` on images of a pressed ball, without labels.
 Parts are pressed from any direction, by 30 to 90 % of the deepest press, and drawn by ray casting.
 
 The first table has the errors of the found circles and of the read surfaces. The second has the press depths that are
@@ -13,7 +13,7 @@ is rigid or the calibrated elastic layer. `first` and `listed` are the shares of
 any listed pose, is within 1 mm (root mean square over the surface, modulo symmetry). An example that ends in an error
 counts as not located.
 
-Taxim needs its own environment: `make bench-taxim`. Meshes are given as FILE[:UNITS] or a demo object's name.
+Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
 from __future__ import annotations
@@ -21,10 +21,6 @@ from __future__ import annotations
 import argparse
 import csv
 import dataclasses
-import importlib.util
-import json
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -34,7 +30,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.benchmark.sources.calibrating import calibrate_sensor, label_balls
+from tactile_loc.benchmark.sources.taxim_images import TaximGel
 from tactile_loc.calibration.folder import Calibration, read_calibration
+from tactile_loc.calibration.frames import read_frames
 from tactile_loc.calibration.presses import TABLE
 from tactile_loc.calibration.reading import (
     extrapolate_press_m,
@@ -76,29 +75,9 @@ COVERED, NEARLY = (
 )  # errors of a press that its uncertainty covers, standard deviations; share that is no error
 
 
-class TaximSensor:
-    """Taxim with a flat gel: draws the gel's surface and its image, at the size of a sensor's geometry."""
-
-    def __init__(self, geometry: SensorGeometry) -> None:
-        from taxim import CALIB_GELSIGHT, Taxim
-
-        self.geometry = geometry
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            for file in CALIB_GELSIGHT.iterdir():
-                (folder / file.name).symlink_to(file)
-            (folder / "gelmap.npy").unlink()
-            np.save(folder / "gelmap.npy", np.zeros_like(np.load(CALIB_GELSIGHT / "gelmap.npy")))
-            width_px = json.loads((folder / "params.json").read_text())["sensor"]["w"]
-            pitch_mm = MM * geometry.pixel_pitch_m * geometry.width_px / width_px
-            self._taxim = Taxim(folder, params={"sensor": {"pixmm": pitch_mm}}, backend="jax")
-
-    def press(self, depth_m: Float32, press_m: float) -> tuple[Float32, Image]:
-        """Return the indentation (H, W), metres, and the image (H, W, 3), given the contact depths in a rigid gel."""
-        height_mm = (MM * (np.minimum(depth_m, press_m) - press_m)).astype(np.float32)
-        surface_mm, _ = self._taxim._TaximJax__compute_gel_pad_deformation(height_mm)  # not public
-        image = np.rint(255 * np.asarray(self._taxim.render(height_mm))).clip(0, 255).astype(np.uint8)
-        return np.asarray(-surface_mm / MM, np.float32), image
+def press(sensor: TaximGel, depth_m: Float32, press_m: float) -> tuple[Float32, Image]:
+    """Return the indentation (H, W), metres, and the image (H, W, 3), given the contact depths in a rigid gel."""
+    return sensor.find_surface_m(depth_m, press_m), sensor.draw_image(depth_m, press_m)
 
 
 def find_distances_mm(geometry: SensorGeometry, x_mm: float, y_mm: float) -> tuple[Float64, Float64]:
@@ -127,7 +106,7 @@ def shape_tip(name: str, across_mm: Float64, down_mm: Float64, turn_rad: float) 
     return np.maximum(steep * np.abs(y), 10 * (np.abs(x) - 2.5))
 
 
-def write_presses(sensor: TaximSensor, folder: Path, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+def write_presses(sensor: TaximGel, folder: Path, rng: np.random.Generator) -> list[tuple[float, float, float]]:
     """Write images of a pressed ball and of the untouched gel, and return the balls' x, y and depth, mm."""
     geometry, balls = sensor.geometry, []
     sides_mm = MM * geometry.pixel_pitch_m * np.array([geometry.width_px, geometry.height_px])
@@ -136,22 +115,21 @@ def write_presses(sensor: TaximSensor, folder: Path, rng: np.random.Generator) -
         x_mm, y_mm = sides_mm * (INSIDE + (1 - 2 * INSIDE) * rng.random(2))
         press_mm = rng.uniform(*DEPTHS_MM) if number else 0.0
         height_mm = shape_tip("ball", *find_distances_mm(geometry, x_mm, y_mm), 0.0)
-        _, image = sensor.press((height_mm / MM).astype(np.float32), press_mm / MM)
+        image = sensor.draw_image((height_mm / MM).astype(np.float32), press_mm / MM)
         write_image(folder / f"image-{number:03d}.png", image)
         if number:
             balls.append((x_mm, y_mm, press_mm))
     return balls
 
 
-def calibrate(presses: Path, out: Path, pitch_mm: float) -> Calibration:
-    """Run `tactile-loc calibrate` on a folder of images, and return the calibrated sensor."""
-    words = ["calibrate", presses, "--ball-radius", BALL_MM, "--mm-per-px", pitch_mm, "--out", out]
-    subprocess.run([sys.executable, "-m", "tactile_loc_cli.main", *map(str, words)], check=True, capture_output=True)
-    return read_calibration(out)
+def calibrate(presses: Path, out: Path, camera: SensorGeometry) -> Calibration:
+    """Calibrate on a folder of images, as `tactile-loc calibrate` without a table, and return the sensor."""
+    label_balls(presses, read_frames(presses)[1], BALL_MM / MM, camera.pixel_pitch_m)
+    return read_calibration(calibrate_sensor(presses, camera, out))
 
 
 def report_calibration(
-    known: Calibration, sensor: TaximSensor, presses: Path, balls: list[tuple[float, float, float]]
+    known: Calibration, sensor: TaximGel, presses: Path, balls: list[tuple[float, float, float]]
 ) -> Iterator[str]:
     """Yield the rows of the first table."""
     pitch_mm = MM * sensor.geometry.pixel_pitch_m
@@ -164,7 +142,7 @@ def report_calibration(
         off_px.append(np.hypot(x_px - x_mm / pitch_mm, y_px - y_mm / pitch_mm))
         radii.append(float(row["radius_px"]) * pitch_mm / np.sqrt(2 * BALL_MM * press_mm - press_mm**2))
         height_mm = shape_tip("ball", *find_distances_mm(sensor.geometry, x_mm, y_mm), 0.0)
-        surface_m, image = sensor.press((height_mm / MM).astype(np.float32), press_mm / MM)
+        surface_m, image = press(sensor, (height_mm / MM).astype(np.float32), press_mm / MM)
         true_m, read_m = reduce_surface(surface_m, known.geometry), known.read_indentation(image)
         errors_mm.append(MM * np.sqrt(np.mean((read_m - true_m)[true_m > 0.1 * press_mm / MM] ** 2)))
         steepest.append(measure_press_m(read_m, known.geometry) / measure_press_m(true_m, known.geometry))
@@ -185,7 +163,7 @@ def reduce_surface(surface_m: Float32, geometry: SensorGeometry) -> Float32:
     return surface_m.reshape(height, rows, width, columns).mean(axis=(1, 3)).astype(np.float32)
 
 
-def report_tips(known: Calibration, sensor: TaximSensor, rng: np.random.Generator) -> Iterator[str]:
+def report_tips(known: Calibration, sensor: TaximGel, rng: np.random.Generator) -> Iterator[str]:
     """Yield the rows of the second table: shares of the true press that are read, and that their uncertainty covers."""
     geometry = sensor.geometry
     sides_mm = MM * geometry.pixel_pitch_m * np.array([geometry.width_px, geometry.height_px])
@@ -195,7 +173,7 @@ def report_tips(known: Calibration, sensor: TaximSensor, rng: np.random.Generato
             for _ in range(TIP_PLACES):
                 x_mm, y_mm = sides_mm * rng.uniform(0.3, 0.7, 2)
                 height_mm = shape_tip(name, *find_distances_mm(geometry, x_mm, y_mm), rng.uniform(0, 2 * np.pi))
-                surface_m, image = sensor.press((height_mm / MM).astype(np.float32), press_mm / MM)
+                surface_m, image = press(sensor, (height_mm / MM).astype(np.float32), press_mm / MM)
                 seen_m = reduce_surface(surface_m, known.geometry)
                 slopes = differentiate(seen_m, known.geometry)
                 found = recover_indentation(seen_m, slopes, known.geometry), known.read_indentation(image)
@@ -219,13 +197,13 @@ class Pressed:
     image: Image
 
 
-def draw_presses(source: RobotTouches, sensor: TaximSensor, count: int, rng: np.random.Generator) -> list[Pressed]:
+def draw_presses(source: RobotTouches, sensor: TaximGel, count: int, rng: np.random.Generator) -> list[Pressed]:
     """Draw presses of an object from any direction."""
     found = []
     for touch in source.draw_example(count, rng)[0]:
         scene = Scene(source.object, sensor.geometry.press(touch.indentation_m), source.renderer)
         depth_m = scene.render_contact_depths(np.asarray(touch.T_sensor_object)[None])[0]
-        found.append(Pressed(touch, *sensor.press(depth_m, touch.indentation_m)))
+        found.append(Pressed(touch, *press(sensor, depth_m, touch.indentation_m)))
     return found
 
 
@@ -314,7 +292,7 @@ CASES = (
 
 
 def locate_objects(
-    names: list[str], known: Calibration, sensor: TaximSensor, arguments: argparse.Namespace, say: Callable[[str], None]
+    names: list[str], known: Calibration, sensor: TaximGel, arguments: argparse.Namespace, say: Callable[[str], None]
 ) -> None:
     """Locate objects in all cases, and report the rows of the last table."""
     raycast = registry().create("renderer", "raycast", {})
@@ -355,14 +333,12 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="folder of stored builds")
     parser.add_argument("--keep", type=Path, help="new folder for the images of presses and the calibrated sensor")
     arguments = parser.parse_args()
-    if importlib.util.find_spec("taxim") is None:
-        parser.error("taxim is not installed; run make bench-taxim, or pip install 'tactile-loc[taxim]'")
     mini = registry().create("sensor", "gelsight-mini", {}).native
-    sensor = TaximSensor(mini)
+    sensor = TaximGel("gelsight", mini)
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.keep or Path(temporary)
         balls = write_presses(sensor, folder / "presses", np.random.default_rng([arguments.seed, 0, 0]))
-        known = calibrate(folder / "presses", folder / "sensor", MM * mini.pixel_pitch_m)
+        known = calibrate(folder / "presses", folder / "sensor", mini)
         print("| calibration | |\n|---|---|")
         print("\n".join(report_calibration(known, sensor, folder / "presses", balls)), flush=True)
         print("\n| tip | gel surface | range | covered | image | range | covered |\n|---|---|---|---|---|---|---|")

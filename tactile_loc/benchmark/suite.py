@@ -17,7 +17,7 @@ from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.toml import explain, read_toml
 
 SUITES, SPLITS = "suites", "objects.toml"
-HERE = "data:"  # an object's path that begins with this word is in the folder `data` of the benchmark
+HERE = "data:"  # an object's path or a source's option that begins with this word is in the benchmark's folder `data`
 
 
 class Entry(BaseModel):
@@ -74,7 +74,8 @@ class Suite(BaseModel):
     @classmethod
     def from_values(cls, values: Mapping[str, Any], source: str, data: Path | None = None) -> Self:
         """Make a suite from the values of a TOML file. `source` names the file in messages."""
-        values = {**values, "objects": _read_objects(values.get("objects"), data)}
+        objects, sources = _read_objects(values.get("objects"), data), _locate_options(values.get("source"), data)
+        values = {**values, "objects": objects, **({} if sources is None else {"source": sources})}
         try:
             suite = cls(**values)
         except ValidationError as error:
@@ -137,11 +138,31 @@ def _read_objects(entries: Any, data: Path | None) -> Any:
 def _locate_object(table: Mapping[str, Any], data: Path | None) -> dict[str, Any]:
     path = str(table.get("path", ""))
     if path.startswith(HERE) and data is not None:
-        path = str(data.expanduser().absolute() / path.removeprefix(HERE))
+        path = _place(path, data)
     elif path and path not in DEMO_OBJECTS and not path.startswith(HERE):
         own = files(__package__) / SUITES / path
         path = str(own) if own.is_file() else str(Path(path).expanduser().absolute())
     return {**table, "path": path}
+
+
+def _locate_options(sources: Any, data: Path | None) -> Any:
+    """Return the tables of sources. Their texts that begin with HERE become paths in `data`, if it is given."""
+    if data is None or not isinstance(sources, list):
+        return sources
+    return [
+        {key: _place(value, data) if _is_here(value) else value for key, value in table.items()}
+        if isinstance(table, Mapping)
+        else table
+        for table in sources
+    ]
+
+
+def _is_here(value: Any) -> bool:
+    return isinstance(value, str) and value.startswith(HERE)
+
+
+def _place(path: str, data: Path) -> str:
+    return str(data.expanduser().absolute() / path.removeprefix(HERE))
 
 
 def _require_entries(kind: str, entries: Iterable[Entry], source: str) -> None:

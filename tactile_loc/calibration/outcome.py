@@ -79,11 +79,11 @@ class Outcome:
 
 
 def calibrate_folder(
-    folder: Path, sensor: Path, estimator: str = "photometric", options: dict[str, Any] | None = None,
+    folder: Path, sensor: Path | SensorGeometry, estimator: str = "photometric", options: dict[str, Any] | None = None,
     median_background: bool = False, size_px: tuple[int, int] | None = None, curved: bool = False, seed: int = 0,
     store: StageStore | None = None, progress: Progress | None = None,
 ) -> Outcome:  # fmt: skip
-    """Calibrate with a folder of presses and the file of the `sensor` that took them, or load the stored result.
+    """Calibrate with a folder of presses and the `sensor` that took them, or its file, or load the stored result.
 
     Images are reduced to `size_px` (width, height), by default as by `choose_size_px`. With `curved`, the surface of a
     curved gel is learned, too. The other arguments are those of `read_presses` and `calibrate`.
@@ -93,15 +93,14 @@ def calibrate_folder(
     """
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
-    watcher, camera = progress or Progress(), _read_geometry(sensor)
+    watcher, camera = progress or Progress(), sensor if isinstance(sensor, SensorGeometry) else _read_geometry(sensor)
     presses = read_presses(folder, camera, median_background, size_px or choose_size_px(camera))
     if curved:
         presses = _curve_gel(presses, seed, watcher)
     presses = presses.measure_gel(progress=watcher)
     made, record = calibrate_stage(presses, folder, estimator, options or {}, seed, store or StageStore(), watcher)
-    background = presses.background if presses.gel is None else presses.gel.image
     facts = (*(_describe_curve(presses) if curved else ()), *_describe_gel(presses))
-    return Outcome(presses, made, background, {**record, **_record_gel(presses)}, facts)
+    return Outcome(presses, made, presses.untouched, {**record, **presses.record()}, facts)
 
 
 def _read_geometry(path: Path) -> SensorGeometry:
@@ -115,13 +114,6 @@ def _curve_gel(presses: PressFolder, seed: int, progress: Progress) -> PressFold
 
     relief_m = learn_relief(presses, seed, progress)
     return dataclasses.replace(presses, geometry=dataclasses.replace(presses.geometry, relief_m=relief_m))
-
-
-def _record_gel(presses: PressFolder) -> dict[str, Any]:
-    """Return the camera's size, the gel's marker dots and its elasticity, if they were measured, as JSON values."""
-    dots = {} if presses.gel is None else {"dots": presses.gel.record(presses.geometry.pixel_pitch_m)}
-    gel = {} if presses.fit is None else {"gel": presses.fit.record()}
-    return {"camera_px": list(presses.camera.shape), **dots, **gel}
 
 
 def _describe_curve(presses: PressFolder) -> list[str]:
@@ -148,7 +140,7 @@ def _describe_elasticity(fit: GelFit) -> str:
 
 
 def _describe_dots(presses: PressFolder) -> list[str]:
-    dots = {} if presses.gel is None else presses.gel.record(presses.geometry.pixel_pitch_m)
+    dots = presses.record().get("dots", {})
     if not dots.get("count"):
         return []
     return [

@@ -145,6 +145,20 @@ class PressFolder(LabelledPresses):
             return replace(self, fit=fit)
         return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel))
 
+    @property
+    def untouched(self) -> Image:
+        """The image (H, W, 3) of the untouched gel, with its marker dots."""
+        return self.background if self.gel is None else self.gel.image
+
+    def record(self) -> dict[str, Any]:
+        """Return the size of the camera's images, the marker dots and the gel's elasticity, as JSON values.
+
+        The elasticity is left out if the presses do not determine it.
+        """
+        dots = {} if self.gel is None else {"dots": self.gel.record(self.geometry.pixel_pitch_m)}
+        gel = {} if self.fit is None else {"gel": self.fit.record()}
+        return {"camera_px": list(self.camera.shape), **dots, **gel}
+
     def _label_ball(self, centre_px: tuple[float, float], radius_px: float, ball_m: float) -> PressLabel:
         label = label_ball(self.geometry, centre_px, radius_px, ball_m)
         if self.fit is None or not self.fit.is_elastic:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tactile_loc.plugin import INTERFACE_VERSION, ComponentSpec, hookimpl
 
-LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
+LEARNED, KISS, BENCHMARK = "tactile-loc[learned]", "tactile-loc[kiss]", "tactile-loc[benchmark]"
 # slot, name, class, summary, and the extra to install
 BUILT_IN = [
     ("sensor", "gelslim", "sensors.presets:GelSlim", "GelSlim with the paper's camera"),
@@ -44,6 +44,16 @@ BUILT_IN = [
 # kind, name, class, summary, and the extra to install
 OF_BENCHMARK = [
     ("touch-source", "simulated", "sources.simulated:SimulatedTouches", "contact shapes by a renderer of tactile-loc"),
+    ("touch-source", "contact-mechanics-layer", "sources.layer:ElasticLayer",
+     "contact shapes on an elastic layer, by ContactMechanics", BENCHMARK),
+    ("touch-source", "tamaas-half-space", "sources.half_space:ElasticHalfSpace",
+     "contact shapes on an elastic half-space, by tamaas", BENCHMARK),
+    ("touch-source", "taxim", "sources.taxim_images:TaximImages",
+     "images of a GelSight or GelSight Mini, by Taxim", BENCHMARK),
+    ("touch-source", "tactile-mnist", "sources.cycle_gan:CycleGanImages",
+     "images of a GelSight Mini, by the CycleGAN of tactile-mnist", "tactile-loc[cyclegan]"),
+    ("touch-source", "gelslim-shapes", "sources.gelslim_shapes:GelslimShapes",
+     "recorded images of a prism with known poses", "tactile-loc[learned]"),
     ("method", "tactile-loc", "methods.ours:TactileLoc", "tactile-loc itself, with any settings"),
 ]  # fmt: skip
 

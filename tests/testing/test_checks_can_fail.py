@@ -6,7 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from broken_components import BROKEN
+from broken_components import BROKEN as BROKEN_COMPONENTS
+from broken_sources import BROKEN_SOURCES
 
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
@@ -22,9 +23,11 @@ from tactile_loc.testing import (
     refiners,
     renderers,
     sensors,
+    touch_sources,
 )
 
-MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
+MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers, touch_sources)
+BROKEN = [*BROKEN_COMPONENTS, *BROKEN_SOURCES]
 
 
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.sensing.gel import GelKind
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.core.simulation.noise import NoiseLevel, make_noise
 from tactile_loc.core.slots.benchmarking import SimulatedSource
@@ -31,7 +32,7 @@ class SimulatedTouches(SimulatedSource):
             default="raycast", description="the renderer that draws the touches"
         )
         sensor: str = Field(default="gelsight-mini", description="the sensor's name")
-        gel: Literal["rigid", "elastic"] = Field(default="rigid", description="the sensor's gel")
+        gel: GelKind = Field(default="rigid", description="the sensor's gel: rigid or layer")
         noise: NoiseLevel = Field(default="none", description="the noise of the touches: none, mild or strong")
 
     def prepare_sensor(self, folder: Path) -> Mapping[str, Any]:

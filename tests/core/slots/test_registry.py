@@ -5,6 +5,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -77,6 +78,8 @@ def test_every_slot_has_built_in_components_of_its_type():
     built_in = [c for c in found.components if c.distribution == "tactile-loc"]
     assert {c.spec.slot for c in built_in} == set(KINDS)
     for component in built_in:
+        if component.spec.requires == "tactile-loc[cyclegan]" and find_spec("tactile_mnist") is None:
+            continue  # the development environment has no tactile-mnist
         kind = found.load(component.spec.slot, component.spec.name)
         assert issubclass(kind, Component)
         assert kind.slot == component.spec.slot
