@@ -68,10 +68,12 @@ def parametrize_with_properties(components: Iterable[Component]) -> Any:
 
 
 def _find_slot_module(component: Component) -> Any:
-    """Return the checks' module for the component's slot, or None if the slot is unknown."""
+    """Return the checks' module for the component's kind, or None if the kind is unknown."""
     if not isinstance(component, Component):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
-    return importlib.import_module(f"tactile_loc.testing.{component.slot}s") if component.slot in SLOTS else None
+    if component.slot not in (*SLOTS, "method"):
+        return None
+    return importlib.import_module(f"tactile_loc.testing.{component.slot.replace('-', '_')}s")
 
 
 def _parametrize(components: Iterable[Component], chosen: Callable[[Component], list[Check]]) -> Any:

@@ -18,13 +18,14 @@ from tactile_loc.testing import (
     grids,
     list_checks,
     matchers,
+    methods,
     parametrize_with_checks,
     refiners,
     renderers,
     sensors,
 )
 
-MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
+MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers, methods)
 
 
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))
