@@ -55,6 +55,16 @@ OF_BENCHMARK = [
     ("touch-source", "gelslim-shapes", "sources.gelslim_shapes:GelslimShapes",
      "recorded images of a prism with known poses", "tactile-loc[learned]"),
     ("method", "tactile-loc", "methods.ours:TactileLoc", "tactile-loc itself, with any settings"),
+    ("method", "pixel-matching", "methods.pixel_matching:PixelMatching",
+     "compares the pixels of contact shapes with drawn ones, without registration"),
+    ("method", "icp-starts", "methods.icp_starts:IcpFromStarts", "point-to-plane ICP from many starts"),
+    ("method", "fpfh-ransac", "methods.feature_registration:FpfhRansac", "FPFH features and RANSAC (open3d), then ICP"),
+    ("method", "fast-global-registration", "methods.feature_registration:FastGlobalRegistration",
+     "FPFH features and fast global registration (open3d), then ICP"),
+    ("method", "transform-consensus", "methods.transform_consensus:TransformConsensus",
+     "votes of pairs of touched points for poses, then verification and ICP"),
+    ("method", "particle-filter", "methods.particle_filter:ParticleFilter",
+     "a particle filter that compares drawn contact shapes"),
 ]  # fmt: skip
 
 

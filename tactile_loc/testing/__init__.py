@@ -28,7 +28,7 @@ from typing import Any
 
 from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.slots.component import Component
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.slots.registry import KINDS
 from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 
@@ -71,7 +71,7 @@ def _find_slot_module(component: Component) -> Any:
     """Return the checks' module for the component's kind, or None if the kind is unknown."""
     if not isinstance(component, Component):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
-    if component.slot not in (*SLOTS, "touch-source"):
+    if component.slot not in KINDS:
         return None
     return importlib.import_module(f"tactile_loc.testing.{component.slot.replace('-', '_')}s")
 

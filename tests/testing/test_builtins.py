@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from press_sets import write_calibrated
 
+from tactile_loc.benchmark.methods.ours import TactileLoc
 from tactile_loc.core.errors import RenderError
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.encoder import Encoder
-from tactile_loc.core.slots.registry import BUILT_IN, SLOTS, registry
+from tactile_loc.core.slots.registry import BUILT_IN, KINDS, registry
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
@@ -53,13 +54,19 @@ def quick(component: Component) -> Component:
     return WholeGrid(WholeGrid.Options(directions=1000)) if isinstance(component, WholeGrid) else component
 
 
-ALL = [*built_ins(), *VARIANTS]
+ALL = [component for component in [*built_ins(), *VARIANTS] if not isinstance(component, TactileLoc)]
 QUICK = [quick(component) for component in ALL]
 
 
 @parametrize_with_checks(ALL)
 def test_contract(component, check):
     try_on(component, check)
+
+
+@pytest.mark.slow
+@parametrize_with_checks([TactileLoc()])
+def test_contract_of_our_method(component, check):
+    check(component)
 
 
 @parametrize_with_properties(QUICK)
@@ -93,6 +100,6 @@ def skip_without_opengl(renderer: Renderer) -> None:
 
 
 def test_all_slots_are_checked():
-    chosen = {c.slot: len(list_checks(c)) for c in built_ins() if c.slot != "method"}
-    assert chosen.keys() == {*SLOTS, "touch-source"}
+    chosen = {c.slot: len(list_checks(c)) for c in built_ins()}
+    assert chosen.keys() == set(KINDS)
     assert min(chosen.values()) > 8

@@ -19,6 +19,7 @@ from tactile_loc.testing import (
     grids,
     list_checks,
     matchers,
+    methods,
     parametrize_with_checks,
     refiners,
     renderers,
@@ -26,7 +27,7 @@ from tactile_loc.testing import (
     touch_sources,
 )
 
-MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers, touch_sources)
+MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers, methods, touch_sources)
 BROKEN = [*BROKEN_COMPONENTS, *BROKEN_SOURCES]
 
 

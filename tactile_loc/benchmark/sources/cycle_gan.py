@@ -1,7 +1,8 @@
 """Images drawn by the CycleGAN of tactile-mnist, which was trained on real touches of a GelSight Mini.
 
-The weights come with the package. The network gets the depths in a rigid gel, and returns a photo. It was trained on
-presses of one depth, 2.1 mm. It hardly shows lighter presses, so their readings are wrong.
+The weights come with the package. The network gets the depths in a rigid gel, and returns a photo. The package presses
+its objects by 2.1 mm. In trials, images of lighter presses hardly show them, so their readings are wrong. The suites
+therefore leave this source out.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from tactile_loc.core.slots.scene import Scene
 THICKNESS_M, NOMINAL_M = 1e-3 * GELSIGHT_MINI_GEL_THICKNESS_MM, 1e-3 * GEL_PENETRATION_DEPTH_MM
 SIZE_PX = tuple(int(n) for n in GELSIGHT_MINI_IMAGE_SIZE_PX)
 STANDOFF_M = 10e-3
-# the network was trained on presses of NOMINAL_M only; it hardly draws presses of less than half of that
+# the package presses objects by NOMINAL_M; the network hardly draws presses of less than half of that
 DEEPEST_M = NOMINAL_M
 BALL_M, BALL_DEPTHS = 4e-3, (0.7, 1.0)  # radius, metres, and depths, shares of the deepest press
 
