@@ -62,8 +62,8 @@ SETTINGS: dict[str, Any] = {
     "sensor": {"name": "gelsight-mini", "image_size_px": [80, 60]}, "shape_px": 32, "temperature": 0.02, "top": 10,
     "together": "each",  # refined separately by each refiner
     "search": {
-        "candidates": 2, "candidates_together": 2, "registered": 2, "registered_together": 2, "registered_widely": 2,
-        "iterations": 2,
+        "candidates": 2, "candidates_together": 2, "registered": 2, "moved_together": 2, "registered_together": 2,
+        "registered_widely": 2, "iterations": 2,
     },
     "hypotheses": {"listed": 10, "drawn": 10, "refined_together": 5},
 }  # fmt: skip

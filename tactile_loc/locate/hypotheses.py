@@ -211,21 +211,41 @@ def propose_together(
     ]
 
 
+def split_modes(posterior: PosePosterior, modes: Sequence[Mode], radius_m: float, count: int) -> list[Mode]:
+    """Split modes, the most probable first, into at most `count` modes, at least as many as before.
+
+    All poses of a mode may lead to the same refined pose, or its peak may lead to a pose that explains the touch worse
+    than others. So besides the peaks, the most probable members become modes, none within `radius_m` metres of a more
+    probable one. All other members belong to the nearest mode.
+    """
+    grid, members = posterior.grid, np.concatenate([mode.members for mode in modes])
+    peaks = np.array([mode.index for mode in modes])
+    others = members[~np.isin(members, peaks)]
+    apart = keep_apart(grid.T_sensor_object[others], posterior.log_p[others], grid.metric, radius_m, count - len(peaks))
+    chosen = np.concatenate([peaks, others[apart]])
+    points = grid.metric.embed(grid.T_sensor_object[members])
+    of = measure_distances(points, grid.metric.embed(grid.T_sensor_object[chosen])).argmin(axis=1)
+    return [_make_mode(posterior, index, members[of == k]) for k, index in enumerate(chosen)]
+
+
+def _make_mode(posterior: PosePosterior, index: int, members: NDArray[np.int64]) -> Mode:
+    """Return the mode whose most probable pose has this index of the grid."""
+    mass = float(posterior.probabilities[members].sum())
+    return Mode(int(index), mass, posterior.grid.T_sensor_object[index], members)
+
+
 def choose_best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
     """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one.
 
     Each grid pose within that radius of a mode is a member of the nearest mode.
     """
-    grid, p = posterior.grid, posterior.probabilities
+    grid = posterior.grid
     chosen = keep_apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
     points = grid.metric.embed(grid.T_sensor_object)
     far = measure_distances(points, points[chosen])
     of, near = far.argmin(axis=1), far.min(axis=1) <= radius_m
     members = [np.flatnonzero(near & (of == k)) for k in range(len(chosen))]
-    return [
-        Mode(int(k), float(p[some].sum()), grid.T_sensor_object[k], some)
-        for k, some in zip(chosen, members, strict=True)
-    ]
+    return [_make_mode(posterior, k, some) for k, some in zip(chosen, members, strict=True)]
 
 
 def keep_apart(

@@ -38,12 +38,13 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
-SEARCH_VERSION = 5
+SEARCH_VERSION = 6
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
+STEPS_NEARER = 2  # steps of registration before the distances of poses are compared again
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
@@ -270,9 +271,9 @@ def search_together(
     """Return the likeliest poses given several touches. Adds stage durations to `times`.
 
     The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
-    registered to all touches, rendered, and compared with each touch. No returned pose is near a better one. If none of
-    the first poses explains the touches well, more are registered. A `prior` is over poses in the first touch's sensor
-    frame.
+    brought nearer. Those that are nearest then are registered to all touches, rendered, and compared with each touch.
+    No returned pose is near a better one. If none of the first poses explains the touches well, more are registered. A
+    `prior` is over poses in the first touch's sensor frame.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
@@ -284,6 +285,7 @@ def search_together(
         ])  # fmt: skip
         poses = _keep_nearest(views, search, poses, options.registered_widely)
     with times.stage("register"):
+        poses = _bring_nearer(views, search, poses)
         registered, ious = _register(views, search, poses[: options.registered_together])
         if ious.mean(axis=1).max() < options.wide_below_iou:
             more, more_ious = _register(views, search, poses[options.registered_together :])
@@ -303,12 +305,25 @@ def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, 
     return float(ious.mean(axis=1).max())
 
 
-def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
+def _keep_nearest(
+    views: Sequence[View], search: PlaceSearch, poses: Poses, count: int, exactly: bool = False
+) -> Poses:  # fmt: skip
     """Return the `count` poses whose surface is nearest to the touches, none near a better one.
 
-    `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
+    `poses` (K, 4, 4), metres, are in the first touch's sensor frame. `exactly` is as for `SurfaceField.measure_gaps`.
     """
-    return poses[keep_apart(poses, -_measure_gaps(views, poses), search.metric, search.radius_m, count)]
+    return poses[keep_apart(poses, -_measure_gaps(views, poses, exactly), search.metric, search.radius_m, count)]
+
+
+def _bring_nearer(views: Sequence[View], search: PlaceSearch, poses: Poses) -> Poses:
+    """Move the first poses by a few steps of registration, and sort these by their distance again; keep the others.
+
+    A wrong pose may be as near to the touches as a pose a few millimetres beside the true one. After a few steps, the
+    wrong pose is still as far from the touches, but the other pose is at the true one.
+    """
+    first, others = np.split(poses, [search.options.moved_together])
+    moved = search.registration.register_coarsely(views, first, STEPS_NEARER)
+    return np.concatenate([_keep_nearest(views, search, moved, len(moved), exactly=True), others])
 
 
 def _register(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
@@ -317,7 +332,7 @@ def _register(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple
     return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)
 
 
-def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
+def _measure_gaps(views: Sequence[View], poses: Poses, exactly: bool) -> NDArray[np.float64]:
     """Return the summed distances (K,), metres, from the touches' points to the object's surface at poses (K, 4, 4)."""
     from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
@@ -327,5 +342,5 @@ def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
         geometry, shape = view.touch.thin(GAP_PX)
         points_m = (make_contact_cloud if shape.depths_known else make_outline_cloud)(shape, geometry)[0]
         points_m = points_m[:: max(1, len(points_m) // GAP_POINTS)]
-        gaps += field.measure_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
+        gaps += field.measure_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m, exactly)
     return gaps

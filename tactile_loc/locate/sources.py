@@ -24,7 +24,7 @@ from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.hypotheses import choose_best_apart, propose_together
+from tactile_loc.locate.hypotheses import choose_best_apart, propose_together, split_modes
 from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model, make_encoder_key, train_encoder
 from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.scoring import GridScores, NewMatcher, Scores
@@ -172,11 +172,14 @@ class GridSource(PoseSource):
     def propose(
         self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
     ) -> list[Mode]:
-        """Return the modes of the fused posterior; for several touches, the poses that explain all of them best."""
+        """Return the modes of the fused posterior; for several touches, the poses that explain all of them best.
+
+        The modes of one touch are split, because the poses of one mode may end in several poses when refined.
+        """
+        radius_m = self.options.start_radius * self.mode_radius_m
         if len(views) > 1:
-            radius_m = self.options.start_radius * self.mode_radius_m
             return propose_together(views, alone, fused, radius_m, self.options)
-        return fused.modes(self.mode_radius_m, top)
+        return split_modes(fused, fused.modes(self.mode_radius_m, top), radius_m, max(top, self.options.refined))
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
         """Return the index of the grid pose nearest to a touch's true pose."""

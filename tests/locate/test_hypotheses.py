@@ -21,6 +21,7 @@ from tactile_loc.locate.hypotheses import (
     compute_nats,
     find_hypotheses,
     merge_hypotheses,
+    split_modes,
     weigh,
 )
 from tactile_loc.locate.results.localization import Hypothesis
@@ -59,6 +60,19 @@ def test_an_unconverged_pose_is_merged_only_with_an_almost_equal_pose(metric):
     for off_m, left in ((0.0, 1), (2e-5, 1), (1e-4, 2)):
         stuck = hypothesis(0.4, make_translation([off_m, 0, 0]), converged=False)
         assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == left
+
+
+def test_split_modes_keep_the_peaks_and_share_all_members(metric):
+    grid = PoseGrid(make_translation(np.column_stack([np.arange(12) * 1e-3, *np.zeros((2, 12))])), metric)
+    posterior = PosePosterior(grid, np.log([0.3, 0.1, 0.05, 0.05, 0.02, 0.01, 0.2, 0.1, 0.05, 0.05, 0.04, 0.03]))
+    modes = posterior.modes(1.5e-3, 2, mass=1.0)
+    assert [mode.index for mode in modes] == [0, 6]
+    split = split_modes(posterior, modes, 1.5e-3, 4)
+    assert [mode.index for mode in split[:2]] == [0, 6]
+    assert len(split) == 4
+    assert np.sort(np.concatenate([mode.members for mode in split])).tolist() == list(range(12))
+    assert sum(mode.probability for mode in split) == pytest.approx(1)
+    assert [mode.index for mode in split_modes(posterior, modes, 1.5e-3, 2)] == [0, 6]
 
 
 def test_the_pose_that_explains_the_touch_best_comes_first():

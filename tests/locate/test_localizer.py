@@ -10,6 +10,7 @@ from message_helpers import naming
 from tactile_loc.core.errors import ConfigError, GridError, NoContactError, TouchError
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.evaluation.metrics import compute_nees
@@ -17,7 +18,7 @@ from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import judge
+from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.locate.scoring import MOST_MATCHERS
 from tactile_loc.store.store import StageStore
 
@@ -407,3 +408,14 @@ def test_the_most_probable_pose_of_a_refiner_without_covariances_has_one(pin, to
     found = other.find_most_probable_pose(touches[1])
     assert found.covariance.shape == (6, 6)
     assert found.imprint_iou == pytest.approx(other.scene.imprint_ious(found.T_sensor_object[None], touches[1])[0])
+
+
+@pytest.mark.slow
+def test_a_certain_pose_of_a_face_is_right_even_if_the_peak_of_its_mode_ends_at_another_yaw(store):
+    localizer = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "face": "+z"})
+    touch = localizer.simulate(3, seed=11)[2]
+    found = localizer.localize(touch)
+    truth = np.asarray(touch.T_sensor_object)
+    off_m = measure_surface_distances(localizer.object.mesh, found.best.T_sensor_object[None], truth)
+    assert found.verdict is Verdict.CERTAIN
+    assert off_m[0] < 3e-4

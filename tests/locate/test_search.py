@@ -21,7 +21,8 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig, SlotConfig
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer, localize_together, make_view
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.search import PlaceSearch, search_together
 from tactile_loc.store.store import StageStore
 
@@ -142,6 +143,36 @@ def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
     assert found.elsewhere == pytest.approx(
         first.elsewhere, abs=0.02
     )  # the refiner may also shift the sensor poses slightly
+
+
+def test_poses_that_start_beside_the_true_pose_are_found_if_they_are_moved_first(localizer, examples, store):
+    pairs = [[some[k], some[(k + 1) % 3]] for some in examples for k in range(3)]
+    found = []
+    for count in (1, 200):
+        few = {"registered_together": 1, "moved_together": count, "wide_below_iou": 0.0}
+        search = Localizer.create("pin", store=store, search=few, **WHOLE).search
+        nearest = [off_mm(localizer, search_pair(localizer, search, pair), pair[0]).min() for pair in pairs]
+        found.append(np.mean(np.array(nearest) < 1.0))
+    assert found[1] > found[0] + 0.1
+
+
+def search_pair(localizer: Localizer, search: PlaceSearch, pair: list[Touch]) -> np.ndarray:
+    views = [make_view(pair[0], localizer, touch) for touch in pair]
+    return search_together(views, [search] * 2, StageTimes()).T_first_object
+
+
+@pytest.mark.slow
+def test_two_touches_that_two_poses_explain_are_ambiguous(store):
+    """The hook turned by half a turn explains both touches perfectly, and starts nearer to them than the true pose."""
+    localizer = Localizer.create("hook", store=store, sensor={"name": "gelsight-mini", "image_size_px": [160, 120]})
+    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    touches, _ = source.draw_example(2, np.random.default_rng([77, 274]))
+    found = localize_together([(localizer, touch) for touch in touches])
+    assert found.verdict is Verdict.AMBIGUOUS
+    explaining = np.stack([h.T_sensor_object for h in found.equal_explanations])
+    errors_mm = off_mm(localizer, explaining, touches[0])
+    assert errors_mm.min() < 0.1
+    assert errors_mm.max() > 10
 
 
 def test_the_search_finds_the_common_pose_of_several_touches(localizer, examples):

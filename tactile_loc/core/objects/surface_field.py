@@ -65,15 +65,18 @@ class SurfaceField:
         return found, which
 
     def measure_gaps(
-        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float
+        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float, exactly: bool = False
     ) -> NDArray[np.float64]:
         """Return the mean distance (K,), metres, to the surface of points (N, 3) moved by T_object_points (K, 4, 4).
 
-        Each distance counts as at most `most_m`. Without points, the result is 0.
+        Each distance counts as at most `most_m`. Without points, the result is 0. Unless `exactly` is true, only the
+        triangle nearest to the centre of a point's cell counts, so distances below a cell can be too large.
         """
         gaps = np.zeros(len(T_object_points))
         points_m = np.ascontiguousarray(points_m, float)
-        run_in_threads(_fill_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
+        run_in_threads(
+            _fill_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), exactly, gaps
+        )
         return gaps
 
 
@@ -109,7 +112,7 @@ def look_up(points, triangles, found, which):
 
 
 @njit
-def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
+def _fill_mean_gaps(first, last, points, T, triangles, most, exactly, gaps):
     """Fill `gaps` (K,) with the mean distances of the points, moved by T (K, 4, 4), for moves from first to last."""
     x = np.empty(3)
     for k in range(first, last):
@@ -120,7 +123,11 @@ def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
             f = find_triangle_near(x, triangles)
             gap = most
             if f >= 0:
-                gap = min(most, math.sqrt(_measure_squared_distance(x, triangles.corners[f], triangles.sides[f])))
+                if exactly:
+                    squared = find_downhill(x, f, triangles)[1]
+                else:
+                    squared = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
+                gap = min(most, math.sqrt(squared))
             total += gap
         gaps[k] = total / max(1, len(points))
 

@@ -84,12 +84,13 @@ class JointRegistration:
             results.append(_add_registered(pose, found, k, views[0]) if good[k] else pose)
         return results
 
-    def register_coarsely(self, views: Sequence[View], T_first_object: Poses) -> Poses:
+    def register_coarsely(self, views: Sequence[View], T_first_object: Poses, steps: int | None = None) -> Poses:
         """Register many poses (K, 4, 4), metres, roughly, and return the registered poses (K, 4, 4), metres.
 
-        Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before.
+        Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before. With
+        `steps`, only the first steps are taken.
         """
-        return self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), 0).T
+        return self._register(views, T_first_object, self.list_scales_mm(self.options.iterations)[:steps], 0).T
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.

@@ -30,6 +30,7 @@ from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, expl
 from tactile_loc.store.files import lock_folder
 
 LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
+LEAST_OWN = 0.8  # share of the poses drawn from the first pose's covariance that must be within the tolerance
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,9 @@ class Localization:
         """How far the first hypothesis can be trusted, in one word.
 
         It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. It is never
-        certain if another pose, not within the tolerance of the first one, explains the touches as well, or if a touch
-        has no depths. The verdict is also "poor fit" if touches contradict each other, unless at least LEAST_AGREEING
+        certain if another pose, not within the tolerance of the first one, explains the touches as well. Nor is it
+        certain if the covariance of the first pose leaves an error above the tolerance open, or if a touch has no
+        depths. The verdict is also "poor fit" if touches contradict each other, unless at least LEAST_AGREEING
         of them agree.
         """
         if self._is_contradicted:
@@ -186,14 +188,13 @@ class Localization:
         return {}
 
     def _compute_probability_within(self, tolerance: Tolerance) -> float:
-        grid, listed = self.posterior.grid, self.hypotheses
-        unrefined = np.diag([(0.5 * grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
-        share = compute_share_within(
-            np.stack([h.T_sensor_object for h in listed]), np.array([h.probability for h in listed]),
-            [unrefined if h.refined.covariance is None else h.refined.covariance for h in listed],
-            self.object, tolerance,
-        )  # fmt: skip
-        return calibrate(share, self.posterior.elsewhere, self._has_rivals(tolerance))
+        unrefined = np.diag([(0.5 * self.posterior.grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
+        T = np.stack([h.T_sensor_object for h in self.hypotheses])
+        p = np.array([h.probability for h in self.hypotheses])
+        covariances = [unrefined if h.covariance is None else h.covariance for h in self.hypotheses]
+        share = compute_share_within(T, p, covariances, self.object, tolerance)
+        own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
+        return calibrate(share, self.posterior.elsewhere, own < LEAST_OWN or self._has_rivals(tolerance))
 
     def _has_rivals(self, tolerance: Tolerance) -> bool:
         """Return whether another pose, not within the tolerance of the first one, explains the touches as well."""

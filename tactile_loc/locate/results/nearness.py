@@ -24,8 +24,8 @@ DRAWN = 64  # errors drawn from the covariance of a hypothesis
 FAR = 3.0  # hypotheses farther from the first one than this many tolerances draw nothing
 NEGLIGIBLE = 1e-3  # less probable hypotheses draw nothing
 # The fit: docs/benchmarks/probabilities.md. If the true pose was found, the log odds of a right first pose are a broken
-# line over those of the share: OFFSET at even odds, the SLOPE below them and the STEEP slope above. If another pose
-# explains the touches as well, the line is flat above even odds. The log odds that the pose was found are greater than
+# line over those of the share: OFFSET at even odds, the SLOPE below them and the STEEP slope above. If the touches do
+# not determine the pose, the line is flat above even odds. The log odds that the pose was found are greater than
 # the search states by FOUND.
 OFFSET, SLOPE, STEEP, FOUND = 0.89, 0.88, 1.35, 4.2
 LEAST = 2e-3  # shares and probabilities are clipped to the range from LEAST to 1 - LEAST
@@ -46,14 +46,14 @@ def compute_share_within(
     return float(min(1.0, within.reshape(len(counted), -1).mean(axis=1) @ probabilities[counted]))
 
 
-def calibrate(share: float, elsewhere: float, rivals: bool = False) -> float:
+def calibrate(share: float, elsewhere: float, undetermined: bool = False) -> float:
     """Return the fitted probability, 0 to 1, of a right first pose; it never decreases if `share` increases.
 
     `share`, 0 to 1, is the stated probability. `elsewhere`, below 1, is the stated probability that the search missed
-    the true pose. `rivals` states whether another pose explains the touches as well as the first one.
+    the true pose. `undetermined` states whether the touches leave poses beyond the tolerance of the first one open.
     """
     odds = _compute_log_odds(share / (1 - elsewhere))
-    above = 0.0 if rivals else STEEP
+    above = 0.0 if undetermined else STEEP
     right = OFFSET + (above if odds > 0 else SLOPE) * odds
     found = FOUND - _compute_log_odds(elsewhere)
     return float(np.clip(1 / ((1 + np.exp(-right)) * (1 + np.exp(-found))), LEAST, 1 - LEAST))

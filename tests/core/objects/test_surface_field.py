@@ -59,6 +59,14 @@ def test_the_mean_gap_of_a_ball_equals_its_formula():
     assert field.measure_gaps(np.zeros((0, 3)), np.eye(4)[None], 3e-3).tolist() == [0.0]
 
 
+def test_exact_gaps_of_surface_points_are_smaller_than_those_of_the_cells():
+    solid = SOLIDS["ball"]
+    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+    field, points = SurfaceField.of(mesh), mesh.sample(500, np.random.default_rng(3))
+    roughly, exactly = (field.measure_gaps(points, np.eye(4)[None], 3e-3, exact)[0] for exact in (False, True))
+    assert exactly < 1e-6 < roughly
+
+
 def test_the_closest_point_is_right_in_every_region_of_a_triangle():
     corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     cases = {

@@ -68,9 +68,9 @@ def test_the_fitted_probability_increases_with_the_share_and_decreases_with_else
     assert calibrate(1.0, 0.0) > 0.99
 
 
-def test_a_pose_with_rivals_is_never_certain():
-    assert calibrate(0.999, 0.01, rivals=True) < CERTAIN < calibrate(0.999, 0.01)
+def test_a_pose_that_the_touches_do_not_determine_is_never_certain():
+    assert calibrate(0.999, 0.01, undetermined=True) < CERTAIN < calibrate(0.999, 0.01)
     shares = np.linspace(0, 1, 21)
-    with_rivals = [calibrate(share, 0.1, rivals=True) for share in shares]
-    assert (np.diff(with_rivals) >= 0).all()
-    assert all(p <= calibrate(share, 0.1) for p, share in zip(with_rivals, shares, strict=True))
+    undetermined = [calibrate(share, 0.1, undetermined=True) for share in shares]
+    assert (np.diff(undetermined) >= 0).all()
+    assert all(p <= calibrate(share, 0.1) for p, share in zip(undetermined, shares, strict=True))

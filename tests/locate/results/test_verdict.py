@@ -102,6 +102,13 @@ def test_a_first_pose_with_a_rival_is_ambiguous_even_if_the_rival_is_not_listed(
     assert replace(one, unlisted=(one.best,)).verdict is Verdict.CERTAIN
 
 
+@pytest.mark.parametrize(("std_m", "expected"), [(3e-4, Verdict.CERTAIN), (3e-3, Verdict.AMBIGUOUS)])
+def test_a_first_pose_is_certain_only_if_its_covariance_leaves_no_larger_error_open(localization, std_m, expected):
+    open_along_x = np.diag([std_m**2, *[1e-10] * 5])
+    one = changed(localization, probability=1.0, refined=replace(moved(localization), covariance=open_along_x))
+    assert one.verdict is expected
+
+
 def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localization):
     one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
     lines = one.summary().splitlines()
