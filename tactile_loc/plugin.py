@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.benchmarking import TouchSource as TouchSource
 
     # errors that a component raises, each with a short message for the user
+    from tactile_loc.core.errors import AnswerError as AnswerError
     from tactile_loc.core.errors import ConfigError as ConfigError, GridError as GridError
     from tactile_loc.core.errors import MissingLibraryError as MissingLibraryError, RenderError as RenderError
     from tactile_loc.core.errors import SensorError as SensorError, TactileLocError as TactileLocError

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.benchmarking import RecordedSource, SimulatedSource, TouchSource
+from tactile_loc.core.slots.benchmarking import Image, RecordedSource, SimulatedSource, TouchSource
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.core.slots.sensor import SensorModel
@@ -27,13 +28,12 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
-EXAMPLES_VERSION = 1  # increase it if the same source and seed give other touches
+EXAMPLES_VERSION = 2  # increase it if the same source and seed give other touches
 RENDERER = "raycast"
 LEAST_PERCENT = 0.25  # of the observed pixels are in contact in a rigid gel
 MOST_DRAWS = 60  # most presses for one touch
 REACH_M = 0.3  # the object rests within this distance of the base frame's origin, along each axis
 NUMBERS = ("press_depth_m", "indentation_m", "indentation_std_m")
-Taken = tuple[list[tuple[ContactShape, Poses]], Poses, int]  # touches and poses, pose at rest, refused presses
 ARRAYS = ("depth_m", "numbers", "T_sensor_object", "T_base_object", "count", "refused", "picture")
 
 
@@ -44,7 +44,7 @@ class Examples:
     `depth_m` (E, M, H, W), metres, are the contact shapes, and `numbers` (E, M, 3) their NUMBERS, metres; NaN stands
     for None. `T_sensor_object` (E, M, 4, 4) and `T_base_object` (E, 4, 4), metres, are the true poses. `count` (E,) is
     the number of touches of each example, and `refused` (E,) the number of presses whose observation the sensor
-    refused. `picture` is the observation of the first touch, for people.
+    refused. `picture` is the observation of the first touch, for people: an image or depths; (0, 0) without a touch.
     """
 
     depth_m: NDArray[np.float32]
@@ -80,15 +80,29 @@ def make_sensor(table: Mapping[str, Any]) -> SensorModel:
     return sensor
 
 
-def describe_libraries(source: TouchSource) -> dict[str, str]:
-    """Return the versions of a source's libraries. A library that is not installed is left out."""
+def describe_libraries(names: Iterable[str]) -> dict[str, str]:
+    """Return the versions of distributions. A distribution that is not installed is left out."""
     found = {}
-    for name in source.libraries:
-        try:
+    for name in names:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
+
+
+class Press(NamedTuple):
+    """A press that the sensor could read: its contact shape, its true pose, and its observation."""
+
+    shape: ContactShape
+    T_sensor_object: Poses
+    seen: Image | NDArray[np.float32]
+
+
+class Example(NamedTuple):
+    """Presses on an object at rest, the object's pose, and the number of presses that the sensor refused."""
+
+    presses: list[Press]
+    T_base_object: Poses
+    refused: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +124,7 @@ class ExampleDrawer:
         """The store key, made from everything that determines the touches."""
         geometry = self.sensor.geometry.describe()
         inputs: dict[str, Any] = {
-            "source": self.source.describe(), "libraries": describe_libraries(self.source),
+            "source": self.source.describe(), "libraries": describe_libraries(self.source.libraries),
             "sensor": {**self.sensor.describe(), "geometry": geometry}, "object": self.object.describe(),
             "examples": self.suite.examples, "most": max(self.suite.touches), "seed": self.suite.seed,
             "press": list(self.suite.press),
@@ -129,86 +143,98 @@ class ExampleDrawer:
         return source
 
     def _draw(self, work: Workspace) -> None:
-        drawn = self._read() if isinstance(self.source, RecordedSource) else self._press()
+        recorded = isinstance(self.source, RecordedSource)
+        drawn = self._pack(list(self._read_recorded() if recorded else self._press()))
         for name in ARRAYS:
             work.save_array(name, getattr(drawn, name), packed=name == "depth_m")
 
-    def _press(self) -> Examples:
-        """Press the object from random directions."""
-        rows: list[Taken] = []
-        pictures: list[NDArray[Any]] = []
-        for number in range(self.suite.examples):
-            rng = np.random.default_rng([self.suite.seed, number])
-            T_base_object = make_transform(draw_rotations(1, rng)[0], rng.uniform(-REACH_M, REACH_M, 3))
-            taken, refused = [], 0
-            for _ in range(max(self.suite.touches)):
-                found, more = self._take(rng, pictures)
-                refused += more
-                if found is None:
-                    break
-                taken.append(found)
-            rows.append((taken, T_base_object, refused))
-        return self._pack(rows, max(self.suite.touches), pictures[0] if pictures else np.zeros((1, 1), np.uint8))
+    def _press(self) -> Iterator[Example]:
+        """Yield examples that are pressed from random directions.
 
-    def _take(
-        self, rng: np.random.Generator, pictures: list[NDArray[Any]]
-    ) -> tuple[tuple[ContactShape, Poses] | None, int]:
-        """Return a touch that the sensor can read, or None, and the number of refused presses before it."""
+        Each touch has random numbers of its own. So all sources whose sensors have the same geometry get the same
+        presses, except the presses that replace refused ones.
+        """
+        for number in range(self.suite.examples):
+            presses, refused = [], 0
+            for k in range(max(self.suite.touches)):
+                press, more = self._take(np.random.default_rng([self.suite.seed, number, k]))
+                refused += more
+                if press is None:
+                    break
+                presses.append(press)
+            yield Example(presses, self._lay_down(number), refused)
+
+    def _lay_down(self, number: int) -> Poses:
+        """Return the pose (4, 4), metres, of the object at rest in an example; all sources have the same poses."""
+        rng = np.random.default_rng([self.suite.seed, number])
+        return make_transform(draw_rotations(1, rng)[0], rng.uniform(-REACH_M, REACH_M, 3))
+
+    def _take(self, rng: np.random.Generator) -> tuple[Press | None, int]:
+        """Return a press that the sensor can read, or None, and the number of refused presses before it."""
         assert isinstance(self.source, SimulatedSource)
-        refused, geometry = 0, self.sensor.geometry
-        renderer = registry().create("renderer", RENDERER, {})
-        aim = RobotTouches(self.object, geometry, renderer, self.suite.press)
+        refused = 0
+        for scene, T, own in self._aim(rng):
+            try:
+                seen = self.source.press(scene, T, own)
+                shape = self._read(seen)
+            except TouchError:
+                refused += 1
+                continue
+            return Press(shape, T, seen.depth_m if isinstance(seen, ContactShape) else seen), refused
+        return None, refused
+
+    def _aim(self, rng: np.random.Generator) -> Iterator[tuple[Scene, Poses, np.random.Generator]]:
+        """Yield scenes with the indentation of a press, its pose, and a generator for the source.
+
+        A press that would touch too few pixels of a rigid gel is left out. `rng` is used in the same way whatever the
+        source does.
+        """
+        geometry, renderer = self.sensor.geometry, registry().create("renderer", RENDERER, {})
+        robot = RobotTouches(self.object, geometry, renderer, self.suite.press)
+        least = max(1.0, LEAST_PERCENT / 100 * geometry.observed_mask.sum())
         for _ in range(MOST_DRAWS):
-            T = aim.draw_pose(rng)
+            T = robot.draw_pose(rng)
             press_m = geometry.max_depth_m * rng.uniform(*self.suite.press)
-            own = np.random.default_rng(rng.integers(2**63))  # so that all sources press the same poses
+            own = np.random.default_rng(rng.integers(2**63))
             if T is None:
                 continue
             T[2, 3] -= press_m
             scene = Scene(self.object, geometry.press(press_m, geometry.max_depth_m), renderer)
-            clean = scene.render_contact_depths(T[None])[0]
-            contact = (clean < np.float32(press_m)) & geometry.observed_mask
-            if contact.sum() < max(1.0, LEAST_PERCENT / 100 * geometry.observed_mask.sum()):
-                continue
-            try:
-                seen = self.source.press(scene, T, own)
-                shape = seen if isinstance(seen, ContactShape) else self.sensor.contact_shape(seen)
-                Touch(shape, geometry)  # raises TouchError if a sensor cannot distinguish the press from no touch
-            except TouchError:
-                refused += 1
-                continue
-            pictures.append(seen.depth_m if isinstance(seen, ContactShape) else seen)
-            return (shape, T), refused
-        return None, refused
+            reached = scene.render_contact_depths(T[None])[0] < np.float32(press_m)
+            if (reached & geometry.observed_mask).sum() >= least:
+                yield scene, T, own
 
-    def _read(self) -> Examples:
-        """Read the recorded touches of the object. Each is an example of its own."""
+    def _read(self, seen: Image | ContactShape) -> ContactShape:
+        """Return the contact shape that the sensor reads. Raises TouchError if it cannot tell it from no touch."""
+        shape = seen if isinstance(seen, ContactShape) else self.sensor.contact_shape(seen)
+        Touch(shape, self.sensor.geometry)
+        return shape
+
+    def _read_recorded(self) -> Iterator[Example]:
+        """Yield the recorded touches of the object. Each is an example of its own."""
         assert isinstance(self.source, RecordedSource)
-        rows: list[Taken] = []
-        pictures: list[NDArray[Any]] = []
         for number, touch in enumerate(self.source.read_touches(self.object.name)):
-            rng = np.random.default_rng([self.suite.seed, number])
-            T_base_object = make_transform(draw_rotations(1, rng)[0], rng.uniform(-REACH_M, REACH_M, 3))
-            pictures.append(touch.image)
+            T_base_object = self._lay_down(number)
             try:
-                shape = self.sensor.contact_shape(touch.image)
-                Touch(shape, self.sensor.geometry)
-                rows.append(([(shape, touch.T_sensor_object)], T_base_object, 0))
+                press = Press(self._read(touch.image), touch.T_sensor_object, touch.image)
+                yield Example([press], T_base_object, 0)
             except TouchError:
-                rows.append(([], T_base_object, 1))
-        return self._pack(rows, 1, pictures[0])
+                yield Example([], T_base_object, 1)
 
-    def _pack(self, rows: list[Taken], most: int, picture: NDArray[Any]) -> Examples:
-        count = len(rows)
-        depth_m = np.zeros((count, most, *self.sensor.geometry.shape), np.float32)
-        numbers, T_sensor_object = np.full((count, most, len(NUMBERS)), np.nan), np.full((count, most, 4, 4), np.nan)
-        for e, (taken, _, _) in enumerate(rows):
-            for k, (shape, T) in enumerate(taken):
-                depth_m[e, k] = shape.depth_m
-                indentation_m = np.nan if shape.indentation_m is None else shape.indentation_m
-                numbers[e, k] = shape.press_depth_m, indentation_m, shape.indentation_std_m
-                T_sensor_object[e, k] = T
+    def _pack(self, examples: Sequence[Example]) -> Examples:
+        """Return the examples as arrays. Raises TouchError if there is none."""
+        if not examples:
+            raise TouchError(f"the source {self.entry.label!r} has no touches of {self.object.name}; leave it out")
+        most = max([1, *(len(example.presses) for example in examples)])
+        depth_m = np.zeros((len(examples), most, *self.sensor.geometry.shape), np.float32)
+        numbers, T_sensor_object = (np.full((*depth_m.shape[:2], *rest), np.nan) for rest in ((len(NUMBERS),), (4, 4)))
+        for e, example in enumerate(examples):
+            for k, (shape, T, _) in enumerate(example.presses):
+                depth_m[e, k], T_sensor_object[e, k] = shape.depth_m, T
+                numbers[e, k] = [np.nan if (value := getattr(shape, name)) is None else value for name in NUMBERS]
+        pictures = (example.presses[0].seen for example in examples if example.presses)
         return Examples(
-            depth_m, numbers, T_sensor_object, np.stack([T for _, T, _ in rows]),
-            np.array([len(taken) for taken, _, _ in rows]), np.array([refused for _, _, refused in rows]), picture,
+            depth_m, numbers, T_sensor_object, np.stack([example.T_base_object for example in examples]),
+            np.array([len(example.presses) for example in examples]),
+            np.array([example.refused for example in examples]), next(pictures, np.zeros((0, 0), np.uint8)),
         )  # fmt: skip

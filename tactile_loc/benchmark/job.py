@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,18 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.benchmark.examples import ExampleDrawer, Examples
+from tactile_loc.benchmark.examples import ExampleDrawer
 from tactile_loc.benchmark.suite import Entry, Suite, create
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.errors import AnswerError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, RecordedSource, ScoredPoses
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.evaluation.metrics import compute_adds, compute_mssd, compute_surface_distances
 from tactile_loc.evaluation.protocol import sample_surface
-from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M
+from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M, measure_pose_errors
 from tactile_loc.evaluation.recall.summary import measure_diameter
 from tactile_loc.locate.results.freedom import explain_as_well
 from tactile_loc.store.store import StageStore
@@ -50,38 +50,43 @@ class LocatingJob:
         """Return a row for each example and number of touches, and the seconds of preparation."""
         drawer = ExampleDrawer(self.suite, self.source, self.table, obj)
         examples = drawer.load(store)
+        problem = LocatingProblem(obj, self.table, drawer.sensor.geometry, store.root)
+        judge = AnswerJudge(obj, Scene(obj, problem.geometry, registry().create("renderer", RENDERER, {})))
         method: Method = create("method", self.method)
-        folder = store.root / "benchmark-methods"
-        problem = LocatingProblem(obj, self.table, drawer.sensor.geometry, folder)
         start_s = time.perf_counter()
         method.prepare(problem)
         prepared_s = time.perf_counter() - start_s
-        judge = AnswerJudge(obj, Scene(obj, drawer.sensor.geometry, registry().create("renderer", RENDERER, {})))
-        counts = [n for n in sorted(set(self.suite.touches)) if n <= examples.depth_m.shape[1]]
         rows: list[Row] = []
         for number in range(len(examples)):
-            touches = examples.make_touches(number, drawer.sensor)
-            for n in counts:
-                row = _locate(method, problem, touches, n, judge, examples, number)
-                rows.append({"example": number, "touches": n, "refused": int(examples.refused[number]), **row})
+            touches, T_base_object = examples.make_touches(number, drawer.sensor), examples.T_base_object[number]
+            for n in self._list_counts(drawer):
+                about = {"example": number, "touches": n, "refused": int(examples.refused[number])}
+                rows.append({**about, **_locate(method, problem, touches, n, judge, T_base_object)})
         return {"rows": rows, "prepared_s": round(prepared_s, 3), "diameter_m": measure_diameter(obj.mesh)}
+
+    def _list_counts(self, drawer: ExampleDrawer) -> list[int]:
+        """Return the numbers of touches; recorded touches are located alone."""
+        return [1] if isinstance(drawer.source, RecordedSource) else sorted(set(self.suite.touches))
 
 
 def _locate(
-    method: Method, problem: LocatingProblem, touches: list[Touch], n: int, judge: AnswerJudge, examples: Examples,
-    number: int,
-) -> Row:  # fmt: skip
-    """Locate an example from its first n touches, and measure the answer."""
+    method: Method, problem: LocatingProblem, touches: list[Touch], n: int, judge: AnswerJudge, T_base_object: Poses
+) -> Row:
+    """Locate an example from its first n touches, and measure the answer. Raises AnswerError if it is none."""
     if len(touches) < n:
         return {"problem": "the sensor refused nearly all presses"}
-    some = [judge.hide_truth(touch) for touch in touches[:n]]
+    shown = [dataclasses.replace(touch, T_sensor_object=None) for touch in touches[:n]]  # methods never see the truth
     start_s = time.perf_counter()
     try:
-        answer = method.locate(problem, some)
+        answer = method.locate(problem, shown)
+    except AnswerError:
+        raise
     except TactileLocError as error:
         return {"problem": str(error), "seconds": time.perf_counter() - start_s}
     seconds = time.perf_counter() - start_s
-    return {"problem": "", "seconds": seconds, **judge.judge(answer, touches[:n], examples.T_base_object[number])}
+    if not isinstance(answer, ScoredPoses):
+        raise AnswerError(f"a method returned {type(answer).__name__}; return ScoredPoses")
+    return {"problem": "", "seconds": seconds, **judge.judge(answer, touches[:n], T_base_object)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,39 +96,23 @@ class AnswerJudge:
     object: ObjectModel
     scene: Scene
 
-    def hide_truth(self, touch: Touch) -> Touch:
-        """Return the touch without its true pose."""
-        return Touch(
-            touch.contact_shape, touch.geometry, touch.name, touch.T_base_sensor,
-            T_base_sensor_std_m=touch.T_base_sensor_std_m, T_base_sensor_std_rad=touch.T_base_sensor_std_rad,
-        )  # fmt: skip
-
     def judge(self, answer: ScoredPoses, touches: list[Touch], T_base_object: Poses) -> Row:
         """Return the errors of an answer, mm, and whether the touches determine the pose, as far as the answer shows.
 
         `covered` tells whether the first poses that hold COVERED of the probability include a right one.
         """
-        poses = np.asarray(answer.T_base_object[:LISTED], float)
-        errors_m = self._measure_errors(poses, T_base_object)
+        poses = answer.T_base_object[:LISTED]
+        errors_m = measure_pose_errors(self.object, self._points_m, poses, T_base_object)
         surface_m = errors_m[:, METRICS.index("surface")]
         row: Row = {"verdict": answer.verdict, "determined": self._is_determined(poses, surface_m, touches)}
         for k, metric in enumerate(METRICS):
             row |= {f"{metric}_mm": 1e3 * errors_m[0, k], f"listed_{metric}_mm": 1e3 * errors_m[:, k].min()}
         if answer.probabilities is not None:
-            p = np.asarray(answer.probabilities[:LISTED], float)
+            p = answer.probabilities[:LISTED]
             enough = np.concatenate([[True], np.cumsum(p)[:-1] < COVERED])
             row |= {"probability": float(p[0]), "covered": bool((surface_m[enough] < RIGHT_M).any())}
-        listed = {"T_base_object": poses.round(9).tolist(), "scores": np.asarray(answer.scores[:LISTED]).tolist()}
+        listed = {"T_base_object": poses.round(9).tolist(), "scores": answer.scores[:LISTED].tolist()}
         return {**row, "true_T_base_object": np.asarray(T_base_object).round(9).tolist(), **listed}
-
-    def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
-        """Return the METRICS (K, M), metres, of poses (K, 4, 4)."""
-        errors = (
-            compute_surface_distances(self.object, poses, T_true),
-            compute_adds(self.object, self._points_m, poses, T_true),
-            compute_mssd(self.object, self.object.mesh.hull_corners_m, poses, T_true),
-        )
-        return np.stack(errors, axis=1)
 
     def _is_determined(self, poses: Poses, surface_m: NDArray[np.float64], touches: list[Touch]) -> bool:
         """Return whether none of the poses that are wrong explains the touches as well as the true pose does."""

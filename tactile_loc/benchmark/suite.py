@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from tactile_loc.core.errors import ConfigError, did_you_mean, name_source
-from tactile_loc.core.slots.registry import registry, validate_options
+from tactile_loc.core.errors import ConfigError, MissingLibraryError, UnknownPluginError, did_you_mean, name_source
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.toml import explain, read_toml
+from tactile_loc.store.keys import write_canonical_json
 
+HASH_DIGITS = 16
 SUITES, SPLITS = "suites", "objects.toml"
-HERE = "data:"  # an object's path or a source's option that begins with this word is in the benchmark's folder `data`
+HERE = "data:"  # a path of a mesh or of recordings that begins with this word is in the folder `data` of a suite
 
 
 class Entry(BaseModel):
@@ -46,7 +50,8 @@ class Suite(BaseModel):
 
     Each source draws `examples` examples of each object, with as many touches as the largest number of `touches`. Every
     method locates an example from its first n touches, for each n of `touches`. Presses are drawn uniformly between the
-    shares `press` of the sensor's deepest press. `seed` fixes all random choices.
+    shares `press` of the sensor's deepest press. `seed` fixes all random choices. `data` is the folder of recordings
+    and further meshes.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -58,6 +63,7 @@ class Suite(BaseModel):
     examples: int = Field(ge=1, description="a whole number, 1 or more")
     seed: int = Field(ge=0, description="a whole number, 0 or more")
     press: tuple[float, float] = Field(default=(0.3, 0.9), description="two shares of the deepest press, 0 to 1")
+    data: Path | None = Field(default=None, description="a folder")
     source: tuple[Entry, ...] = Field(min_length=1, description="one or more tables [[source]]")
     method: tuple[Entry, ...] = Field(min_length=1, description="one or more tables [[method]]")
 
@@ -65,7 +71,8 @@ class Suite(BaseModel):
     def from_toml(cls, suite: str | Path, data: Path | None = None) -> Self:
         """Read a suite by its name, or from a TOML file. `data` is the folder of paths that begin with `HERE`.
 
-        Raises ConfigError for a file that is missing or wrong, and UnknownPluginError for an unknown component.
+        Raises ConfigError for a file that is missing or wrong, and PluginError for a component that cannot be used. A
+        component whose library is missing is no error.
         """
         path = _find_suite(suite)
         with name_source(path):
@@ -74,8 +81,7 @@ class Suite(BaseModel):
     @classmethod
     def from_values(cls, values: Mapping[str, Any], source: str, data: Path | None = None) -> Self:
         """Make a suite from the values of a TOML file. `source` names the file in messages."""
-        objects, sources = _read_objects(values.get("objects"), data), _locate_options(values.get("source"), data)
-        values = {**values, "objects": objects, **({} if sources is None else {"source": sources})}
+        values = {**values, "objects": _read_objects(values.get("objects"), data), "data": data}
         try:
             suite = cls(**values)
         except ValidationError as error:
@@ -90,14 +96,19 @@ class Suite(BaseModel):
         return suite
 
     def select(self, sources: Iterable[str] | None = None, methods: Iterable[str] | None = None) -> Suite:
-        """Return the suite with only some sources and methods, by label. A name of a new component adds that component.
+        """Return the suite with only some sources and methods, by label. A component's name adds that component.
 
-        Raises UnknownPluginError if a word is neither a label nor a component's name.
+        Raises UnknownPluginError if a word is neither a label nor a component's name, and ConfigError if an added
+        component needs options.
         """
         return self.model_copy(update={
             "source": self.source if sources is None else _choose("touch-source", self.source, sources),
             "method": self.method if methods is None else _choose("method", self.method, methods),
         })  # fmt: skip
+
+    def describe_protocol(self) -> dict[str, Any]:
+        """Return what determines the touches of a source, besides the source and the objects, as JSON values."""
+        return self.model_dump(mode="json", include={"touches", "examples", "seed", "press"})
 
 
 def list_suites() -> list[str]:
@@ -137,31 +148,18 @@ def _read_objects(entries: Any, data: Path | None) -> Any:
 
 def _locate_object(table: Mapping[str, Any], data: Path | None) -> dict[str, Any]:
     path = str(table.get("path", ""))
-    if path.startswith(HERE) and data is not None:
-        path = _place(path, data)
-    elif path and path not in DEMO_OBJECTS and not path.startswith(HERE):
+    if path.startswith(HERE):
+        path = find_in_data(path, data)
+    elif path and path not in DEMO_OBJECTS:
         own = files(__package__) / SUITES / path
         path = str(own) if own.is_file() else str(Path(path).expanduser().absolute())
     return {**table, "path": path}
 
 
-def _locate_options(sources: Any, data: Path | None) -> Any:
-    """Return the tables of sources. Their texts that begin with HERE become paths in `data`, if it is given."""
-    if data is None or not isinstance(sources, list):
-        return sources
-    return [
-        {key: _place(value, data) if _is_here(value) else value for key, value in table.items()}
-        if isinstance(table, Mapping)
-        else table
-        for table in sources
-    ]
-
-
-def _is_here(value: Any) -> bool:
-    return isinstance(value, str) and value.startswith(HERE)
-
-
-def _place(path: str, data: Path) -> str:
+def find_in_data(path: str, data: Path | None) -> str:
+    """Return the absolute path of a path that begins with `HERE`. Raises ConfigError without a folder `data`."""
+    if data is None:
+        raise ConfigError(f"{path} is in the folder `data` of the benchmark; give this folder")
     return str(data.expanduser().absolute() / path.removeprefix(HERE))
 
 
@@ -169,24 +167,31 @@ def _require_entries(kind: str, entries: Iterable[Entry], source: str) -> None:
     """Raise TactileLocError if a component is unknown or an option is wrong; a missing library is no error."""
     labels: set[str] = set()
     for entry in entries:
-        registry().find(kind, entry.name)
         if entry.label in labels:
-            raise ConfigError(f"{source} has two entries {entry.label!r}; give each {kind} a label of its own")
+            raise ConfigError(f"{source}: two entries are called {entry.label!r}; give each {kind} a label of its own")
         labels.add(entry.label)
+        with suppress(MissingLibraryError), name_source(source):
+            create(kind, entry)
 
 
 def _choose(kind: str, entries: Iterable[Entry], words: Iterable[str]) -> tuple[Entry, ...]:
     known = {entry.label: entry for entry in entries}
     chosen = []
     for word in words:
-        if word not in known and word not in registry().names(kind):
-            names = list(dict.fromkeys([*known, *registry().names(kind)]))
-            raise ConfigError(f"there is no {kind} {word!r}.{did_you_mean(word, names)} Known: {', '.join(names)}")
-        chosen.append(known.get(word) or Entry(name=word, label=word))
+        entry = known.get(word) or Entry(name=word, label=word)
+        try:
+            _require_entries(kind, [entry], "the benchmark")
+        except UnknownPluginError as error:
+            raise UnknownPluginError(f"{error}. Labels in the suite: {', '.join(known)}") from error
+        chosen.append(entry)
     return tuple({entry.label: entry for entry in chosen}.values())
+
+
+def hash_values(values: Mapping[str, Any]) -> str:
+    """Return a short hash of JSON values."""
+    return hashlib.sha256(write_canonical_json(values).encode()).hexdigest()[:HASH_DIGITS]
 
 
 def create(kind: str, entry: Entry) -> Any:
     """Return the component of an entry. Raises TactileLocError if it cannot be made."""
-    found = registry().load(kind, entry.name)
-    return found(validate_options(found.Options, entry.options, f"the {kind} {entry.name!r}"))
+    return registry().create(kind, entry.name, entry.options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.benchmark.job import Row
 from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M
 from tactile_loc.evaluation.recall.summary import CURVE_M, Outcomes, average_mssd_recall, bin_probabilities
+from tactile_loc.evaluation.recall.tables import format_share
 from tactile_loc.locate.results.verdict import Verdict
 
 WITHIN_M = (0.5e-3, 1e-3, 2e-3, 5e-3)
@@ -61,6 +62,12 @@ class Group:
         """Return all values as JSON values."""
         return asdict(self)
 
+    @classmethod
+    def read(cls, values: Mapping[str, Any]) -> Group:
+        """Return the group of `describe`. Raises TypeError if values are missing or unknown."""
+        known = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        return cls(**known | {"within_range": tuple(map(tuple, values.get("within_range", ())))})
+
 
 def summarise(rows: Sequence[Row]) -> list[Group]:
     """Return the group of each source, method and number of touches, in the order of the rows."""
@@ -70,6 +77,12 @@ def summarise(rows: Sequence[Row]) -> list[Group]:
     for row in rows:
         of_key[row["source"], row["method"], row["touches"]].append(row)
     return [_summarise(*key, some, determined) for key, some in of_key.items()]
+
+
+def format_within(group: Group, number: int) -> str:
+    """Return the share within WITHIN_M[number] with its interval, in %."""
+    low, high = group.within_range[number]
+    return f"{format_share(group.within[number])} ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def find_determined(rows: Iterable[Row]) -> dict[tuple[str, str, int, int], bool]:

@@ -7,7 +7,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -16,9 +16,10 @@ from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.store.files import read_json, remove_abandoned, require_writable, write_atomically, write_json
+from tactile_loc.store.files import require_writable
 from tactile_loc.sweeps.combination import Combination, combine, order_for_running
 from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob
+from tactile_loc.sweeps.finished import FinishedRows
 from tactile_loc.sweeps.plan import Plan, find_varied_options, find_varying_slots, name_choices
 from tactile_loc.sweeps.workers import BuildJournal, Job, Outcome, Outcomes
 
@@ -44,40 +45,6 @@ class Workers(Protocol):
     def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
         """Yield the outcome of every job when it ends; `objects` maps each job's key to its object."""
         ...
-
-
-class FinishedRows:
-    """The finished rows of a sweep, in the files OUT/rows/KEY.json, and tracebacks, in OUT/errors/KEY.txt."""
-
-    def __init__(self, out: Path) -> None:
-        self.out = out
-
-    def read(self, key: str) -> Outcome | None:
-        """Return the outcome of this key; None if its file is missing or damaged."""
-        try:
-            found = read_json(self._locate_row(key))
-            return Outcome(found["key"], found["measured"], tuple(found["built"]), found["error"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
-
-    def write(self, combination: Combination, outcome: Outcome) -> None:
-        """Write an outcome, atomically. Raises OutputError."""
-        trace = self.out / "errors" / f"{outcome.key}.txt"
-        if outcome.trace:
-            write_atomically(trace, lambda path: path.write_text(outcome.trace, encoding="utf-8"))
-        elif not outcome.error:
-            trace.unlink(missing_ok=True)
-        values = {name: value for name, value in asdict(outcome).items() if name != "trace"}
-        record = {**values, "object": combination.object, "configuration": combination.describe()}
-        write_json(self._locate_row(outcome.key), record)
-
-    def tidy(self) -> None:
-        """Remove unfinished files of a sweep that was killed."""
-        for name in ("rows", "errors"):
-            remove_abandoned(self.out / name)
-
-    def _locate_row(self, key: str) -> Path:
-        return self.out / "rows" / f"{key}.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +121,8 @@ def run_sweep(
 
 def find_finished(combinations: Sequence[Combination], kept: FinishedRows) -> dict[str, Outcome]:
     """Return the outcomes, by key, of the combinations that earlier sweeps evaluated without an error."""
-    found = {one.key: kept.read(one.key) for one in combinations}
-    return {key: outcome for key, outcome in found.items() if outcome is not None and not outcome.error}
+    found = {one.key: kept.read_successful(one.key) for one in combinations}
+    return {key: outcome for key, outcome in found.items() if outcome is not None}
 
 
 def _run(
@@ -169,7 +136,8 @@ def _run(
     with progress.task("sweep", before + len(jobs)) as advance, closing(running):
         advance(before)
         for outcome in running:
-            kept.write(by_key[outcome.key], outcome)
+            one = by_key[outcome.key]
+            kept.write(outcome, {"object": one.object, "configuration": one.describe()})
             BuildJournal.forget(store, outcome.key)
             outcomes[outcome.key] = outcome
             _show(progress, advance, by_key[outcome.key], outcomes)
@@ -252,12 +220,12 @@ def _make_column(values: Sequence[Any], name: str) -> pd.Series:
     return pd.Series(texts, dtype=object)
 
 
-def require_tables() -> None:
-    """Raise MissingLibraryError if a library for writing tables is missing."""
+def require_tables(what: str = "a sweep", extra: str = "sweep") -> None:
+    """Raise MissingLibraryError if a library for writing tables is missing; `what` needs it, `extra` installs it."""
     try:
         import pandas  # noqa: F401
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise MissingLibraryError(
-            f"a sweep needs {error.name}, which is not installed: pip install 'tactile-loc[sweep]'"
+            f"{what} needs {error.name}, which is not installed: pip install 'tactile-loc[{extra}]'"
         ) from error

@@ -23,9 +23,10 @@ from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combination import combine
+from tactile_loc.sweeps.finished import FinishedRows
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.results import read_sweep, write_sweep
-from tactile_loc.sweeps.sweep import MOMENTARY, FinishedRows, Row, Sweep, make_table, run_sweep
+from tactile_loc.sweeps.sweep import MOMENTARY, Row, Sweep, make_table, run_sweep
 from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome
 
 distributed = pytest.importorskip("distributed")
@@ -205,7 +206,7 @@ def test_a_row_is_stored_and_read_back(tmp_path):
     kept = FinishedRows(tmp_path / "out")
     assert kept.read(one.key) is None
     outcome = Outcome(one.key, {"total_ms": 0.1}, ("grid 1", "bank 2"))
-    kept.write(one, outcome)
+    kept.write(outcome, {"configuration": one.describe()})
     assert kept.read(one.key) == outcome
     record = json.loads((tmp_path / "out" / "rows" / f"{one.key}.json").read_text())
     assert record["configuration"]["touch"]["noise"] == "mild"
@@ -216,11 +217,11 @@ def test_a_row_is_stored_and_read_back(tmp_path):
 def test_a_traceback_is_stored_and_removed_after_a_success(tmp_path):
     (one,), _ = combine(Plan.from_values({"object": "pin"}))
     kept = FinishedRows(tmp_path)
-    kept.write(one, Outcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"))
+    kept.write(Outcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"), {})
     trace = tmp_path / "errors" / f"{one.key}.txt"
     assert trace.read_text().endswith("ValueError: no")
     assert kept.read(one.key) == Outcome(one.key, None, (), "ValueError: no")
-    kept.write(one, Outcome(one.key, {}))
+    kept.write(Outcome(one.key, {}), {})
     assert not trace.exists()
 
 

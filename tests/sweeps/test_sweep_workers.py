@@ -24,8 +24,9 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.sweeps import workers
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob, summarise
+from tactile_loc.sweeps.finished import FinishedRows
 from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
+from tactile_loc.sweeps.sweep import Sweep, run_sweep
 from tactile_loc.sweeps.workers import (
     JOURNALS,
     DaskWorkers,
@@ -118,7 +119,7 @@ def test_stages_built_by_a_killed_worker_are_counted(tiny, tmp_path):
     assert outcome.built[0] == "grid 0123456789abcdef"
     assert outcome.built[1].startswith("grid ")
     assert evaluate_job(job, objects["pin"]).built == outcome.built, "a second attempt counts the same stages"
-    FinishedRows(tmp_path / "out").write(one, outcome)
+    FinishedRows(tmp_path / "out").write(outcome, {})
     run_sweep(plan, tmp_path / "out", tmp_path / "store", LocalWorkers(1, 1, tmp_path / "workers.log"))
     assert list(journal.parent.iterdir()) == []
 

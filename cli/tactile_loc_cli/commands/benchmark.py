@@ -79,14 +79,13 @@ def _make_workers(count: int | None, scheduler: str | None, out: Path) -> Worker
 
 
 def _say_outcome(found: Benchmark, out: Path, files: list[Path]) -> dict[str, Any]:
-    for one in found.sources:
-        if one.problem:
-            say(f"left out: {one.entry.label}: {one.problem}")
+    for label, problem in found.left_out.items():
+        say(f"left out: {label}: {problem}")
     for cell in found.failed:
         say(f"failed: {cell.name}: {cell.error}")
     say(f"{format_count(len(found.cells), 'job')}, {found.done} done now")
     return {
         "suite": found.suite.name, "out": str(out), "jobs": len(found.cells), "done": found.done,
-        "failed": len(found.failed), "left_out": {s.entry.label: s.problem for s in found.sources if s.problem},
+        "failed": len(found.failed), "left_out": found.left_out,
         "written": say_written(files),
     }  # fmt: skip

@@ -184,8 +184,9 @@ def _choose_workers(workers: int | None, threads: int | None, scheduler: str | N
 def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     """List the combinations and the missing stages, and return both."""
     from tactile_loc.sweeps.combination import combine, find_missing_stages
+    from tactile_loc.sweeps.finished import FinishedRows
     from tactile_loc.sweeps.plan import name_choices
-    from tactile_loc.sweeps.sweep import FinishedRows, find_finished
+    from tactile_loc.sweeps.sweep import find_finished
 
     combinations, objects = combine(plan)
     done = find_finished(combinations, FinishedRows(out))

@@ -43,4 +43,4 @@ class TactileLoc(Method):
 
 def _make_localizer(settings: dict[str, Any], problem: LocatingProblem) -> Localizer:
     config = RunConfig.from_dict({**settings, "sensor": dict(problem.sensor)}, "the method tactile-loc")
-    return Localizer(config, problem.object, StageStore(problem.folder.parent))
+    return Localizer(config, problem.object, StageStore(problem.folder))

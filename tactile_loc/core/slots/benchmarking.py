@@ -8,20 +8,22 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.errors import AnswerError
+from tactile_loc.core.geometry.rigid import Poses, is_rigid
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.scene import Scene
+
+ROUNDING = 1e-4  # largest difference of an answer's rotations from proper ones, and of its probabilities' sum from 1
 
 Image = NDArray[np.uint8]
 
@@ -82,7 +84,8 @@ class RecordedSource(TouchSource):
 class LocatingProblem:
     """What a method knows before the touches: the object, and the sensor with its table and its geometry.
 
-    `sensor` has the component's `name` and its options, as in a configuration. The method may keep files in `folder`.
+    `sensor` has the component's `name` and its options, as in a configuration. `folder` is that of the stage store. A
+    method that keeps other files there makes a folder of its own name.
     """
 
     object: ObjectModel
@@ -95,31 +98,60 @@ class LocatingProblem:
 class ScoredPoses:
     """The answer of a method: poses `T_base_object` (K, 4, 4), metres, the best first, and their `scores` (K,).
 
-    `probabilities` (K,) are None if the method does not state them. `verdict` is the method's own judgement. Raises
-    ConfigError if the arrays do not fit each other.
+    `probabilities` (K,) are None if the method does not state them. `verdict` is the method's own judgement, or "".
+    Raises AnswerError if the arrays are no poses, do not fit each other, or hold impossible probabilities.
     """
 
     T_base_object: Poses
     scores: NDArray[np.float64]
     probabilities: NDArray[np.float64] | None = None
     verdict: str = ""
-    details: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        count = len(self.scores)
-        fit = [(self.T_base_object, (count, 4, 4)), (self.scores, (count,))]
-        fit += [] if self.probabilities is None else [(self.probabilities, (count,))]
-        if count == 0 or any(np.shape(array) != shape or not np.isfinite(array).all() for array, shape in fit):
-            shapes = ", ".join(str(np.shape(array)) for array, _ in fit)
-            raise ConfigError(
-                f"a method returned arrays of shapes {shapes}; return K >= 1 finite poses (K, 4, 4) and K scores"
+        """Convert the arrays to float64, and check them."""
+        count = len(np.atleast_1d(self.scores))
+        for name, shape in (("T_base_object", (count, 4, 4)), ("scores", (count,)), ("probabilities", (count,))):
+            if (given := getattr(self, name)) is not None or name != "probabilities":
+                object.__setattr__(self, name, _require_array(name, given, shape))
+        if not is_rigid(self.T_base_object, ROUNDING):
+            raise AnswerError(
+                "a method returned poses that are not rigid transforms; return T_base_object with rotations, "
+                "translations in metres, and last rows 0 0 0 1"
+            )
+        p = self.probabilities
+        if p is not None and (p.min() < 0 or p.sum() > 1 + ROUNDING):
+            raise AnswerError(
+                f"a method returned probabilities from {p.min():.3g} with the sum {p.sum():.3g}; return numbers from 0 "
+                "whose sum is at most 1, or None"
             )
 
 
+def _require_array(name: str, given: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return an array of a method as float64. Raises AnswerError unless it has the shape, and only finite numbers."""
+    try:
+        found = np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise AnswerError(f"a method returned {name} that are not numbers ({error}); return an array") from error
+    if found.shape != shape or not found.size:
+        raise AnswerError(
+            f"a method returned {name} of shape {found.shape}, not {shape}; return K poses (K, 4, 4), K scores and, if "
+            "any, K probabilities, with K at least 1"
+        )
+    if not np.isfinite(found).all():
+        raise AnswerError(f"a method returned {name} that are not finite; raise TactileLocError if there is no pose")
+    return found
+
+
 class Method(Component):
-    """A method that locates an object from touches. A benchmark makes one instance for each object and sensor."""
+    """A method that locates an object from touches. A benchmark makes one instance for each object and source.
+
+    `paper` names the publication that the method follows. `libraries` are the distributions whose versions a benchmark
+    records.
+    """
 
     slot = "method"
+    paper: ClassVar[str] = ""
+    libraries: ClassVar[tuple[str, ...]] = ()
 
     def prepare(self, problem: LocatingProblem) -> None:
         """Build what depends only on the object and the sensor. This time is measured apart."""

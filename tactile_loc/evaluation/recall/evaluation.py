@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.evaluation.metrics import compute_adds, compute_mssd, compute_surface_distances
 from tactile_loc.evaluation.protocol import sample_surface, save_in_shards
@@ -164,7 +165,7 @@ class _ExampleLocator:
             return self._fail(LocatedFrame.of_error(error).word, str(error))
         seconds = time.perf_counter() - start
         poses = _view_from_first(some, found)[: self._most]
-        errors_m = self._measure_errors(poses, require_true_pose(some[0][1]))
+        errors_m = measure_pose_errors(self.localizer.object, self._points_m, poses, require_true_pose(some[0][1]))
         listed = found.hypotheses[: self._most]
         determined = is_determined(some, listed, errors_m[:, METRICS.index("surface")])
         p = np.array([hypothesis.probability for hypothesis in listed])
@@ -182,16 +183,6 @@ class _ExampleLocator:
         padded = (self._pad(poses, np.nan), self._pad(probabilities, np.nan), self._pad(errors_m, np.inf))
         return Located(*padded, *rest)
 
-    def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
-        """Return the METRICS (K, M), metres, of poses (K, 4, 4)."""
-        obj = self.localizer.object
-        errors = (
-            compute_surface_distances(obj, poses, T_true),
-            compute_adds(obj, self._points_m, poses, T_true),
-            compute_mssd(obj, obj.mesh.hull_corners_m, poses, T_true),
-        )
-        return np.stack(errors, axis=1)
-
     def _pad(self, values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
         """Return values (k, ...) with `missing` values up to the number of listed poses (K, ...)."""
         rest = np.full((self._most - len(values), *values.shape[1:]), missing)
@@ -204,6 +195,18 @@ class _ExampleLocator:
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
         return sample_surface(self.localizer.object)
+
+
+def measure_pose_errors(
+    obj: ObjectModel, points_m: NDArray[np.float64], poses: Poses, T_true: Poses
+) -> NDArray[np.float64]:
+    """Return the METRICS (K, M), metres, of poses (K, 4, 4); `points_m` (P, 3) are points of the surface."""
+    errors = (
+        compute_surface_distances(obj, poses, T_true),
+        compute_adds(obj, points_m, poses, T_true),
+        compute_mssd(obj, obj.mesh.hull_corners_m, poses, T_true),
+    )
+    return np.stack(errors, axis=1)
 
 
 def is_determined(
