@@ -142,7 +142,7 @@ def find_tables(text: str) -> list[Table]:
 
 def list_versions(folder: Path = RESULTS) -> list[str]:
     """Return the versions with results, the oldest first."""
-    found = [path.name for path in folder.glob("*") if path.is_dir()]
+    found = [path.name for path in folder.glob("[0-9]*") if path.is_dir()]
     return sorted(found, key=lambda name: [int(part) for part in re.findall(r"\d+", name)])
 
 

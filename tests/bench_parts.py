@@ -138,7 +138,10 @@ class Oracle(Method):
     """Knows the true poses of all touches drawn in this process, and states two poses with probabilities."""
 
     def locate(self, problem: LocatingProblem, touches: Sequence[Touch]) -> ScoredPoses:
-        T = np.asarray(touches[0].T_base_sensor) @ Sketch.drawn[touches[0].contact_shape.depth_m.tobytes()]
+        known = Sketch.drawn.get(touches[0].contact_shape.depth_m.tobytes())
+        if known is None:
+            raise LookupError("the oracle does not know this touch" + 5000 * "!")
+        T = np.asarray(touches[0].T_base_sensor) @ known
         aside = T @ make_transform(np.eye(3), [0.02, 0.0, 0.0])
         p = np.array([0.75, 0.25])
         return ScoredPoses(np.stack([T, aside]), p, p, "certain")

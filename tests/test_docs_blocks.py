@@ -52,6 +52,7 @@ ELSEWHERE = {
     "examples.md": "test_examples.py",
     "notebooks.md": "test_notebooks.py",
     "app.md": "test_app_command.py",
+    "benchmark.md": "test_docs_benchmark.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

@@ -62,15 +62,15 @@ class Examples:
         """Return the touches of an example, as a sensor with a known pose gives them."""
         touches = []
         for k in range(self.count[number]):
-            press_m, indentation_m, std_m = self.numbers[number, k]
-            shape = ContactShape(
-                self.depth_m[number, k], float(press_m), None if np.isnan(indentation_m) else float(indentation_m),
-                float(std_m),
-            )  # fmt: skip
             T = self.T_sensor_object[number, k]
             T_base_sensor = self.T_base_object[number] @ invert(T)
-            touches.append(Touch(shape, sensor.geometry, f"touch-{k + 1}", T_base_sensor, T))
+            touches.append(Touch(self.get_shape(number, k), sensor.geometry, f"touch-{k + 1}", T_base_sensor, T))
         return touches
+
+    def get_shape(self, number: int, k: int) -> ContactShape:
+        """Return the contact shape of touch `k` of an example."""
+        press_m, indentation_m, std_m = (float(value) for value in self.numbers[number, k])
+        return ContactShape(self.depth_m[number, k], press_m, None if np.isnan(indentation_m) else indentation_m, std_m)
 
 
 def make_sensor(table: Mapping[str, Any]) -> SensorModel:
@@ -116,8 +116,12 @@ class ExampleDrawer:
 
     def load(self, store: StageStore) -> Examples:
         """Return the examples, from the store or drawn now."""
-        artifact: Artifact = store.build(self.key, self._draw)
-        return Examples(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
+        return _read_examples(store.build(self.key, self._draw))
+
+    def find(self, store: StageStore) -> Examples | None:
+        """Return the examples if the store has them."""
+        artifact = store.get(self.key)
+        return None if artifact is None else _read_examples(artifact)
 
     @cached_property
     def key(self) -> StageKey:
@@ -238,3 +242,7 @@ class ExampleDrawer:
             np.array([len(example.presses) for example in examples]),
             np.array([example.refused for example in examples]), next(pictures, np.zeros((0, 0), np.uint8)),
         )  # fmt: skip
+
+
+def _read_examples(artifact: Artifact) -> Examples:
+    return Examples(*(artifact.load_array(name, mmap=False) for name in ARRAYS))

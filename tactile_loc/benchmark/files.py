@@ -104,10 +104,11 @@ def tabulate(groups: Sequence[Group]) -> Table:
     """Return a table with a row for each group, sorted by source and number of touches, the header first."""
     order = {source: number for number, source in enumerate(dict.fromkeys(group.source for group in groups))}
     ordered = sorted(groups, key=lambda group: (order[group.source], group.touches))
-    return [list(HEAD), *(list(_list_cells(group)) for group in ordered)]
+    return [list(HEAD), *(list(list_cells(group)) for group in ordered)]
 
 
-def _list_cells(group: Group) -> Iterator[str]:
+def list_cells(group: Group) -> Iterator[str]:
+    """Yield the cells of a group under HEAD."""
     yield from (group.source, str(group.touches), group.method)
     near = WITHIN_M.index(1e-3)
     for number, share in enumerate(group.within):

@@ -72,11 +72,15 @@ class Group:
 def summarise(rows: Sequence[Row]) -> list[Group]:
     """Return the group of each source, method and number of touches, in the order of the rows."""
     determined = find_determined(rows)
-    keys = dict.fromkeys((row["source"], row["method"], row["touches"]) for row in rows)
-    of_key: dict[tuple[str, str, int], list[Row]] = {key: [] for key in keys}
+    return [_summarise(*key, some, determined) for key, some in group_rows(rows).items()]
+
+
+def group_rows(rows: Iterable[Row]) -> dict[tuple[str, str, int], list[Row]]:
+    """Return the rows of each source, method and number of touches, in the order of the rows."""
+    found: dict[tuple[str, str, int], list[Row]] = {}
     for row in rows:
-        of_key[row["source"], row["method"], row["touches"]].append(row)
-    return [_summarise(*key, some, determined) for key, some in of_key.items()]
+        found.setdefault((row["source"], row["method"], row["touches"]), []).append(row)
+    return found
 
 
 def format_within(group: Group, number: int) -> str:

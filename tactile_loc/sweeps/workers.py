@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError
+from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError, fold_line
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -125,7 +125,7 @@ def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
             error = str(raised)
         except Exception as raised:  # noqa: BLE001 - a component may raise anything
             error, trace = f"{type(raised).__name__}: {raised}", traceback.format_exc()
-        return Outcome(job.key, measured, built.names, " ".join(error.split()), trace)
+        return Outcome(job.key, measured, built.names, fold_line(" ".join(error.split())), trace)
 
 
 Outcomes = Generator[Outcome, None, None]

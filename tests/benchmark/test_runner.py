@@ -91,6 +91,12 @@ def test_a_failed_job_states_its_error_and_is_tried_again(run_small, tmp_path):
     assert list((tmp_path / "out" / "errors").iterdir()) == []
 
 
+def test_a_long_error_is_cut(finished):
+    (cell,) = finished.failed
+    assert "the oracle does not know" in cell.error
+    assert len(cell.error) < 2000
+
+
 def test_damaged_rows_are_done_again(run_small, tmp_path):
     first = run_small(tmp_path)
     path = sorted((tmp_path / "rows").iterdir())[0]

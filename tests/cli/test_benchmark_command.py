@@ -32,7 +32,7 @@ label = "photos"
 [[method]]
 name = "guess"
 """
-FILES = {"benchmark.json", "benchmark.md", "leaderboard.json", "rows.parquet", "rows", "workers.log"}
+FILES = {"benchmark.json", "benchmark.md", "leaderboard.json", "report.html", "rows.parquet", "rows", "workers.log"}
 
 
 @pytest.fixture(autouse=True, scope="module")

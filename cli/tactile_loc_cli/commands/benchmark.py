@@ -48,9 +48,11 @@ def benchmark(
     reason. After an interruption, the same command resumes.
     """
     from tactile_loc.benchmark.files import tabulate, write_benchmark
+    from tactile_loc.benchmark.page import make_benchmark_page
     from tactile_loc.benchmark.runner import run_benchmark
     from tactile_loc.benchmark.suite import Suite
     from tactile_loc.benchmark.summary import summarise
+    from tactile_loc.reports.report import DEFAULT_NAME, write_page
     from tactile_loc.store.store import StageStore
     from tactile_loc.sweeps.plan import split_all
 
@@ -58,10 +60,13 @@ def benchmark(
     chosen = chosen.select(source and split_all(source), method and split_all(method))
     if examples is not None:
         chosen = chosen.model_copy(update={"examples": examples})
-    found = run_benchmark(chosen, out, StageStore(store).root, _make_workers(workers, scheduler, out), make_progress())
+    stages = StageStore(store)
+    found = run_benchmark(chosen, out, stages.root, _make_workers(workers, scheduler, out), make_progress())
+    files = write_benchmark(out, found)
     if found.rows:
         say_table(tabulate(summarise(found.rows)), left=(0, 2))
-    outcome = _say_outcome(found, out, write_benchmark(out, found))
+        files.append(write_page(make_benchmark_page(found, stages), out / DEFAULT_NAME))
+    outcome = _say_outcome(found, out, files)
     if found.failed:
         raise Finding(UNEXPECTED, outcome)
     return outcome

@@ -1,0 +1,178 @@
+#!/usr/bin/env python3
+"""The leaderboard, docs/leaderboard.md, and the tables of sources and methods in docs/benchmark.md.
+
+The leaderboard shows all files of benchmarks/results/leaderboard. Run this program to renew both pages.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from tactile_loc.benchmark.files import HEAD, TABLE_NOTE, list_cells
+from tactile_loc.benchmark.leaderboard import Standing, read_standings
+from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
+from tactile_loc.core.slots.registry import BUILT_IN, registry
+from tactile_loc.evaluation.tabular import format_markdown
+
+DOCS = Path(__file__).parent
+PAGE, GUIDE = DOCS / "leaderboard.md", DOCS / "benchmark.md"
+RESULTS = DOCS.parent / "benchmarks" / "results" / "leaderboard"
+OURS = "tactile-loc"
+NEAR = WITHIN_M.index(1e-3)
+INTRODUCTION = f"""\
+# Leaderboard
+
+This page compares methods that locate objects from touch. `tactile-loc benchmark` measured all figures
+([how, and how to add your method](benchmark.md)). `python docs/leaderboard.py` writes this page from the files in
+`benchmarks/results/leaderboard`.
+
+{textwrap.fill(f"{TABLE_NOTE} The best value of each column is bold, for each number of touches.", 120)}
+
+"""
+SHARED = 3  # the first cells of HEAD are the source, the number of touches and the method
+Key = tuple[str, str, str]  # suite, protocol, source
+
+
+def _negate(value: float | None) -> float | None:
+    return None if value is None else -value
+
+
+# For each column of HEAD from the fourth on: the value of which the largest is the best, or None.
+MERITS: tuple[Callable[[Group], float | None] | None, ...] = (
+    *(lambda group, k=k: group.within[k] for k in range(len(WITHIN_M))),  # type: ignore[misc]
+    lambda group: group.listed_within[NEAR],
+    lambda group: _negate(group.median_m),
+    lambda group: group.determined_within_1_mm,
+    lambda group: _negate(group.median_determined_m),
+    lambda group: group.auc,
+    lambda group: group.average_recall_mssd,
+    lambda group: _negate(group.calibration_error),
+    None,
+    None,
+    lambda group: _negate(group.median_s),
+)
+
+
+def read_all(folder: Path = RESULTS) -> list[Standing]:
+    """Return the newest standing of each suite, protocol, source, method and number of touches."""
+    found = [standing for path in sorted(folder.glob("*.json")) for standing in read_standings(path)]
+    found.sort(key=lambda standing: standing.date)
+    newest = {(*_find_key(one), one.group.method, one.group.touches): one for one in found}
+    return list(newest.values())
+
+
+def format_page(standings: Sequence[Standing]) -> str:
+    """Return the text of docs/leaderboard.md."""
+    tables: dict[Key, list[Standing]] = {}
+    for standing in standings:
+        tables.setdefault(_find_key(standing), []).append(standing)
+    parts = [INTRODUCTION, "## Where tactile-loc loses\n\n", _format_losses(tables.values())]
+    previous = ""
+    for (suite, protocol, source), some in sorted(tables.items(), key=lambda item: item[0][0]):
+        if suite != previous:
+            parts.append(f"\n## Suite {suite}\n\n{some[0].summary}.\n")
+        previous = suite
+        versions = _join(some[-1].source_libraries) or "no library"
+        about = f"Licence: {some[0].licence or 'not stated'}. Versions: {versions}. Protocol: `{protocol}`."
+        parts.append(f"\n### {suite}: {source}\n\n{about}\n\n{format_markdown(_tabulate(some))}")
+    parts.append(f"\n## Methods\n\n{format_markdown(_tabulate_methods(standings))}")
+    return "".join(parts)
+
+
+def _find_key(standing: Standing) -> Key:
+    return standing.suite, standing.protocol, standing.group.source
+
+
+def _tabulate(standings: Sequence[Standing]) -> list[list[str]]:
+    """Return a row for each number of touches and method, with the best values bold."""
+    ordered = sorted(standings, key=lambda one: (one.group.touches, -one.group.within[NEAR]))
+    rows = [[HEAD[1], HEAD[2], "examples", *HEAD[SHARED:], "date"]]
+    for one in ordered:
+        rivals = [other.group for other in ordered if other.group.touches == one.group.touches]
+        cells = list(list_cells(one.group))
+        values = [
+            f"**{cell}**" if len(rivals) > 1 and _is_best(one.group, rivals, merit) else cell
+            for cell, merit in zip(cells[SHARED:], MERITS, strict=True)
+        ]
+        rows.append([*cells[1:SHARED], str(one.group.examples), *values, one.date])
+    return rows
+
+
+def _is_best(group: Group, rivals: Iterable[Group], merit: Callable[[Group], float | None] | None) -> bool:
+    if merit is None or (own := merit(group)) is None:
+        return False
+    return all((other := merit(rival)) is None or other <= own for rival in rivals)
+
+
+def _format_losses(tables: Collection[Sequence[Standing]]) -> str:
+    """Return a table of all methods that are better than the default tactile-loc within 1 mm."""
+    if all(one.component == OURS for some in tables for one in some):
+        return "The results contain no other method yet.\n"
+    rows = [list(_compare(one, ours)) for some in tables for one, ours in _find_losses(some)]
+    if not rows:
+        return "No method has a larger share within 1 mm than tactile-loc with its default settings.\n"
+    head = ["suite", "source", "touches", "method", "within 1 mm", "tactile-loc", "intervals"]
+    return format_markdown([head, *rows])
+
+
+def _find_losses(standings: Sequence[Standing]) -> Iterator[tuple[Standing, Standing]]:
+    """Yield each better method of one table, with tactile-loc's result for the same number of touches."""
+    ours = {one.group.touches: one for one in standings if one.component == OURS and not one.options}
+    for one in standings:
+        mine = ours.get(one.group.touches)
+        if mine is not None and one.component != OURS and one.group.within[NEAR] > mine.group.within[NEAR]:
+            yield one, mine
+
+
+def _compare(one: Standing, ours: Standing) -> Iterator[str]:
+    yield from (one.suite, one.group.source, str(one.group.touches), one.group.method)
+    yield from (format_within(group, NEAR) for group in (one.group, ours.group))
+    apart = one.group.within_range[NEAR][0] > ours.group.within_range[NEAR][1]
+    yield "do not overlap" if apart else "overlap"
+
+
+def _tabulate_methods(standings: Sequence[Standing]) -> list[list[str]]:
+    rows = {
+        one.group.method: [one.group.method, f"`{one.component}`", one.paper or "-", _join(one.libraries)]
+        for one in standings
+    }
+    return [["method", "component", "follows", "versions"], *rows.values()]
+
+
+def _join(versions: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions.items())
+
+
+def tabulate_components(kind: str) -> str:
+    """Return a table of the built-in sources or methods with the command that installs their libraries."""
+    rows = [["name", "description", "needs"]]
+    for found in registry().components:
+        if found.distribution == BUILT_IN and found.spec.slot == kind:
+            needs = f"`pip install '{found.spec.requires}'`" if found.spec.requires else "-"
+            rows.append([f"`{found.spec.name}`", found.spec.summary, needs])
+    return format_markdown(rows)
+
+
+def fill_guide(text: str) -> str:
+    """Return the text of docs/benchmark.md with its tables of sources and methods renewed."""
+    for kind in ("touch-source", "method"):
+        place = re.compile(rf"(?<=<!-- {kind} -->\n).*?(?=<!-- /{kind} -->)", re.DOTALL)
+        if not place.search(text):
+            sys.exit(f"{GUIDE} has no place for the table of each {kind}")
+        table = tabulate_components(kind)
+        text = place.sub(lambda _, table=table: table, text)  # type: ignore[misc]
+    return text
+
+
+def main() -> None:
+    """Write both pages."""
+    PAGE.write_text(format_page(read_all()), encoding="utf-8")
+    GUIDE.write_text(fill_guide(GUIDE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

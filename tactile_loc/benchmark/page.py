@@ -1,0 +1,121 @@
+"""The HTML report of a benchmark: tables, plots, and an example touch of each source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.benchmark.examples import ExampleDrawer, Examples
+from tactile_loc.benchmark.files import (
+    TABLE_NOTE,
+    describe_suite,
+    tabulate,
+    tabulate_failures,
+    tabulate_methods,
+    tabulate_sources,
+)
+from tactile_loc.benchmark.prepare import PreparedSource
+from tactile_loc.benchmark.runner import Benchmark
+from tactile_loc.benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_outcomes, summarise
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.evaluation.recall.summary import Outcomes, bin_probabilities
+from tactile_loc.io.streams.records import read_versions
+from tactile_loc.io.toml import format_toml
+from tactile_loc.reports.page import Page, Section
+from tactile_loc.reports.pictures import draw_shape, encode_photo
+from tactile_loc.store.store import StageStore
+
+BEYOND_MM = 1e6  # stands for the error of an example without a pose
+DIGITS = 4
+
+
+def make_benchmark_page(found: Benchmark, store: StageStore) -> Page:
+    """Return the page of a benchmark with rows; the example touches come from the store."""
+    groups, determined = summarise(found.rows), find_determined(found.rows)
+    outcomes = [make_outcomes(rows, determined) for rows in group_rows(found.rows).values()]
+    sections = [
+        Section("summary", "", {"numbers": list(_list_numbers(found)), **_list_choices(groups)}),
+        Section("success", "Success"),
+        Section("curves", "Recall"),
+        Section("reliability", "Reliability of the probabilities"),
+        Section("times", "Time"),
+        Section("table_section", "All results", {"rows": tabulate(groups), "note": TABLE_NOTE}),
+        Section("sources", "Sources", {"rows": tabulate_sources(found), "examples": list(_show_sources(found, store))}),
+        Section("methods", "Methods", {"rows": tabulate_methods(found)}),
+        *([Section("failures", "Failures", {"rows": tabulate_failures(found)})] if found.failed else []),
+        Section("made", "Settings", {"suite": _format_suite(found), "versions": list(read_versions().items())}),
+    ]
+    data = {
+        "groups": [_collect_group(group, of) for group, of in zip(groups, outcomes, strict=True)],
+        "methods": list(dict.fromkeys(group.method for group in groups)), "within_mm": [1e3 * m for m in WITHIN_M],
+    }  # fmt: skip
+    title = f"Benchmark: {found.suite.name}"
+    return Page("benchmark", title, describe_suite(found), sections, data, ["errors.js", "benchmark.js"])
+
+
+def _list_numbers(found: Benchmark) -> Iterator[tuple[str, str, str]]:
+    used = [source for source in found.sources if not source.problem]
+    objects = {name for source in used for name in source.objects}
+    yield "sources", str(len(used)), f"{len(found.sources) - len(used)} left out"
+    methods = [method for method in found.methods if not method.problem]
+    yield "methods", str(len(methods)), f"{len(found.methods) - len(methods)} left out"
+    yield "objects", str(len(objects)), f"{found.suite.examples} examples of each, with each source"
+    yield "jobs", str(len(found.cells)), f"{len(found.failed)} failed"
+
+
+def _list_choices(groups: Sequence[Group]) -> dict[str, Any]:
+    touches = sorted({group.touches for group in groups})
+    return {
+        "sources": list(dict.fromkeys(group.source for group in groups)),
+        "touches": {n: f"{n} {'touch' if n == 1 else 'touches'}" for n in touches},
+        "most": touches[-1],
+        "within": {k: f"{1e3 * m:g} mm" for k, m in enumerate(WITHIN_M)},
+    }
+
+
+def _collect_group(group: Group, outcomes: Outcomes) -> dict[str, Any]:
+    """Return the values of a group for the page's scripts, in mm, % and seconds."""
+    return {
+        "source": group.source, "method": group.method, "touches": group.touches, "examples": group.examples,
+        "within": [100 * share for share in group.within],
+        "ranges": [[100 * low, 100 * high] for low, high in group.within_range],
+        "seconds": group.median_s,
+        "errors_mm": {
+            kind: _round_mm(outcomes.select_errors(listed=listed))
+            for kind, listed in (("first", False), ("listed", True))
+        },
+        "bins": [
+            {"stated": 100 * b.stated, "right": 100 * b.right, "examples": b.examples}
+            for b in bin_probabilities(outcomes) if b.stated is not None and b.right is not None
+        ],
+    }  # fmt: skip
+
+
+def _round_mm(errors_m: NDArray[np.float64]) -> list[float]:
+    return [float(f"{min(1e3 * e, BEYOND_MM):.{DIGITS}g}") for e in np.sort(errors_m)]
+
+
+def _show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, Any]]:
+    """Yield an example touch of each source: what the sensor saw, and the contact shape that it read."""
+    for source in found.sources:
+        for obj in source.objects.values():
+            drawer = ExampleDrawer(found.suite, source.entry, source.table, obj)
+            if (examples := drawer.find(store)) is not None and (examples.count > 0).any():
+                yield _show_touch(source, obj.name, examples, drawer.sensor.geometry)
+                break
+
+
+def _show_touch(source: PreparedSource, name: str, examples: Examples, geometry: SensorGeometry) -> Mapping[str, Any]:
+    shape = examples.get_shape(int(np.argmax(examples.count > 0)), 0)
+    seen = examples.picture
+    return {
+        "source": source.entry.label, "object": name, "press": f"{1e3 * shape.press_depth_m:.2f} mm",
+        "photo": encode_photo(seen) if seen.ndim == 3 else None, "shape": draw_shape(shape, geometry),
+    }  # fmt: skip
+
+
+def _format_suite(found: Benchmark) -> str:
+    return format_toml(found.suite.model_dump(mode="json", exclude_none=True))

@@ -1,0 +1,61 @@
+"""The report of a benchmark agrees with its rows."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from report_helpers import UNFRIENDLY, Elements
+
+from tactile_loc.benchmark.files import tabulate, tabulate_methods, tabulate_sources
+from tactile_loc.benchmark.page import make_benchmark_page
+from tactile_loc.benchmark.summary import summarise
+from tactile_loc.reports.page import Page, render
+from tactile_loc.store.store import StageStore
+
+
+@pytest.fixture(scope="module")
+def page(finished, bench_store) -> Page:
+    return make_benchmark_page(finished, StageStore(bench_store))
+
+
+@pytest.fixture(scope="module")
+def elements(page) -> Elements:
+    return Elements(render(page))
+
+
+def test_the_page_shows_all_tables(elements, finished):
+    rows = [*tabulate(summarise(finished.rows)), *tabulate_sources(finished), *tabulate_methods(finished)]
+    for row in rows:
+        assert row in elements.rows
+
+
+def test_scripts_draw_every_group_in_mm_and_percent(page, finished):
+    groups = summarise(finished.rows)
+    drawn = page.data["groups"]
+    assert len(drawn) == len(groups)
+    for one, group in zip(drawn, groups, strict=True):
+        assert (one["source"], one["method"], one["touches"]) == (group.source, group.method, group.touches)
+        assert one["within"] == pytest.approx(100 * np.array(group.within))
+        assert len(one["errors_mm"]["first"]) == group.examples
+        share = np.mean(np.array(one["errors_mm"]["first"]) < 1)
+        assert share == pytest.approx(group.within[1])
+    json.dumps(page.data, allow_nan=False)
+
+
+def test_each_source_has_an_example_touch(page, elements):
+    (sources,) = (section for section in page.sections if section.name == "sources")
+    assert [one["source"] for one in sources.values["examples"]] == ["sketch", "shy", "archive"]
+    assert len(elements.named("img")) == 3
+
+
+def test_failures_are_listed(elements, finished):
+    assert ["archive", "brick", "oracle", finished.failed[0].error] in elements.rows
+
+
+def test_names_are_escaped(run_small, bench_store):
+    found = run_small(method=[{"name": "guess", "label": UNFRIENDLY}])
+    html = render(make_benchmark_page(found, StageStore(bench_store)))
+    assert "<script>alert" not in html
+    assert any(row[2:3] == [UNFRIENDLY] for row in Elements(html).rows)
