@@ -14,7 +14,8 @@ Slot = Annotated[
     str,
     typer.Argument(
         metavar="SLOT",
-        help="Slot of the component: sensor, renderer, grid, encoder, matcher, refiner or fuser.",
+        help="Slot of the component: sensor, renderer, grid, encoder, matcher, refiner or fuser. For a "
+        "benchmark: method or touch-source.",
         show_default=False,
     ),
 ]

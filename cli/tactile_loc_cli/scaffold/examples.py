@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.slots.registry import KINDS
 from tactile_loc_cli.scaffold.naming import Naming
 from tactile_loc_cli.scaffold.package import SUMMARIES, render
 
@@ -14,9 +14,10 @@ INTRODUCTION = """\
 This page is generated: `python -m tactile_loc_cli.scaffold.examples` writes it, and a test compares it with the
 program.
 
-`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot. This page shows the example module of
-each slot. All examples pass the [contract checks](plugin-checks.md). Replace the computation, and keep the structure.
-[Plugins](plugins.md) explains the hook and the packaging, which are the same for every slot.
+`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot, or for a source or method of a
+[benchmark](benchmark.md). This page shows the example module of each slot. All examples pass the [contract
+checks](plugin-checks.md). Replace the computation, and keep the structure. [Plugins](plugins.md) explains the hook and
+the packaging, which are the same for every slot.
 
 | slot | what the example does |
 |---|---|
@@ -25,14 +26,14 @@ each slot. All examples pass the [contract checks](plugin-checks.md). Replace th
 
 def make_examples() -> str:
     """Return the text of docs/plugin-examples.md."""
-    rows = "".join(f"| [{slot}](#{slot}) | {SUMMARIES[slot]} |\n" for slot in SLOTS)
-    return INTRODUCTION + rows + "".join(map(_show, SLOTS))
+    rows = "".join(f"| [{slot}](#{slot}) | {SUMMARIES[slot]} |\n" for slot in KINDS)
+    return INTRODUCTION + rows + "".join(map(_show, KINDS))
 
 
 def _show(slot: str) -> str:
     """Return the section of a slot: the command, and the module that the command writes."""
     naming = Naming(slot, f"my-{slot}")
-    path = f"{naming.package}/{slot}.py"
+    path = f"{naming.package}/{naming.module}.py"
     command = f"    tactile-loc new-plugin {slot} {naming.name}"
     return f"\n## {slot.capitalize()}\n\n{command}\n\n`{path}`\n\n```python\n{render(naming)[path]}```\n"
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from tactile_loc.core.errors import ConfigError, PluginConflictError
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc_cli.options import require_slot
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -44,10 +45,22 @@ class Naming:
     @property
     def class_name(self) -> str:
         """The name of the class: MyRefiner for my-refiner, SplineRefiner for spline."""
-        words = self.name.split("-")
-        if len(words) > 1 and words[-1] == self.slot:
+        words, of_slot = self.name.split("-"), self.slot.split("-")
+        while len(words) > 1 and words[-1] in of_slot:
             words.pop()
-        return "".join(word.capitalize() for word in [*words, self.slot])
+        return "".join(word.capitalize() for word in [*words, *of_slot])
+
+    @property
+    def module(self) -> str:
+        """The name of the component's module and templates, such as touch_source."""
+        return self.slot.replace("-", "_")
+
+    @property
+    def usage(self) -> str:
+        """The command that uses the component."""
+        if self.slot in SLOTS:
+            return f"tactile-loc run --{self.slot} {self.name}"
+        return f"tactile-loc benchmark --{self.slot.removeprefix('touch-')} {self.name}"
 
     def require_free(self) -> None:
         """Raise PluginConflictError if a component of the slot or an installed package already has this name."""

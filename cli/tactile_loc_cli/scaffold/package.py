@@ -20,19 +20,21 @@ SUMMARIES = {
     "matcher": "compares with every row of the bank",
     "refiner": "slides the contact's centre onto the touch's",
     "fuser": "product of the touches' probabilities and the prior",
+    "touch-source": "contact shapes by ray casting, with errors of the press depth",
+    "method": "the best of many random poses",
 }
 
 
 def render(naming: Naming) -> dict[str, str]:
     """Return the text of each file of the package. The keys are the files' paths in the package's folder."""
-    named = ("slot", "name", "distribution", "package", "class_name")
+    named = ("slot", "name", "distribution", "package", "class_name", "module", "usage")
     values = {**{name: getattr(naming, name) for name in named}, "summary": SUMMARIES[naming.slot]}
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
         f"{naming.package}/__init__.py": "hook.py",
-        f"{naming.package}/{naming.slot}.py": f"{naming.slot}.py",
-        f"tests/test_{naming.name.replace('-', '_')}.py": f"test_{naming.slot}.py",
+        f"{naming.package}/{naming.module}.py": f"{naming.module}.py",
+        f"tests/test_{naming.name.replace('-', '_')}.py": f"test_{naming.module}.py",
     }
     return {path: _template(template).substitute(values) for path, template in templates.items()}
 
