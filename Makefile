@@ -14,7 +14,7 @@ SLOW ?= not slow
 # start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate bench bench-compare clean
+.PHONY: help setup demo test test-slow pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate benchmark bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -81,6 +81,9 @@ soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process
 
 mutate: $(MUTATE) ## change the numerical core in 700 places and run its tests, hours; continues where it stopped
 	@$(VENV)/bin/python scripts/mutate.py
+
+benchmark: $(STAMP) ## compare methods on touches from several sources, some minutes; continues where it stopped
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/tactile-loc benchmark --suite quick --out out/benchmark
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep their tables
 	@$(VENV)/bin/python scripts/bench.py keep --all
