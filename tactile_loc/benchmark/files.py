@@ -1,4 +1,4 @@
-"""The files of a benchmark: benchmark.json and .md, rows.parquet, and leaderboard.json."""
+"""The files of a benchmark: benchmark.json and .md, leaderboard.json, rows.parquet, and the files of BOP."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tactile_loc.benchmark.bop_scenes import make_scenes
 from tactile_loc.benchmark.leaderboard import record_leaderboard
 from tactile_loc.benchmark.runner import Benchmark
 from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within, summarise
 from tactile_loc.core.formatting import format_mm
+from tactile_loc.evaluation.recall.bop import write_bop
 from tactile_loc.evaluation.recall.tables import format_share
 from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts
 from tactile_loc.sweeps.results import write_parquet
@@ -35,6 +37,8 @@ def write_benchmark(out: Path, found: Benchmark) -> list[Path]:
     if found.rows:
         written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(found, groups)))
         written.append(write_parquet(out / "rows.parquet", make_table(found)))
+        ids, *_ = write_bop(out, make_scenes(found.rows), "benchmark")
+        written.append(ids.parent)
     return written
 
 

@@ -32,7 +32,9 @@ label = "photos"
 [[method]]
 name = "guess"
 """
-FILES = {"benchmark.json", "benchmark.md", "leaderboard.json", "report.html", "rows.parquet", "rows", "workers.log"}
+FILES = {
+    "benchmark.json", "benchmark.md", "bop", "leaderboard.json", "report.html", "rows", "rows.parquet", "workers.log"
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True, scope="module")

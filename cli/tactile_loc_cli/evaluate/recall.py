@@ -115,13 +115,13 @@ def _report(runs: Sequence[RecallRun], about: dict[str, Any], asked: Asked) -> d
     """Write the results and their pictures, print the tables, and return the results as JSON values."""
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.recall import tables
-    from tactile_loc.evaluation.recall.bop import write_bop
+    from tactile_loc.evaluation.recall.bop import make_scenes, write_bop
     from tactile_loc.evaluation.recall.figure import draw_recall
 
     heading = _write_heading(about)
     written = tables.write_recall_tables(asked.out, runs, about, heading)
     written.append(save_figure(asked.out / f"{tables.NAME}.png", draw_recall(runs, heading)))
-    written += write_bop(asked.out, runs)
+    written += write_bop(asked.out, make_scenes(runs))
     groups = tables.group_runs(runs)
     for title, table in (
         (

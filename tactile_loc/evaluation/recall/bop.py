@@ -1,8 +1,9 @@
 """Export of located examples in the formats of the BOP benchmark: results as CSV, and true poses as scene_gt.json.
 
-A scene is one run: an object, an encoder, a noise and a seed. An image is one example. There is one file of results for
-each number of touches. Poses are in the frame of the first touch's sensor, which is BOP's camera frame. Lengths are in
-millimetres, also those of the model to which the poses belong.
+A scene holds the examples of one object under one condition. An image is one example. There is one file of results for
+each method and number of touches. Poses are in one frame for each example, which stands for BOP's camera frame: that of
+the first touch's sensor, or the base frame. Lengths are in millimetres, also those of the model to which the poses
+belong.
 """
 
 from __future__ import annotations
@@ -10,28 +11,74 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.evaluation.recall.summary import RecallRun
 from tactile_loc.store.files import write_atomically, write_json
 
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 FOLDER, SPLIT = "bop", "test"
 UNKNOWN_TIME = -1
+OURS = "tactile-loc"
 
 
-def number_objects(runs: Sequence[RecallRun]) -> dict[str, int]:
-    """Return each object's obj_id, from 1, in the order of the runs."""
-    return {name: number for number, name in enumerate(dict.fromkeys(run.object for run in runs), start=1)}
+class Answer(NamedTuple):
+    """The listed poses (K, 4, 4), metres, of one example, with their scores (K,); no poses if nothing was found."""
+
+    poses: Poses | Sequence[Any]
+    scores: NDArray[np.float64] | Sequence[float]
+    seconds: float
 
 
-def format_results(runs: Sequence[RecallRun], touches: int) -> str:
+@dataclass(frozen=True, eq=False)
+class BopScene:
+    """E examples of an object: the true poses `T_true` (E, 4, 4), metres, NaN if unknown, and the answers.
+
+    `answers` maps a method and a number of touches to an Answer for each example. `about` describes the scene.
+    """
+
+    object: str
+    about: Mapping[str, Any]
+    T_true: Poses
+    answers: Mapping[tuple[str, int], Sequence[Answer]]
+
+
+def make_scenes(runs: Sequence[RecallRun]) -> list[BopScene]:
+    """Return a scene for each run of an evaluation; poses are in the frame of the first touch's sensor."""
+    return [
+        BopScene(
+            run.object, {key: getattr(run, key) for key in ("encoder", "noise", "seed")}, run.evaluation.T_true,
+            {(OURS, touches): list(_list_answers(run, touches)) for touches in run.evaluation.together},
+        )
+        for run in runs
+    ]  # fmt: skip
+
+
+def _list_answers(run: RecallRun, touches: int) -> Iterator[Answer]:
+    found = run.evaluation
+    column = found.together.index(touches)
+    for scores, poses, seconds in zip(
+        found.probabilities[:, column], found.T_sensor_object[:, column], found.seconds[:, column], strict=True
+    ):
+        listed = np.isfinite(scores)
+        yield Answer(poses[listed], scores[listed], float(seconds))
+
+
+def number_objects(scenes: Sequence[BopScene]) -> dict[str, int]:
+    """Return each object's obj_id, from 1, in the order of the scenes."""
+    return {name: number for number, name in enumerate(dict.fromkeys(scene.object for scene in scenes), start=1)}
+
+
+def format_results(scenes: Sequence[BopScene], method: str, touches: int) -> str:
     """Return every listed pose of all examples as BOP's CSV; `touches` is the number of touches.
 
     An example without a pose has no row.
@@ -39,22 +86,14 @@ def format_results(runs: Sequence[RecallRun], touches: int) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    of_object = number_objects(runs)
-    for scene_id, run in enumerate(runs, start=1):
-        writer.writerows(_list_rows(run, touches, scene_id, of_object[run.object]))
+    of_object = number_objects(scenes)
+    for scene_id, scene in enumerate(scenes, start=1):
+        for im_id, answer in enumerate(scene.answers.get((method, touches), ())):
+            time = f"{answer.seconds:.6f}" if np.isfinite(answer.seconds) else UNKNOWN_TIME
+            for T, score in zip(answer.poses, answer.scores, strict=True):
+                pose = map(_join, _convert_pose(np.asarray(T)))
+                writer.writerow((scene_id, im_id, of_object[scene.object], f"{score:.6g}", *pose, time))
     return text.getvalue()
-
-
-def _list_rows(run: RecallRun, touches: int, scene_id: int, obj_id: int) -> Iterator[tuple[Any, ...]]:
-    found = run.evaluation
-    column = found.together.index(touches)
-    for im_id in range(len(found)):
-        seconds = found.seconds[im_id, column]
-        time = f"{seconds:.6f}" if np.isfinite(seconds) else UNKNOWN_TIME
-        scores, poses = found.probabilities[im_id, column], found.T_sensor_object[im_id, column]
-        for score, T in zip(scores, poses, strict=True):
-            if np.isfinite(score):
-                yield scene_id, im_id, obj_id, f"{score:.6g}", *map(_join, _convert_pose(T)), time
 
 
 def _convert_pose(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
@@ -66,40 +105,45 @@ def _join(numbers: Sequence[float]) -> str:
     return " ".join(f"{number:.9g}" for number in numbers)
 
 
-def make_truth(run: RecallRun, obj_id: int) -> dict[str, list[dict[str, Any]]]:
-    """Return the true poses of a run's examples as the values of BOP's scene_gt.json.
-
-    An example whose first touch cannot be read is left out.
-    """
+def make_truth(scene: BopScene, obj_id: int) -> dict[str, list[dict[str, Any]]]:
+    """Return the true poses of a scene's examples as the values of BOP's scene_gt.json; unknown ones are left out."""
     truth = {}
-    for im_id, T in enumerate(run.evaluation.T_true):
+    for im_id, T in enumerate(scene.T_true):
         if np.isfinite(T).all():
             R, t_mm = _convert_pose(T)
             truth[str(im_id)] = [{"cam_R_m2c": R, "cam_t_m2c": t_mm, "obj_id": obj_id}]
     return truth
 
 
-def write_bop(folder: Path, runs: Sequence[RecallRun]) -> list[Path]:
-    """Write the folder `bop` with the results for each number of touches, the true poses, and the ids' meaning.
+def write_bop(folder: Path, scenes: Sequence[BopScene], dataset: str = "evaluation") -> list[Path]:
+    """Write the folder `bop` with the results of each method and number of touches, the true poses, and the ids.
 
-    Returns the paths of the results and of the ids. Raises OutputError.
+    Returns the paths of the ids and of the results. Raises OutputError.
     """
-    root, of_object = folder / FOLDER, number_objects(runs)
-    scenes = []
-    for scene_id, run in enumerate(runs, start=1):
-        obj_id = of_object[run.object]
+    root, of_object = folder / FOLDER, number_objects(scenes)
+    about = []
+    for scene_id, scene in enumerate(scenes, start=1):
+        obj_id = of_object[scene.object]
         path = root / SPLIT / f"{scene_id:06d}" / "scene_gt.json"
-        write_atomically(path, partial(Path.write_text, data=json.dumps(make_truth(run, obj_id)), encoding="utf-8"))
-        about = {key: getattr(run, key) for key in ("object", "encoder", "noise", "seed")}
-        scenes.append({"scene_id": scene_id, "obj_id": obj_id, **about})
-    ids = write_json(root / "ids.json", {"objects": of_object, "scenes": scenes})
-    return [
-        ids,
-        *(
-            write_atomically(
-                root / f"tactile-loc-{n}-touches_evaluation-{SPLIT}.csv",
-                partial(Path.write_text, data=format_results(runs, n), encoding="utf-8"),
-            )
-            for n in runs[0].evaluation.together
-        ),
-    ]
+        _write_text(path, json.dumps(make_truth(scene, obj_id)))
+        about.append({"scene_id": scene_id, "obj_id": obj_id, "object": scene.object, **scene.about})
+    kinds = list(dict.fromkeys(kind for scene in scenes for kind in scene.answers))
+    files = [f"{name}_{dataset}-{SPLIT}.csv" for name in _name_results(kinds)]
+    results = [{"file": file, "method": kind[0], "touches": kind[1]} for file, kind in zip(files, kinds, strict=True)]
+    ids = write_json(root / "ids.json", {"objects": of_object, "scenes": about, "results": results})
+    texts = (format_results(scenes, *kind) for kind in kinds)
+    return [ids, *(_write_text(root / file, text) for file, text in zip(files, texts, strict=True))]
+
+
+def _name_results(kinds: Sequence[tuple[str, int]]) -> Iterator[str]:
+    """Yield a distinct name for each method and number of touches; BOP allows neither spaces nor underscores."""
+    methods = list(dict.fromkeys(method for method, _ in kinds))
+    plain = {method: re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-") for method in methods}
+    alike = {method for method in methods if list(plain.values()).count(plain[method]) > 1 or not plain[method]}
+    for method, touches in kinds:
+        number = f"-{methods.index(method) + 1}" if method in alike else ""
+        yield f"{plain[method]}{number}-{touches}-touches"
+
+
+def _write_text(path: Path, text: str) -> Path:
+    return write_atomically(path, partial(Path.write_text, data=text, encoding="utf-8"))

@@ -12,7 +12,7 @@ from report_helpers import make_recall_runs
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.evaluation.recall import tables
-from tactile_loc.evaluation.recall.bop import COLUMNS, format_results, make_truth, write_bop
+from tactile_loc.evaluation.recall.bop import COLUMNS, OURS, format_results, make_scenes, make_truth, write_bop
 from tactile_loc.evaluation.recall.evaluation import VERDICTS
 from tactile_loc.evaluation.recall.figure import draw_recall
 from tactile_loc.evaluation.recall.summary import RecallRun, RecallSummary
@@ -76,7 +76,7 @@ def test_problems_are_counted_not_dropped(runs):
 def test_bop_rows_are_poses_in_millimetres_with_scores(runs):
     T = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.01, -0.02, 0.03])
     runs[2].evaluation.T_sensor_object[4, 1, 0] = T
-    rows = list(csv.DictReader(io.StringIO(format_results(runs, 3))))
+    rows = list(csv.DictReader(io.StringIO(format_results(make_scenes(runs), OURS, 3))))
     assert tuple(rows[0]) == COLUMNS
     (row, *others) = [row for row in rows if (row["scene_id"], row["im_id"]) == ("3", "4")]
     assert len(others) == 3  # the other listed poses
@@ -89,14 +89,14 @@ def test_bop_rows_are_poses_in_millimetres_with_scores(runs):
 
 
 def test_bop_truth_has_each_example_whose_first_touch_can_be_read(runs):
-    truth = make_truth(runs[0], 7)
+    truth = make_truth(make_scenes(runs)[0], 7)
     assert sorted(map(int, truth)) == [n for n in range(12) if n != 1]
     (pose,) = truth["0"]
     assert (pose["cam_R_m2c"], pose["cam_t_m2c"], pose["obj_id"]) == (np.eye(3).ravel().tolist(), [0, 0, 0], 7)
 
 
 def test_bop_files_are_one_for_each_number_of_touches(runs, tmp_path):
-    written = write_bop(tmp_path, runs)
+    written = write_bop(tmp_path, make_scenes(runs))
     assert [path.name for path in written] == [
         "ids.json", "tactile-loc-1-touches_evaluation-test.csv", "tactile-loc-3-touches_evaluation-test.csv"
     ]  # fmt: skip
