@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -40,7 +41,6 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
@@ -209,7 +209,7 @@ def measure_outliers(
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
     parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
     parser.add_argument("--examples", type=int, default=40)

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.store.store import StageStore
 
@@ -75,7 +75,7 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 7])
     parser.add_argument("--examples", type=int, default=100)
     parser.add_argument("--spacing-mm", type=float, default=4.0)

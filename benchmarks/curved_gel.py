@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from contacts import Located, locate
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import registry
@@ -47,7 +48,7 @@ def find(localizer: Localizer, touches: list[Touch]) -> Located:
 def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=["pin", "damping_pin", "cotter"])
+    parser.add_argument("objects", nargs="*", default=read_split("pins"))
     parser.add_argument("--examples", type=int, default=30)
     parser.add_argument("--seed", type=int, default=7)
     arguments = parser.parse_args()

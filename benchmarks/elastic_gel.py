@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.benchmark.sources.elastic import FAR_M
 from tactile_loc.benchmark.sources.layer import press_layer
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.gel import RIGID, Gel
@@ -32,7 +33,6 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import compute_surface_distances
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
@@ -108,7 +108,7 @@ def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "objects", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects"
+        "objects", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects"
     )
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--thickness-mm", type=float, default=4.0, help="of the elastic layer; inf for a half-space")

@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 from single_touch import choose_spacing
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import draw_violins
 from tactile_loc.evaluation.protocol import STAGES, evaluate
@@ -185,7 +185,7 @@ def compare_whole(arguments: argparse.Namespace) -> None:
     names = ["object", "places", "encoder", *(f"{what}, {level}" for level in LEVELS for what in ("near", "listed"))]
     print(f"| {' | '.join([*names, 'training, s'])} |\n|{'---|' * (len(names) + 1)}", flush=True)
     rows = []
-    for mesh in arguments.meshes or DEMO_OBJECTS:
+    for mesh in arguments.meshes or read_split("demo"):
         path, _, units = mesh.partition(":")
         for name in WHOLE_ENCODERS:
             row = search_whole(load_object(path, units or "auto"), arguments, name)
@@ -217,7 +217,7 @@ def main() -> None:
         return
     rows, runs = [], []
     print(write_header(), flush=True)
-    for mesh in arguments.meshes or DEMO_OBJECTS:
+    for mesh in arguments.meshes or read_split("demo"):
         path, _, units = mesh.partition(":")
         row, measured = measure(load_object(path, units or "auto"), arguments)
         rows.append(row)

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from single_touch import choose_spacing
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
@@ -62,7 +62,7 @@ def main() -> None:
     print(f"| object | poses | {' | '.join(map(str, NUMBERS))} |")
     print("|---" * (2 + len(NUMBERS)) + "|")
     with tempfile.TemporaryDirectory() as store:
-        for path in arguments.meshes or DEMO_OBJECTS:
+        for path in arguments.meshes or read_split("demo"):
             print(measure(path, arguments, Path(store)), flush=True)
 
 

@@ -29,10 +29,10 @@ import numpy as np
 from contacts import LEVELS
 from numpy.typing import NDArray
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
@@ -134,7 +134,7 @@ def time_glances(library: Library, touch: Touch) -> float:
 def main() -> None:
     """Measure, print tables, and keep the examples if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(SUFFERING))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3])

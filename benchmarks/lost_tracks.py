@@ -26,9 +26,9 @@ from pathlib import Path
 import numpy as np
 from sequences import FOUND_M, make_sliding, start_tracker, track
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.sequences import Frame
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
@@ -97,7 +97,7 @@ def write_row(name: str, kind: str, ratings: np.ndarray) -> str:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("objects", nargs="*", default=read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--tracks", type=int, default=5, help="tracks of each object and kind")
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=KINDS)

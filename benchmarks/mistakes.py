@@ -24,6 +24,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
@@ -35,7 +36,6 @@ from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.store.store import StageStore
 
-OBJECTS = ("hook", "cotter", "elbow_pipe")
 SENSOR, OTHER_SENSOR = {"name": "gelsight-mini", "image_size_px": (160, 120)}, {"name": "digit"}
 REFUSED, DOUBTED, CERTAIN = "refused", "doubted", "certain"
 SAFE = (REFUSED, DOUBTED)
@@ -299,7 +299,7 @@ def judge_mistake(mistake: Mistake, case: Case) -> str:
 def main() -> None:
     """Make all mistakes, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=list(OBJECTS), help="FILE[:UNITS] or a demo object's name")
+    parser.add_argument("objects", nargs="*", default=read_split("bent"), help="FILE[:UNITS] or a demo object's name")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--only", help="make only the mistakes whose names contain this text")
     arguments = parser.parse_args()

@@ -24,6 +24,7 @@ import numpy as np
 from contacts import Located, locate
 from numpy.typing import NDArray
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -247,7 +248,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=["pin", "damping_pin", "cotter"])
+    parser.add_argument("meshes", nargs="*", default=read_split("pins"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--examples", type=int, default=20)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))

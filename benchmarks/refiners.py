@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from single_touch import choose_spacing
 
 from tactile_loc import Localizer
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -38,7 +39,6 @@ from tactile_loc.core.registration.cloud_refiner import Cloud, CloudRefiner, Reg
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import Candidate, Refiner
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import SURFACE_POINTS
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
@@ -322,7 +322,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Measure all meshes, and print the tables of each object when it is done."""
     compared, missing = list_refiners()
     records: list[Record] = []
-    for mesh in arguments.meshes or DEMO_OBJECTS:
+    for mesh in arguments.meshes or read_split("demo"):
         path, _, units = mesh.partition(":")
         bench = Bench(load_object(path, units or "auto"), arguments, compared)
         for noise in arguments.noise.split(","):

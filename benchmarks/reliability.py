@@ -23,13 +23,13 @@ from typing import NamedTuple
 import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
@@ -125,7 +125,7 @@ def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "objects", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects"
+        "objects", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects"
     )
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--gels", nargs="+", choices=("rigid", "layer"), default=["rigid", "layer"])

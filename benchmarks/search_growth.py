@@ -19,9 +19,9 @@ import numpy as np
 import trimesh
 from matplotlib.ticker import NullFormatter
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.drawing.pictures import make_figure, save_figure
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
@@ -93,7 +93,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 def main() -> None:
     """Measure, print a table, and draw it if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--touches", type=int, default=7)
     parser.add_argument("--seed", type=int, default=17)

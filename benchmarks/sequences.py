@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -36,7 +37,6 @@ from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
@@ -217,7 +217,7 @@ def is_near(metric: PoseMetric, poses: np.ndarray, frame: Frame, near_m: float) 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("objects", nargs="*", default=read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--frames", type=int, default=500)
     parser.add_argument("--jumps", type=int, default=5, help="jumps of each object")

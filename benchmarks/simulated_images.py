@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from single_touch import choose_spacing
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.calibration.estimator import GelEstimator
 from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.reading import find_contact_shape, measure_press_m
@@ -29,7 +30,6 @@ from tactile_loc.calibration.simulated import calibrate_simulated, find_sensor
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.imaging.gel import find_indentation, press_gel
@@ -138,7 +138,7 @@ def main() -> None:
     print(f"{arguments.estimator}, {len(presses)} presses, {time.perf_counter() - start:.0f} s; held out: {held_out}\n")
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     measured = []
-    for name in DEMO_OBJECTS:
+    for name in read_split("demo"):
         touches = Localizer.create(name, sensor=arguments.sensor).simulate(arguments.touches, seed=arguments.seed)
         measured.append(measure(estimator, record["noise_m"], touches, lamps))
         print(write_row(name, measured[-1]), flush=True)
@@ -150,7 +150,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         sensor = write_calibration(Path(temporary) / "sensor", geometry, presses.background, estimator, record)
         for encoder in arguments.encoder or ["pixel"]:
-            for name in DEMO_OBJECTS:
+            for name in read_split("demo"):
                 print(locate(name, sensor, encoder, arguments), flush=True)
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig
@@ -86,7 +86,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the rows here")
     arguments = parser.parse_args()
     rows = []
-    for mesh in arguments.meshes or DEMO_OBJECTS:
+    for mesh in arguments.meshes or read_split("demo"):
         path, _, units = mesh.partition(":")
         rows.append(measure(load_object(path, units or "auto"), arguments))
         print(report(rows[-1]), flush=True)

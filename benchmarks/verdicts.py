@@ -26,13 +26,13 @@ import numpy as np
 from elastic_gel import SIZES_PX
 from reliability import BINS, MM, RIGHT_MM, draw_example
 
+from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -151,7 +151,7 @@ def print_tables(found: list[Judged], arguments: argparse.Namespace) -> None:
 def main() -> None:
     """Measure, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("objects", nargs="*", default=read_split("demo"))
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
     parser.add_argument("--examples", type=int, default=12)
