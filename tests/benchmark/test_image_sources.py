@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_loc.benchmark.prepare import prepare_source
 from tactile_loc.benchmark.sources.calibrating import BallPresses, press_ball
 from tactile_loc.benchmark.sources.gelslim_shapes import GelslimShapes, make_camera, place_prism
 from tactile_loc.benchmark.sources.simulated import SimulatedTouches
-from tactile_loc.benchmark.suite import Suite
+from tactile_loc.benchmark.suite import Entry
 from tactile_loc.core.errors import CalibrationError, ConfigError, MissingLibraryError
 from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -63,12 +64,9 @@ def test_a_missing_recording_is_an_error():
 
 
 def test_the_folder_of_data_is_put_into_the_options_of_sources(tmp_path):
-    values = {
-        "name": "mine", "objects": ["pin"], "touches": [1], "examples": 1, "seed": 0, "method": ["tactile-loc"],
-        "source": [{"name": "gelslim-shapes", "label": "real", "data": "data:tactile"}, "simulated"],
-    }  # fmt: skip
-    assert Suite.from_values(values, "mine", tmp_path).source[0].options == {"data": str(tmp_path / "tactile")}
-    assert Suite.from_values(values, "mine").source[0].options == {"data": "data:tactile"}
+    entry = Entry(name="gelslim-shapes", label="real", options={"data": "data:tactile"})
+    assert prepare_source(entry, {}, tmp_path / "store", tmp_path).entry.options == {"data": str(tmp_path / "tactile")}
+    assert "`data`" in prepare_source(entry, {}, tmp_path / "store").problem
 
 
 def test_a_missing_library_is_named_with_the_line_that_installs_it():
