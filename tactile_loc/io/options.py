@@ -25,7 +25,7 @@ class SearchOptions(_Options):
     )
     pool: int = Field(default=30_000, ge=1, description="rotated places kept before a prior is applied")
     registered: int = Field(default=300, ge=1, description="poses in coarse registration to one touch")
-    moved_together: int = Field(default=200, ge=1, description="poses moved by two steps before some are registered")
+    moved_together: int = Field(default=100, ge=1, description="poses moved by two steps before some are registered")
     registered_together: int = Field(default=60, ge=1, description="poses in coarse registration to several touches")
     registered_widely: int = Field(default=400, ge=1, description="the same, if the first ones fit the touches badly")
     wide_below_iou: float = Field(default=0.8, ge=0, le=1, description="mean imprint IoU below which a fit is bad")

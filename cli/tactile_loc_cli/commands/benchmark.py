@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 DEFAULT_OUT = Path("benchmark")
 
-SuiteName = Annotated[str, declare("--suite", "NAME|FILE.toml", "The suite: quick, full, or a file.")]
+SuiteName = Annotated[str, declare("--suite", "NAME|FILE.toml", "The suite: quick, standard, full, or a file.")]
 Sources = Annotated[list[str] | None, declare("--source", "LABEL,...", "Only these sources of touches.")]
 Methods = Annotated[
     list[str] | None, declare("--method", "LABEL,...", "Only these methods; also the name of a method of a plugin.")

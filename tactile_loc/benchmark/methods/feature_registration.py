@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import open3d as o3d
@@ -90,6 +90,9 @@ class FpfhRansac(FeatureRegistration):
     has its own seed. With several threads, open3d does not promise equal answers.
     """
 
+    paper: ClassVar[str] = "Rusu et al., ICRA 2009"
+    libraries: ClassVar[tuple[str, ...]] = ("open3d",)
+
     class Options(FeatureRegistration.Options):
         """The effort of RANSAC."""
 
@@ -112,6 +115,9 @@ class FastGlobalRegistration(FeatureRegistration):
 
     Several runs with different seeds, which change the drawn tuples, are our addition.
     """
+
+    paper: ClassVar[str] = "Zhou, Park and Koltun, ECCV 2016"
+    libraries: ClassVar[tuple[str, ...]] = ("open3d",)
 
     class Options(FeatureRegistration.Options):
         """The effort of one run."""

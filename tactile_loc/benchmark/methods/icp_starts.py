@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -22,6 +23,8 @@ class IcpFromStarts(Method):
     is random, and the object's foremost point lies at the deepest point of one of the touches. The score ignores that
     the object must not reach into the sensor where nothing touches.
     """
+
+    paper: ClassVar[str] = "Chen and Medioni, 1992"
 
     class Options(FitOptions):
         """The number of starts."""

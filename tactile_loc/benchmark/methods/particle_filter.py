@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ class ParticleFilter(Method):
     nothing about small motions, so we add rounds of annealed moves, as in the resample-move filter (Gilks and Berzuini,
     2001). With each touch, a share of the particles starts anew, as in augmented Monte Carlo localization.
     """
+
+    paper: ClassVar[str] = "MidasTouch: Suresh et al., CoRL 2022"
 
     class Options(ComponentOptions):
         """The number of particles, and the annealing."""

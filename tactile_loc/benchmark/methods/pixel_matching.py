@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ class PixelMatching(Method):
     difference of depths are then compared with all touches, by the mean intersection over union of imprints. This
     second comparison is our addition, as the paper's baseline has one touch only.
     """
+
+    paper: ClassVar[str] = "Bauza et al., CoRL 2020 (baseline)"
 
     class Options(ComponentOptions):
         """The density of the grid."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ class TransformConsensus(Method):
     (Drost et al., CVPR 2010). A vote is an edge of that graph, and the votes of one transform are a clique. This is our
     own program, with the sampling density and the classes of Drost et al.; TacLoc's own program may find more.
     """
+
+    paper: ClassVar[str] = "TacLoc: Zhang et al., 2026; Drost et al., 2010"
 
     class Options(FitOptions):
         """The density of the model's points, and the number of touched points that vote."""
