@@ -67,6 +67,7 @@ needs() {
 }
 touch empty.mcap empty.mp4 empty.step
 needs app app
+needs benchmark benchmark --out refused
 needs camera live --camera 0 --object hook --port 0
 needs kiss run --refiner kiss-icp --out refused
 needs learned run --encoder moco --out refused

@@ -24,7 +24,7 @@ class InProcess:
             yield evaluate_job(job, objects[job.key])
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="module")
 def fakes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Offer the components of bench_fakes."""
     with offer_fakes(tmp_path_factory.mktemp("fakes") / "site"):

@@ -154,7 +154,7 @@ def test_the_list_names_plugins_of_other_interfaces(cli):
     assert [line.split("'")[1] for line in told] == ["plain", "weighing", "ahead"]
     assert not missing(told[0], "was written for plugin interface 1", "this tactile-loc has 2")
     assert "pip install --upgrade tactile-loc" in told[2]
-    assert not any(line.startswith("interface: ") for line in cli("plugins").stdout.splitlines())
+    assert [line for line in cli("plugins").stdout.splitlines() if line.startswith("interface: ")] == []
 
 
 @pytest.mark.parametrize("words", [[], ["--check"]])

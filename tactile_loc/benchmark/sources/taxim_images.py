@@ -44,7 +44,7 @@ class TaximGel:
             for file in calibration.iterdir():
                 (folder / file.name).symlink_to(file)
             (folder / "gelmap.npy").unlink()
-            np.save(folder / "gelmap.npy", np.zeros_like(np.load(calibration / "gelmap.npy")))
+            np.save(folder / "gelmap.npy", np.zeros_like(np.load(calibration / "gelmap.npy", allow_pickle=False)))
             width_px = read_sensor(make)["w"]
             pitch_mm = MM * geometry.pixel_pitch_m * geometry.width_px / width_px
             self._taxim = taxim.Taxim(folder, params={"sensor": {"pixmm": pitch_mm}}, backend="jax")
