@@ -47,7 +47,7 @@ def bench_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("bench-store")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def make_suite(box_file: Path) -> Callable[..., Suite]:
     """Make a small suite; keywords replace its values."""
 
@@ -62,7 +62,7 @@ def make_suite(box_file: Path) -> Callable[..., Suite]:
     return make
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def run_small(
     make_suite: Callable[..., Suite], bench_store: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Benchmark]:
@@ -74,7 +74,7 @@ def run_small(
     return run
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def finished(run_small: Callable[..., Benchmark]) -> Benchmark:
     """The small suite with another source, a missing library, and recorded touches; tests must not change it."""
     sources = ["sketch", {"name": "sketch", "label": "shy", "refused": 0.5}, "library-source", "archive"]
