@@ -7,13 +7,13 @@ object reaches deeper than a share of the press, and is smoothed with Gaussian p
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-import taxim
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -23,6 +23,10 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.benchmarking import Image, SimulatedSource
 from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.scene import Scene
+
+# with several threads, sums are rounded differently from call to call; jax reads this when it is imported
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+import taxim
 
 MM = 1e3
 CALIBRATIONS = {"gelsight": taxim.CALIB_GELSIGHT, "gelsight-mini": taxim.CALIB_GELSIGHT_MINI}
