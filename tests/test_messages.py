@@ -27,7 +27,11 @@ def list_texts(source: str) -> Iterator[tuple[int, str]]:
 
 
 def find_flags(source: str) -> list[tuple[int, str]]:
-    return [(line, text) for line, text in list_texts(source) if FLAG.search(OF_LIBRARIES.sub("", WHOLE_COMMAND.sub("", text)))]
+    return [
+        (line, text)
+        for line, text in list_texts(source)
+        if FLAG.search(OF_LIBRARIES.sub("", WHOLE_COMMAND.sub("", text)))
+    ]
 
 
 @pytest.mark.parametrize(
