@@ -14,6 +14,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "pl
 FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 HEADING = re.compile(r"^#+ (.+?)\s*$", re.MULTILINE)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+PROGRAM = re.compile(r"(?<![\w/-])(?:benchmarks|docs|examples|scripts)/\w+\.(?:py|sh)\b")
 MARKUP = re.compile(r"`([^`]*)`|\*+([^*]+)\*+|\[([^\]]*)\]\([^)]*\)")
 
 
@@ -63,3 +64,9 @@ def test_links_lead_to_existing_files_and_headings(page):
 def test_the_pages_contain_links_to_headings():
     assert sum("#" in target for page in PAGES for target in links(page)) > 20
     assert any("#" in target for target in links(ROOT / "README.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_programs_that_a_page_names_exist(page):
+    named = set(PROGRAM.findall(page.read_text()))
+    assert sorted(path for path in named if not (ROOT / path).exists()) == []
