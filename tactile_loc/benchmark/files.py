@@ -9,7 +9,7 @@ from typing import Any
 from tactile_loc.benchmark.bop_scenes import make_scenes
 from tactile_loc.benchmark.leaderboard import record_leaderboard
 from tactile_loc.benchmark.runner import Benchmark
-from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within, summarise
+from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
 from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation.recall.bop import write_bop
 from tactile_loc.evaluation.recall.tables import format_share
@@ -32,20 +32,19 @@ POSES = ("T_base_object", "true_T_base_object", "scores")  # values of a row tha
 
 def write_benchmark(out: Path, found: Benchmark) -> list[Path]:
     """Write all results into the folder `out`, and return their paths. Raises OutputError."""
-    groups = summarise(found.rows)
-    written = write_texts(out, "benchmark", json=format_json(record_benchmark(found, groups)), md=format_summary(found))
+    written = write_texts(out, "benchmark", json=format_json(record_benchmark(found)), md=format_summary(found))
     if found.rows:
-        written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(found, groups)))
+        written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(found)))
         written.append(write_parquet(out / "rows.parquet", make_table(found)))
         ids, *_ = write_bop(out, make_scenes(found.rows), "benchmark")
         written.append(ids.parent)
     return written
 
 
-def record_benchmark(found: Benchmark, groups: Sequence[Group]) -> dict[str, Any]:
+def record_benchmark(found: Benchmark) -> dict[str, Any]:
     """Return the leaderboard's document with the suite's objects, its components, and the failures, as JSON values."""
     return {
-        **record_leaderboard(found, groups),
+        **record_leaderboard(found),
         "plan": found.suite.model_dump(mode="json"),
         "left_out": found.left_out,
         "failed": [{**cell.names, "error": cell.error} for cell in found.failed],
@@ -70,7 +69,7 @@ def format_summary(found: Benchmark) -> str:
     """Return the tables as Markdown."""
     parts = [f"# Benchmark: {found.suite.name}\n", f"{describe_suite(found)} {TABLE_NOTE}\n"]
     if found.rows:
-        parts.append(format_markdown(tabulate(summarise(found.rows))))
+        parts.append(format_markdown(tabulate(found.groups)))
     parts += ["## Sources\n", format_markdown(tabulate_sources(found))]
     parts += ["## Methods\n", format_markdown(tabulate_methods(found))]
     if found.failed:

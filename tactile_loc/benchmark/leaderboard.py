@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,7 +37,7 @@ class Standing:
     group: Group
 
 
-def record_leaderboard(found: Benchmark, groups: Sequence[Group]) -> dict[str, Any]:
+def record_leaderboard(found: Benchmark) -> dict[str, Any]:
     """Return the suite, the sources and methods with their versions, and the groups, as JSON values."""
     return {
         "schema_version": SCHEMA_VERSION,
@@ -58,7 +58,7 @@ def record_leaderboard(found: Benchmark, groups: Sequence[Group]) -> dict[str, A
             }
             for one in found.methods if not one.problem
         },
-        "groups": [group.describe() for group in groups],
+        "groups": [group.describe() for group in found.groups],
     }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from tactile_loc.benchmark.files import (
 )
 from tactile_loc.benchmark.prepare import PreparedSource
 from tactile_loc.benchmark.runner import Benchmark
-from tactile_loc.benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_outcomes, summarise
+from tactile_loc.benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_outcomes
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.recall.summary import Outcomes, bin_probabilities
 from tactile_loc.io.streams.records import read_versions
@@ -34,7 +34,7 @@ DIGITS = 4
 
 def make_benchmark_page(found: Benchmark, store: StageStore) -> Page:
     """Return the page of a benchmark with rows; the example touches come from the store."""
-    groups, determined = summarise(found.rows), find_determined(found.rows)
+    groups, determined = found.groups, find_determined(found.rows)
     outcomes = [make_outcomes(rows, determined) for rows in group_rows(found.rows).values()]
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(found)), **_list_choices(groups)}),

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tactile_loc.benchmark.prepare import (
     prepare_source,
 )
 from tactile_loc.benchmark.suite import Suite, hash_values
+from tactile_loc.benchmark.summary import Group, summarise
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
@@ -73,10 +75,15 @@ class Benchmark:
     cells: Sequence[Cell]
     done: int
 
-    @property
+    @cached_property
     def rows(self) -> list[Row]:
         """All rows, in the order of sources, objects and methods."""
         return [row for cell in self.cells for row in cell.rows]
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """The results of each source, method and number of touches."""
+        return summarise(self.rows)
 
     @property
     def failed(self) -> list[Cell]:

@@ -10,7 +10,6 @@ import pytest
 
 from tactile_loc.benchmark.files import HEAD, tabulate, write_benchmark
 from tactile_loc.benchmark.leaderboard import read_standings
-from tactile_loc.benchmark.summary import summarise
 from tactile_loc.core.errors import ResultError
 
 
@@ -22,7 +21,7 @@ def written(finished, tmp_path_factory):
 
 
 def test_the_table_has_a_row_for_each_group(finished):
-    groups = summarise(finished.rows)
+    groups = finished.groups
     header, *rows = tabulate(groups)
     assert header == list(HEAD)
     assert len(rows) == len(groups)
@@ -59,7 +58,7 @@ def test_a_leaderboard_file_is_read_back_and_names_no_path(written, finished, bo
     text = (written / "leaderboard.json").read_text()
     assert str(box_file.parent) not in text
     standings = list(read_standings(written / "leaderboard.json"))
-    assert [standing.group for standing in standings] == summarise(finished.rows)
+    assert [standing.group for standing in standings] == finished.groups
     assert standings[0].suite == "small"
     assert standings[0].libraries["bench-fakes"] == "1.5"
     assert standings[-1].component == "guess"

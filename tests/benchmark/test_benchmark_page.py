@@ -10,7 +10,6 @@ from report_helpers import UNFRIENDLY, Elements
 
 from tactile_loc.benchmark.files import tabulate, tabulate_methods, tabulate_sources
 from tactile_loc.benchmark.page import make_benchmark_page
-from tactile_loc.benchmark.summary import summarise
 from tactile_loc.reports.page import Page, render
 from tactile_loc.store.store import StageStore
 
@@ -26,13 +25,13 @@ def elements(page) -> Elements:
 
 
 def test_the_page_shows_all_tables(elements, finished):
-    rows = [*tabulate(summarise(finished.rows)), *tabulate_sources(finished), *tabulate_methods(finished)]
+    rows = [*tabulate(finished.groups), *tabulate_sources(finished), *tabulate_methods(finished)]
     for row in rows:
         assert row in elements.rows
 
 
 def test_scripts_draw_every_group_in_mm_and_percent(page, finished):
-    groups = summarise(finished.rows)
+    groups = finished.groups
     drawn = page.data["groups"]
     assert len(drawn) == len(groups)
     for one, group in zip(drawn, groups, strict=True):

@@ -8,7 +8,6 @@ import pytest
 from message_helpers import missing, naming
 
 from tactile_loc.benchmark.prepare import load_objects, prepare_source
-from tactile_loc.benchmark.summary import summarise
 from tactile_loc.core.errors import ConfigError, OutputError
 
 
@@ -113,7 +112,7 @@ def test_a_run_in_another_folder_and_store_gives_the_same_table(run_small, tmp_p
 
 
 def test_groups_follow_the_suite(finished):
-    groups = summarise(finished.rows)
+    groups = finished.groups
     assert [(group.source, group.method, group.touches) for group in groups if group.source != "shy"] == [
         ("sketch", "oracle", 1), ("sketch", "oracle", 2), ("sketch", "guess", 1), ("sketch", "guess", 2),
         ("archive", "guess", 1),

@@ -51,7 +51,6 @@ def benchmark(
     from tactile_loc.benchmark.page import make_benchmark_page
     from tactile_loc.benchmark.runner import run_benchmark
     from tactile_loc.benchmark.suite import Suite
-    from tactile_loc.benchmark.summary import summarise
     from tactile_loc.reports.report import DEFAULT_NAME, write_page
     from tactile_loc.store.store import StageStore
     from tactile_loc.sweeps.plan import split_all
@@ -64,7 +63,7 @@ def benchmark(
     found = run_benchmark(chosen, out, stages.root, _make_workers(workers, scheduler, out), make_progress())
     files = write_benchmark(out, found)
     if found.rows:
-        say_table(tabulate(summarise(found.rows)), left=(0, 2))
+        say_table(tabulate(found.groups), left=(0, 2))
         files.append(write_page(make_benchmark_page(found, stages), out / DEFAULT_NAME))
     outcome = _say_outcome(found, out, files)
     if found.failed:
