@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.benchmark.examples import describe_libraries, make_sensor
-from tactile_loc.benchmark.suite import HERE, Entry, Suite, create, find_in_data, hash_values
+from tactile_loc.benchmark.suite import HERE, Entry, Suite, create, find_in_data
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.slots.benchmarking import Method, RecordedSource, TouchSource
@@ -17,6 +17,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.store.files import lock_folder, read_json, write_json
+from tactile_loc.store.keys import hash_shortly
 from tactile_loc.store.store import StageStore
 
 SENSOR_VERSION = 1  # increase it if the same source gets another sensor
@@ -57,7 +58,7 @@ class PreparedSource:
         """
         options = {k: v for k, v in self.entry.options.items() if not (isinstance(v, str) and Path(v).is_absolute())}
         objects = {name: obj.describe() for name, obj in self.objects.items()}
-        return hash_values({
+        return hash_shortly({
             "suite": suite.describe_protocol(), "source": self.entry.name, "options": options,
             "version": self.described.get("version"), "objects": objects,
         })  # fmt: skip
@@ -135,7 +136,7 @@ def _prepare_sensor(source: TouchSource, store: Path) -> dict[str, Any]:
     """Return the sensor's table, from the store or prepared now. Its files are complete when its table is written."""
     libraries = describe_libraries(source.libraries)
     folder = (
-        store / SENSORS / hash_values({"version": SENSOR_VERSION, "source": source.describe(), "libraries": libraries})
+        store / SENSORS / hash_shortly({"version": SENSOR_VERSION, "source": source.describe(), "libraries": libraries})
     )
     with lock_folder(folder):
         try:

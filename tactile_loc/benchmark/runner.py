@@ -19,12 +19,13 @@ from tactile_loc.benchmark.prepare import (
     prepare_method,
     prepare_source,
 )
-from tactile_loc.benchmark.suite import Suite, hash_values
+from tactile_loc.benchmark.suite import Suite
 from tactile_loc.benchmark.summary import Group, summarise
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.store.files import require_writable
+from tactile_loc.store.keys import hash_shortly
 from tactile_loc.sweeps.finished import FinishedRows
 from tactile_loc.sweeps.sweep import Workers, require_tables
 from tactile_loc.sweeps.workers import BuildJournal, Outcome
@@ -155,7 +156,7 @@ def _list_cells(
 def _make_key(suite: Suite, source: PreparedSource, obj: ObjectModel, method: PreparedMethod) -> str:
     """Return a hash of all inputs of a cell's rows; the other sources and methods of the suite do not matter."""
     sensor = make_sensor(source.table)
-    return hash_values({
+    return hash_shortly({
         "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "suite": suite.describe_protocol(),
         "source": source.described, "method": method.described,
         "libraries": {**source.libraries, **method.libraries},

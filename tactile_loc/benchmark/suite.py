@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
@@ -17,9 +16,7 @@ from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.toml import explain, read_toml
-from tactile_loc.store.keys import write_canonical_json
 
-HASH_DIGITS = 16
 SUITES, SPLITS = "suites", "objects.toml"
 HERE = "data:"  # a path of a mesh or of recordings that begins with this word is in the folder `data` of a suite
 
@@ -185,11 +182,6 @@ def _choose(kind: str, entries: Iterable[Entry], words: Iterable[str]) -> tuple[
             raise UnknownPluginError(f"{error}. Labels in the suite: {', '.join(known)}") from error
         chosen.append(entry)
     return tuple({entry.label: entry for entry in chosen}.values())
-
-
-def hash_values(values: Mapping[str, Any]) -> str:
-    """Return a short hash of JSON values."""
-    return hashlib.sha256(write_canonical_json(values).encode()).hexdigest()[:HASH_DIGITS]
 
 
 def create(kind: str, entry: Entry) -> Any:

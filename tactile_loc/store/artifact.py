@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import zipfile
 import zlib
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store.files import read_json
-from tactile_loc.store.keys import StageKey, hash_file, write_canonical_json
+from tactile_loc.store.keys import StageKey, hash_file, hash_json
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
@@ -148,7 +147,7 @@ def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -
         "files": {name: {"size": record.size, "sha256": record.sha256} for name, record in files.items()},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    path.write_text(json.dumps({**manifest, "sha256": _seal(manifest)}, sort_keys=True, indent=1) + "\n")
+    path.write_text(json.dumps({**manifest, "sha256": hash_json(manifest)}, sort_keys=True, indent=1) + "\n")
 
 
 def read_artifact(folder: Path) -> Artifact:
@@ -158,7 +157,7 @@ def read_artifact(folder: Path) -> Artifact:
     """
     try:
         manifest = read_json(folder / MANIFEST)
-        if manifest.pop("sha256") != _seal(manifest) or manifest["format"] != _FORMAT:
+        if manifest.pop("sha256") != hash_json(manifest) or manifest["format"] != _FORMAT:
             raise DamagedError("its manifest is altered or of another format")
         files = {name: FileRecord(**record) for name, record in manifest["files"].items()}
         key = StageKey(manifest["stage"], manifest["version"], manifest["inputs"], manifest.get("label", ""))
@@ -169,7 +168,3 @@ def read_artifact(folder: Path) -> Artifact:
         raise DamagedError(f"its manifest cannot be read ({error.strerror})") from error
     except (ValueError, TypeError, KeyError, AttributeError, StoreError) as error:
         raise DamagedError("its manifest is not readable JSON") from error
-
-
-def _seal(manifest: Mapping[str, Any]) -> str:
-    return hashlib.sha256(write_canonical_json(manifest).encode()).hexdigest()

@@ -37,6 +37,8 @@ MEANINGS = {  # what a stage makes, for messages
     "calibration": "training of a calibration",
 }
 
+SHORT_DIGITS = 16  # of a hash that names a file or a job
+
 _STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
@@ -61,14 +63,14 @@ class StageKey:
         if not _STAGE_NAME.fullmatch(self.stage):
             raise StoreError(f"{self.stage!r} cannot name a stage; use letters, digits, '-' and '_'")
         inputs = _copy_plain(self.inputs, f"stage {self.stage!r}: the input")
-        text = write_canonical_json({"stage": self.stage, "version": self.version, "inputs": inputs})
         object.__setattr__(self, "inputs", inputs)
-        object.__setattr__(self, "digest", hashlib.sha256(text.encode()).hexdigest())
+        values = {"stage": self.stage, "version": self.version, "inputs": inputs}
+        object.__setattr__(self, "digest", hash_json(values))
 
     @property
     def short(self) -> str:
         """The first 16 digits of the digest: the name of the artifact's folder."""
-        return self.digest[:16]
+        return self.digest[:SHORT_DIGITS]
 
     def __str__(self) -> str:
         return f"{self.stage} {self.short}"
@@ -84,6 +86,16 @@ def write_canonical_json(value: JsonValue) -> str:
     Raises StoreError for NaN, an infinity, a key that is not a string, or a value that JSON cannot represent.
     """
     return json.dumps(_copy_plain(value, "the value"), sort_keys=True, separators=(",", ":"))
+
+
+def hash_json(value: JsonValue) -> str:
+    """Return the SHA-256 (64 hexadecimal digits) of the canonical JSON of a value. Raises StoreError."""
+    return hashlib.sha256(write_canonical_json(value).encode()).hexdigest()
+
+
+def hash_shortly(value: JsonValue) -> str:
+    """Return the first SHORT_DIGITS digits of `hash_json`."""
+    return hash_json(value)[:SHORT_DIGITS]
 
 
 def hash_arrays(**arrays: NDArray[Any]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,12 +21,11 @@ from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConf
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.model import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
-from tactile_loc.store.keys import StageKey, write_canonical_json
+from tactile_loc.store.keys import StageKey, hash_shortly, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
 
 ROW_VERSION = 1  # increase it if the same combination gets other results
-KEY_DIGITS = 16
 STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
@@ -84,12 +82,11 @@ def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
 def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
     """Return a hash of all inputs of a row; `components` is the result of `describe_components`."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
-    text = write_canonical_json({
+    return hash_shortly({
         "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
         "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
         "noise": make_noise(config.touch.noise).describe(),
     })  # fmt: skip
-    return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 
 
 def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any]] | None = None) -> dict[str, Any]:

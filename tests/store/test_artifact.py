@@ -14,7 +14,7 @@ from store_helpers import KEY, Five, contents, flip, folder_of
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
 from tactile_loc.store.artifact import MANIFEST, DamagedError, read_artifact
-from tactile_loc.store.keys import StageKey
+from tactile_loc.store.keys import StageKey, hash_json
 from tactile_loc.store.store import StageStore
 
 
@@ -160,6 +160,6 @@ def test_a_manifest_of_another_format_is_not_read(store: StageStore, format: int
     path = store.build(KEY, Five()).path
     manifest = {**json.loads((path / MANIFEST).read_text()), "format": format}
     del manifest["sha256"]
-    (path / MANIFEST).write_text(json.dumps({**manifest, "sha256": artifact_module._seal(manifest)}))
+    (path / MANIFEST).write_text(json.dumps({**manifest, "sha256": hash_json(manifest)}))
     with pytest.raises(DamagedError, match="format"):
         read_artifact(path)

@@ -9,7 +9,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.keys import MEANINGS, StageKey, hash_arrays, hash_file, write_canonical_json
+from tactile_loc.store.keys import MEANINGS, StageKey, hash_arrays, hash_file, hash_json, hash_shortly, write_canonical_json
 
 
 def test_the_digest_is_that_of_the_canonical_json() -> None:
@@ -17,6 +17,8 @@ def test_the_digest_is_that_of_the_canonical_json() -> None:
     key = StageKey("grid", 3, {"b": {"x": "é"}, "a": (1, 0.1, None, True)})
     assert key.digest == hashlib.sha256(text.encode()).hexdigest()
     assert key.short == key.digest[:16]
+    values = {"stage": "grid", "version": 3, "inputs": key.inputs}
+    assert (hash_json(values), hash_shortly(values)) == (key.digest, key.short)
 
 
 def test_the_order_of_inputs_does_not_matter() -> None:
