@@ -21,7 +21,7 @@ from tactile_loc.core.slots.benchmarking import Image, RecordedSource, Simulated
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.core.slots.sensor import SensorModel
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.robot_touches import RobotTouches, touches_enough
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
@@ -30,7 +30,6 @@ from tactile_loc.store.workspace import Workspace
 
 EXAMPLES_VERSION = 2  # increase it if the same source and seed give other touches
 RENDERER = "raycast"
-LEAST_PERCENT = 0.25  # of the observed pixels are in contact in a rigid gel
 MOST_DRAWS = 60  # most presses for one touch
 REACH_M = 0.3  # the object rests within this distance of the base frame's origin, along each axis
 NUMBERS = ("press_depth_m", "indentation_m", "indentation_std_m")
@@ -195,7 +194,6 @@ class ExampleDrawer:
         """
         geometry, renderer = self.sensor.geometry, registry().create("renderer", RENDERER, {})
         robot = RobotTouches(self.object, geometry, renderer, self.suite.press)
-        least = max(1.0, LEAST_PERCENT / 100 * geometry.observed_mask.sum())
         for _ in range(MOST_DRAWS):
             T = robot.draw_pose(rng)
             press_m = geometry.max_depth_m * rng.uniform(*self.suite.press)
@@ -204,8 +202,7 @@ class ExampleDrawer:
                 continue
             T[2, 3] -= press_m
             scene = Scene(self.object, geometry.press(press_m, geometry.max_depth_m), renderer)
-            reached = scene.render_contact_depths(T[None])[0] < np.float32(press_m)
-            if (reached & geometry.observed_mask).sum() >= least:
+            if touches_enough(scene.render_contact_depths(T[None])[0], press_m, geometry):
                 yield scene, T, own
 
     def _read(self, seen: Image | ContactShape) -> ContactShape:

@@ -24,6 +24,7 @@ from tactile_loc.core.slots.scene import Scene
 
 INSIDE = 0.8  # the object's lowest point lies in this share of the sensing rectangle, about its centre
 MOST_DRAWS = 1000
+LEAST_PERCENT = 0.25  # of the observed pixels are in contact
 NO_NOISE = TouchNoise()
 
 
@@ -40,7 +41,7 @@ class RobotTouches:
     geometry: SensorGeometry
     renderer: Renderer
     press: tuple[float, float] = (0.3, 0.9)
-    least_percent: float = 0.25
+    least_percent: float = LEAST_PERCENT
     noise: TouchNoise = NO_NOISE
     sensor_std_m: float = 0.0
     sensor_std_rad: float = 0.0
@@ -128,8 +129,7 @@ class RobotTouches:
         """
         geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
         clean = Scene(self.object, geometry, self.renderer).render_gel_depths(T[None])
-        contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
-        if contact.sum() < max(1.0, self.least_percent / 100 * geometry.observed_mask.sum()):
+        if not touches_enough(clean[0], press_m, geometry, self.least_percent):
             return None
         depth, measured_m = measure_noisily(self.noise, clean, press_m, geometry, rng)
         try:
@@ -153,6 +153,17 @@ class RobotTouches:
             return T_base_sensor
         error = move_about_gel(self.geometry, self.sensor_std_rad * turn, self.sensor_std_m * shift)
         return np.asarray(T_base_sensor @ error)
+
+
+def touches_enough(
+    depth_m: Float32, press_m: float, geometry: SensorGeometry, least_percent: float = LEAST_PERCENT
+) -> bool:
+    """Return whether at least `least_percent` of the observed pixels of a contact shape (H, W), metres, are in contact.
+
+    `press_m` is the press depth in metres. At least one pixel is in contact.
+    """
+    contact = (depth_m < np.float32(press_m)) & geometry.observed_mask
+    return bool(contact.sum() >= max(1.0, least_percent / 100 * geometry.observed_mask.sum()))
 
 
 def move_about_gel(geometry: SensorGeometry, turn_rad: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Poses:
