@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc.benchmark.examples import ExampleDrawer
 from tactile_loc.benchmark.suite import Entry, Suite, create
 from tactile_loc.core.errors import AnswerError, TactileLocError
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, RecordedSource, ScoredPoses
@@ -121,7 +121,7 @@ class AnswerJudge:
             return True
         ious, true = [], []
         for touch in touches:
-            T_sensor_base = np.linalg.inv(np.asarray(touch.T_base_sensor))
+            T_sensor_base = invert(np.asarray(touch.T_base_sensor))
             seen = np.concatenate([T_sensor_base @ poses[wrong], np.asarray(touch.T_sensor_object)[None]])
             iou = self.scene.match_touch(touch).imprint_ious(seen, touch)
             ious.append(iou[:-1])

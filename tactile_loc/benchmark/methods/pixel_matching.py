@@ -11,7 +11,7 @@ from pydantic import Field
 
 from tactile_loc.benchmark.methods.surface_fit import list_best
 from tactile_loc.benchmark.methods.touched_points import find_sensor_pose
-from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Poses, align_to_z, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.places import CAMERA
 from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
@@ -60,7 +60,7 @@ class PixelMatching(Method):
         most = -(-self.options.candidates // len(touches))
         T = np.concatenate([find_sensor_pose(touch) @ self._match(touch, most) for touch in touches])
         views = [view_touch(touches[0], t, Scene(problem.object, t.geometry, self._renderer)) for t in touches]
-        T_first_object = np.linalg.inv(T_base_first) @ T
+        T_first_object = invert(T_base_first) @ T
         ious = [view.imprint_ious(T_first_object, self.options.image_px) for view in views]
         return list_best(T, np.mean(ious, axis=0), problem.object)
 
