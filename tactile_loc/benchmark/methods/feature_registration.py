@@ -49,6 +49,7 @@ class FeatureRegistration(Method):
     """Registers the touched points by features, several times with different seeds, then refines the poses by ICP."""
 
     capabilities = Capabilities(deterministic=False)
+    libraries: ClassVar[tuple[str, ...]] = ("open3d",)
 
     class Options(FitOptions):
         """The density of the points, and the number of runs."""
@@ -91,7 +92,6 @@ class FpfhRansac(FeatureRegistration):
     """
 
     paper: ClassVar[str] = "Rusu et al., ICRA 2009"
-    libraries: ClassVar[tuple[str, ...]] = ("open3d",)
 
     class Options(FeatureRegistration.Options):
         """The effort of RANSAC."""
@@ -117,7 +117,6 @@ class FastGlobalRegistration(FeatureRegistration):
     """
 
     paper: ClassVar[str] = "Zhou, Park and Koltun, ECCV 2016"
-    libraries: ClassVar[tuple[str, ...]] = ("open3d",)
 
     class Options(FeatureRegistration.Options):
         """The effort of one run."""
