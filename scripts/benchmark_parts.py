@@ -9,8 +9,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import demo_meshes
 import numpy as np
-from demo_meshes import FAR, mesh_of, revolved
+from demo_meshes import FAR, revolved
 from manifold3d import CrossSection, FillRule, Manifold
 
 SIDES = 32  # of round holes and bosses
@@ -88,12 +89,8 @@ PARTS = {draw.__name__: draw for draw in (bracket, connector, cam, clip, housing
 
 
 def write_all(folder: Path) -> list[Path]:
-    """Write every part into `folder` as `NAME.ply` (binary, float32, metres), and return the paths."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{name}.ply" for name in PARTS]
-    for path in paths:
-        mesh_of(PARTS[path.stem]()).export(path, vertex_normal=False)
-    return paths
+    """Write every part into `folder` as `NAME.ply`, and return the paths."""
+    return demo_meshes.write_all(folder, PARTS)
 
 
 if __name__ == "__main__":

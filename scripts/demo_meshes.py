@@ -8,7 +8,7 @@ radians from +x towards +z. The same code and libraries give the same bytes.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -193,12 +193,12 @@ def mesh_of(solid: Manifold) -> trimesh.Trimesh:
     return trimesh.Trimesh(1e-3 * np.asarray(surface.vert_properties)[:, :3], surface.tri_verts, process=False)
 
 
-def write_all(folder: Path) -> list[Path]:
-    """Write every demo object into `folder` as `NAME.ply` (binary, float32, metres), and return the paths."""
+def write_all(folder: Path, builders: Mapping[str, Callable[[], Manifold]] = BUILDERS) -> list[Path]:
+    """Write the solid of each builder into `folder` as `NAME.ply` (binary, float32, metres), and return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{name}.ply" for name in BUILDERS]
+    paths = [folder / f"{name}.ply" for name in builders]
     for path in paths:
-        mesh_of(BUILDERS[path.stem]()).export(path, vertex_normal=False)
+        mesh_of(builders[path.stem]()).export(path, vertex_normal=False)
     return paths
 
 
