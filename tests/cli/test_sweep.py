@@ -138,6 +138,7 @@ def test_units_apply_to_mesh_files(cli, plan, tmp_path):
         (["--object", "pin", "--out", "file"], ("--out",)),
         (["--object", "pin,head", "--symmetry", "none"], ("--symmetry",)),
         (["--object", "pin", "--scheduler", "tcp://h:1", "--workers", "2"], ("--workers",)),
+        (["--object", "pin", "--scheduler", "tcp://h:1", "--threads", "2"], ("--threads",)),
         (["--object", "pin", "--scheduler", "nowhere"], ("tcp://",)),
         (["--compare", "nowhere"], ("nowhere", "sweep.json")),
         (["--object", "pin", "--compare", "nowhere"], ("nowhere", "sweep.json")),

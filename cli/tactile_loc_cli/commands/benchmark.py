@@ -9,10 +9,10 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, make_progress, say, say_table, say_written
 from tactile_loc_cli.failures import UNEXPECTED, Finding
 from tactile_loc_cli.options import declare
+from tactile_loc_cli.workers import Processes, Scheduler, choose_workers
 
 if TYPE_CHECKING:
     from tactile_loc.benchmark.runner import Benchmark
-    from tactile_loc.sweeps.sweep import Workers
 
 DEFAULT_OUT = Path("benchmark")
 
@@ -23,10 +23,6 @@ Methods = Annotated[
 ]
 Data = Annotated[Path | None, declare("--data", "FOLDER", "Folder of recorded touches and further meshes.")]
 Examples = Annotated[int | None, declare("--examples", "N", "Examples of each object. Default: the suite's.", min=1)]
-Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
-Scheduler = Annotated[
-    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
-]
 Out = Annotated[Path, declare("--out", "FOLDER", "Folder of the rows and tables.")]
 
 
@@ -60,7 +56,7 @@ def benchmark(
     if examples is not None:
         chosen = chosen.model_copy(update={"examples": examples})
     stages = StageStore(store)
-    found = run_benchmark(chosen, out, stages.root, _make_workers(workers, scheduler, out), make_progress())
+    found = run_benchmark(chosen, out, stages.root, choose_workers(out, workers, scheduler), make_progress())
     files = write_benchmark(out, found)
     if found.rows:
         say_table(tabulate(found.groups), left=(0, 2))
@@ -69,17 +65,6 @@ def benchmark(
     if found.failed:
         raise Finding(UNEXPECTED, outcome)
     return outcome
-
-
-def _make_workers(count: int | None, scheduler: str | None, out: Path) -> Workers:
-    from tactile_loc.core.errors import ConfigError
-    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
-
-    if scheduler is not None:
-        if count is not None:
-            raise ConfigError("--workers is for local processes; leave it out with --scheduler")
-        return DaskWorkers(scheduler)
-    return LocalWorkers(count or count_cores(), 1, out / "workers.log")
 
 
 def _say_outcome(found: Benchmark, out: Path, files: list[Path]) -> dict[str, Any]:

@@ -13,10 +13,11 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import complain, format_count, make_progress, say, say_table, say_written
 from tactile_loc_cli.failures import UNEXPECTED, Finding
 from tactile_loc_cli.options import declare, set_option
+from tactile_loc_cli.workers import Processes, Scheduler, Threads, choose_workers
 
 if TYPE_CHECKING:
     from tactile_loc.sweeps.plan import Plan
-    from tactile_loc.sweeps.sweep import Sweep, Workers
+    from tactile_loc.sweeps.sweep import Sweep
 
 DEFAULT_OUT = Path("sweep")
 MOST_SHOWN = 40  # lines of a table
@@ -55,13 +56,6 @@ Line = Annotated[
         "LINE",
         "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation-protocol.md).",
     ),
-]
-Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
-Threads = Annotated[
-    int | None, declare("--threads", "N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
-]
-Scheduler = Annotated[
-    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
 ]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="List the combinations and count the stages to build, without running them.")
@@ -122,7 +116,7 @@ def sweep(
         return _list_combinations(wanted, out, place)
     if compare is not None:
         read_sweep(compare)  # raises an error now, not after the sweep
-    found = run_sweep(wanted, out, place, _choose_workers(workers, threads, scheduler, out), make_progress())
+    found = run_sweep(wanted, out, place, choose_workers(out, workers, scheduler, threads), make_progress())
     report = _report(found, out, line)
     if compare is not None:
         report["comparison"] = _compare(compare, out, line)
@@ -169,16 +163,6 @@ def _check_given(given: dict[str, Any], values: dict[str, Any]) -> None:
     slots = [slot for slot in SLOTS if slot in given or slot in written]
     own = {key: values[key] for key in (*given, *slots) if key != "option" and key in values}
     Plan.from_values({**own, "option": {slot: merged[slot] for slot in slots if slot in merged}}, COMMAND_LINE)
-
-
-def _choose_workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
-    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
-
-    if scheduler is None:
-        return LocalWorkers(workers or count_cores(), threads or 1, out / "workers.log")
-    if workers is not None or threads is not None:
-        raise ConfigError("--workers and --threads are for local processes; leave them out with --scheduler")
-    return DaskWorkers(scheduler)
 
 
 def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:

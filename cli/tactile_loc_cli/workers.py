@@ -1,0 +1,35 @@
+"""The options and the choice of the workers of commands that run many jobs: local processes or a Dask cluster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc_cli.options import declare
+
+if TYPE_CHECKING:
+    from tactile_loc.sweeps.sweep import Workers
+
+Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
+Threads = Annotated[
+    int | None, declare("--threads", "N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
+]
+Scheduler = Annotated[
+    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
+]
+
+
+def choose_workers(out: Path, processes: int | None, scheduler: str | None, threads: int | None = None) -> Workers:
+    """Return the workers of a scheduler, or local ones whose log is in the folder `out`.
+
+    Raises ConfigError if local processes or threads are given with a scheduler.
+    """
+    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
+
+    if scheduler is None:
+        return LocalWorkers(processes or count_cores(), threads or 1, out / "workers.log")
+    for flag, value in (("--workers", processes), ("--threads", threads)):
+        if value is not None:
+            raise ConfigError(f"{flag} is for local processes; leave it out with --scheduler")
+    return DaskWorkers(scheduler)
