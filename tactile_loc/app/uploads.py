@@ -24,10 +24,19 @@ def write_upload(folder: Path, name: str, content: bytes) -> Path:
     Raises UploadError if the file is too large or has no name, and OutputError if it cannot be written.
     """
     require_size(name, content)
-    plain = PurePath(name.replace("\\", "/")).name
+    plain = _find_plain_name(name)
     if not plain or plain == "..":
         raise UploadError(f"a file cannot be called {name!r}; give it another name")
-    return write_atomically(folder / plain, lambda temporary: temporary.write_bytes(content))
+    return _write(folder / plain, content)
+
+
+def _find_plain_name(name: str) -> str:
+    """Return the last part of a name, with the separators of any system."""
+    return PurePath(name.replace("\\", "/")).name
+
+
+def _write(path: Path, content: bytes) -> Path:
+    return write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
 
 def require_size(name: str, content: bytes) -> None:
@@ -51,7 +60,7 @@ def list_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes
     """
     require_size(name, content)
     if not is_archive(name):
-        yield PurePosixPath(PurePath(name.replace("\\", "/")).name), content
+        yield PurePosixPath(_find_plain_name(name)), content
         return
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -93,7 +102,3 @@ def unpack_upload(folder: Path, name: str, content: bytes) -> list[Path]:
     Raises UploadError as `list_files`, and OutputError if a file cannot be written.
     """
     return [_write(folder / path, data) for path, data in list_files(name, content)]
-
-
-def _write(path: Path, content: bytes) -> Path:
-    return write_atomically(path, lambda temporary: temporary.write_bytes(content))
