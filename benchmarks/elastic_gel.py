@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.benchmark.sources.elastic import FAR_M
+from tactile_loc.benchmark.sources.elastic import FAR_M, make_shape
 from tactile_loc.benchmark.sources.layer import press_layer
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
@@ -47,10 +47,10 @@ RIGHT_MM = 0.5
 Columns = tuple[list[float], list[float], list[float], list[float], list[float]]
 
 
-def deform(depth_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry, gel: Gel) -> NDArray[np.float32]:
-    """Return the contact depths (H, W), metres, that ContactMechanics computes for an object in a rigid gel (H, W)."""
+def deform(depth_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry, gel: Gel) -> ContactShape:
+    """Return the contact shape that ContactMechanics computes, given the depths (H, W), metres, in a rigid gel."""
     reach_m = np.where(depth_m < press_m, press_m - depth_m, -FAR_M)
-    return np.clip(press_m - press_layer(reach_m, geometry, gel), 0, press_m).astype(np.float32)
+    return make_shape(press_layer(reach_m, geometry, gel), press_m)
 
 
 def press_elastic(touch: Touch, source: RobotTouches, gel: Gel) -> Touch:
@@ -60,7 +60,7 @@ def press_elastic(touch: Touch, source: RobotTouches, gel: Gel) -> Touch:
     rigid = Scene(source.object, geometry, source.renderer).render_contact_depths(touch.T_sensor_object[None])  # type: ignore[index]
     shown = deform(rigid[0], press_m, geometry, gel)
     elastic = dataclasses.replace(source.geometry, gel=gel)
-    return dataclasses.replace(touch, contact_shape=ContactShape(shown, press_m), geometry=elastic)
+    return dataclasses.replace(touch, contact_shape=shown, geometry=elastic)
 
 
 def measure(localizer: Localizer, examples: list[list[Touch]]) -> Columns:
