@@ -12,6 +12,15 @@ import pytest
 
 from tactile_loc.core.slots.registry import ComponentSpec, hookimpl, registry
 
+MOVING = """\
+import numpy as np
+from tactile_loc.plugin import Method, ScoredPoses
+
+class Moving(Method):
+    def locate(self, problem, touches):
+        return ScoredPoses(np.eye(4)[None], np.array([1.0]))
+"""
+
 
 @hookimpl
 def tactile_loc_components() -> list[ComponentSpec]:
@@ -22,6 +31,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
         *(ComponentSpec("touch-source", name, f"bench_parts:{kind}", "made up") for name, kind in sources.items()),
         *(ComponentSpec("method", name, f"bench_parts:{kind}", "made up") for name, kind in methods.items()),
         ComponentSpec("touch-source", "library-source", "bench_missing:Source", "made up", "touch-maker"),
+        ComponentSpec("method", "moving", "bench_moving:Moving", "made up"),
         ComponentSpec("method", "library-method", "bench_missing:Method", "made up", "touch-finder"),
     ]
 
@@ -33,6 +43,7 @@ def install(site: Path) -> Path:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-fakes\nVersion: 1.5\n")
     (info / "entry_points.txt").write_text("[tactile_loc]\nbench-fakes = bench_fakes\n")
     (site / "bench_missing.py").write_text("import nowhere_to_be_found\n")
+    (site / "bench_moving.py").write_text(MOVING)
     return site
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.benchmark.suite import Entry, Suite, create
+from tactile_loc.benchmark.suite import Entry, Suite, create, hash_component_code
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -130,7 +130,7 @@ class ExampleDrawer:
             "source": self.source.describe(), "libraries": describe_libraries(self.source.libraries),
             "sensor": {**self.sensor.describe(), "geometry": geometry}, "object": self.object.describe(),
             "examples": self.suite.examples, "most": max(self.suite.touches), "seed": self.suite.seed,
-            "press": list(self.suite.press),
+            "press": list(self.suite.press), "code": hash_component_code("touch-source", self.entry),
         }  # fmt: skip
         return StageKey("benchmark-touches", EXAMPLES_VERSION, inputs, f"{self.entry.label}, {self.object.name}")
 

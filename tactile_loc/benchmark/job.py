@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.examples import ExampleDrawer
-from tactile_loc.benchmark.suite import Entry, Suite, create
-from tactile_loc.core.errors import AnswerError, TactileLocError
+from tactile_loc.benchmark.suite import OWN, Entry, Suite, create, hash_component_code
+from tactile_loc.core.errors import AnswerError, ConfigError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import Touch
@@ -26,18 +26,24 @@ from tactile_loc.evaluation.protocol import sample_surface
 from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M, measure_pose_errors
 from tactile_loc.evaluation.recall.summary import measure_diameter
 from tactile_loc.locate.results.freedom import explain_as_well
+from tactile_loc.store.keys import hash_code
 from tactile_loc.store.store import StageStore
 
 LISTED = 10  # most poses of an answer that are measured
 COVERED = 0.95  # probability of the poses that should include the true pose
 RENDERER = "heightmap"  # draws the poses that are compared with the true pose
 
+LOCATING = ("core", "imaging", "io", "calibration", "plugins", "locate", "evaluation")  # packages that decide rows
+
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class LocatingJob:
-    """One method on one object and one source. `table` is the table of the source's prepared sensor."""
+    """One method on one object and one source.
+
+    `table` is the table of the source's prepared sensor, and `code` is the result of `describe_code`.
+    """
 
     key: str
     store: Path
@@ -45,9 +51,18 @@ class LocatingJob:
     source: Entry
     method: Entry
     table: Mapping[str, Any]
+    code: Mapping[str, str]
 
     def measure(self, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
-        """Return a row for each example and number of touches, and the seconds of preparation."""
+        """Return a row for each example and number of touches, and the seconds of preparation.
+
+        Raises ConfigError if this process has other code than the one that made the job.
+        """
+        if describe_code(self.source, self.method) != self.code:
+            raise ConfigError(
+                "the worker's tactile-loc or plugins differ from those of the process that started the benchmark; "
+                "install the same versions there, and start the benchmark again"
+            )
         drawer = ExampleDrawer(self.suite, self.source, self.table, obj)
         examples = drawer.load(store)
         problem = LocatingProblem(obj, self.table, drawer.sensor.geometry, store.root)
@@ -67,6 +82,14 @@ class LocatingJob:
     def _list_counts(self, drawer: ExampleDrawer) -> list[int]:
         """Return the numbers of touches; recorded touches are located alone."""
         return [1] if isinstance(drawer.source, RecordedSource) else sorted(set(self.suite.touches))
+
+
+def describe_code(source: Entry, method: Entry) -> dict[str, str]:
+    """Return hashes of the code that decides the rows of a source and a method. Raises TactileLocError."""
+    return {
+        "touch-source": hash_component_code("touch-source", source), "method": hash_component_code("method", method),
+        **{name: hash_code(f"{OWN}.{name}") for name in LOCATING},
+    }  # fmt: skip
 
 
 def _locate(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.benchmark.examples import describe_libraries, make_sensor
-from tactile_loc.benchmark.suite import HERE, Entry, Suite, create, find_in_data
+from tactile_loc.benchmark.suite import HERE, Entry, Suite, create, find_in_data, hash_component_code
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.slots.benchmarking import Method, RecordedSource, TouchSource
@@ -98,7 +98,7 @@ def prepare_source(
             entry = _find_recordings(entry, data)
             source: TouchSource = create("touch-source", entry)
             own = source.find_objects() if isinstance(source, RecordedSource) else objects
-            table = _prepare_sensor(source, store)
+            table = _prepare_sensor(source, entry, store)
             make_sensor(table)
     except TactileLocError as error:
         return PreparedSource(entry, problem=str(error))
@@ -132,12 +132,13 @@ def _find_version(kind: str, entry: Entry) -> dict[str, str]:
     return describe_libraries([registry().find(kind, entry.name).distribution])
 
 
-def _prepare_sensor(source: TouchSource, store: Path) -> dict[str, Any]:
+def _prepare_sensor(source: TouchSource, entry: Entry, store: Path) -> dict[str, Any]:
     """Return the sensor's table, from the store or prepared now. Its files are complete when its table is written."""
-    libraries = describe_libraries(source.libraries)
-    folder = (
-        store / SENSORS / hash_shortly({"version": SENSOR_VERSION, "source": source.describe(), "libraries": libraries})
-    )
+    key = hash_shortly({
+        "version": SENSOR_VERSION, "source": source.describe(), "libraries": describe_libraries(source.libraries),
+        "code": hash_component_code("touch-source", entry),
+    })  # fmt: skip
+    folder = store / SENSORS / key
     with lock_folder(folder):
         try:
             return dict(read_json(folder / "sensor.json"))

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from tactile_loc.benchmark.examples import make_sensor
-from tactile_loc.benchmark.job import LocatingJob, Row
+from tactile_loc.benchmark.job import LocatingJob, Row, describe_code
 from tactile_loc.benchmark.prepare import (
     PreparedMethod,
     PreparedSource,
@@ -148,18 +148,21 @@ def _list_cells(
         for name, obj in source.objects.items():
             for method in methods:
                 if not method.problem:
-                    key = _make_key(suite, source, obj, method)
-                    job = LocatingJob(key, store, suite, source.entry, method.entry, source.table)
+                    code = describe_code(source.entry, method.entry)
+                    key = _make_key(suite, source, obj, method, code)
+                    job = LocatingJob(key, store, suite, source.entry, method.entry, source.table, code)
                     yield Cell(source, name, method, job)
 
 
-def _make_key(suite: Suite, source: PreparedSource, obj: ObjectModel, method: PreparedMethod) -> str:
+def _make_key(
+    suite: Suite, source: PreparedSource, obj: ObjectModel, method: PreparedMethod, code: Mapping[str, str]
+) -> str:
     """Return a hash of all inputs of a cell's rows; the other sources and methods of the suite do not matter."""
     sensor = make_sensor(source.table)
     return hash_shortly({
         "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "suite": suite.describe_protocol(),
         "source": source.described, "method": method.described,
-        "libraries": {**source.libraries, **method.libraries},
+        "libraries": {**source.libraries, **method.libraries}, "code": code,
         "sensor": {**sensor.describe(), "geometry": sensor.geometry.describe()},
         "object": {"name": obj.name, **obj.describe()},
     })  # fmt: skip

@@ -16,8 +16,10 @@ from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.toml import explain, read_toml
+from tactile_loc.store.keys import hash_code
 
 SUITES, SPLITS = "suites", "objects.toml"
+OWN = __name__.partition(".")[0]
 HERE = "data:"  # a path of a mesh or of recordings that begins with this word is in the folder `data` of a suite
 
 
@@ -182,6 +184,16 @@ def _choose(kind: str, entries: Iterable[Entry], words: Iterable[str]) -> tuple[
             raise UnknownPluginError(f"{error}. Labels in the suite: {', '.join(known)}") from error
         chosen.append(entry)
     return tuple({entry.label: entry for entry in chosen}.values())
+
+
+def hash_component_code(kind: str, entry: Entry) -> str:
+    """Return a hash of the code of an entry's component: of the package that its plugin installs.
+
+    For a component of tactile-loc, it is the package that contains the component's module. Raises TactileLocError.
+    """
+    module = registry().find(kind, entry.name).spec.target.partition(":")[0]
+    package = module.partition(".")[0]
+    return hash_code(module.rpartition(".")[0] if package == OWN else package)
 
 
 def create(kind: str, entry: Entry) -> Any:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from message_helpers import missing, naming
 
+from tactile_loc.benchmark import job, suite
 from tactile_loc.benchmark.prepare import load_objects, prepare_source
+from tactile_loc.benchmark.runner import run_benchmark
 from tactile_loc.core.errors import ConfigError, OutputError
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.store.keys import hash_code
+from tactile_loc.sweeps.workers import evaluate_job
 
 
 def drop_times(rows):
@@ -73,6 +82,47 @@ def test_a_label_does_not_make_a_new_job(run_small, tmp_path):
     renamed = run_small(tmp_path, method=[{"name": "guess", "label": "nobody"}])
     assert renamed.done == 0
     assert {row["method"] for row in renamed.rows} == {"nobody"}
+
+
+def start_anew() -> None:
+    """Forget the imported code, as a new process does."""
+    sys.modules.pop("bench_moving", None)
+    hash_code.cache_clear()
+    registry.cache_clear()
+
+
+def test_changed_code_of_a_method_makes_a_new_job(run_small, tmp_path):
+    import bench_moving
+
+    path = Path(bench_moving.__file__)
+    first = run_small(tmp_path, method=["moving", "guess"])
+    path.write_text(path.read_text().replace("np.eye(4)[None]", "np.diag([-1.0, -1.0, 1.0, 1.0])[None]"))
+    importlib.invalidate_caches()
+    start_anew()
+    again = run_small(tmp_path, method=["moving", "guess"])
+    assert again.done == 1
+    one, other = ([row for row in found.rows if row["method"] == "moving"] for found in (first, again))
+    assert one[0]["T_base_object"] != other[0]["T_base_object"]
+    assert run_small(tmp_path, method=["moving", "guess"]).done == 0
+
+
+@pytest.mark.parametrize("package", ["tactile_loc.locate", "bench_parts"])
+def test_changed_code_of_the_source_or_of_tactile_loc_makes_new_jobs(run_small, tmp_path, monkeypatch, package):
+    run_small(tmp_path, method=["guess"])
+    for module in (job, suite):
+        monkeypatch.setattr(module, "hash_code", lambda name: "changed" if name == package else hash_code(name))
+    assert run_small(tmp_path, method=["guess"]).done == 1
+
+
+def test_a_worker_with_other_code_does_no_job(make_suite, bench_store, tmp_path):
+    class Elsewhere:
+        def run_jobs(self, jobs, objects):
+            other = {**jobs[0].code, "method": "older"}
+            yield evaluate_job(replace(jobs[0], code=other), objects[jobs[0].key])
+
+    found = run_benchmark(make_suite(method=["guess"]), tmp_path, bench_store, Elsewhere())
+    assert not missing(found.failed[0].error, "worker", "install the same versions")
+    assert found.rows == []
 
 
 def test_a_failed_job_states_its_error_and_is_tried_again(run_small, tmp_path):
