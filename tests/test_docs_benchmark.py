@@ -8,8 +8,10 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import leaderboard
+import numpy as np
 import pandas as pd
 import pytest
 from bench_fakes import offer_fakes
@@ -21,7 +23,11 @@ from typer.testing import CliRunner
 
 from tactile_loc.benchmark.leaderboard import Standing, read_standings
 from tactile_loc.benchmark.suite import Suite
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.plugin import LocatingProblem, invert, make_contact_cloud, transform_points
+from tactile_loc.testing.problems import ReferenceRenderer
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "benchmark.md").read_text()
@@ -122,6 +128,23 @@ def lowest_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pa
         (tmp_path / "flat.toml").write_text(SENSOR)
         monkeypatch.chdir(tmp_path)
         yield tmp_path
+
+
+def test_the_method_of_the_page_puts_the_object_s_lowest_point_where_the_touch_is_deepest(make_box):
+    found: dict[str, Any] = {}
+    exec(find_file("lowest_point.py"), found)
+    box, geometry = make_box(0.020, 0.012, 0.008), SensorGeometry("orthographic", 64, 48, 3e3, 3e3, 32, 24, 0.01, 2e-3)
+    (touch,), _ = RobotTouches(box, geometry, ReferenceRenderer()).draw_example(1, np.random.default_rng(0))
+    answer = found["LowestPoint"]().locate(LocatingProblem(box, {}, geometry, Path()), [touch])
+    T_sensor_object = invert(np.asarray(touch.T_base_sensor)) @ answer.T_base_object
+    for pose in T_sensor_object:
+        lowest_m = transform_points(pose, box.mesh.vertices_m)[:, 2].min()
+        assert lowest_m == pytest.approx(touch.geometry.standoff_m, abs=geometry.pixel_pitch_m)
+    assert touch.indentation_m > 2 * geometry.pixel_pitch_m
+    points_m, _ = make_contact_cloud(touch.touching_shape, touch.geometry, walls=False)
+    contact = touch.touching_shape.contact & geometry.observed_mask
+    by_hand = geometry.standoff_m - touch.indentation_m + touch.touching_shape.depth_m[contact]
+    np.testing.assert_allclose(points_m[:, 2], by_hand, atol=1e-8)
 
 
 @pytest.mark.slow

@@ -89,6 +89,17 @@ def test_a_method_of_a_plugin_is_added_and_a_failure_has_exit_code_1(cli, tmp_pa
     assert "failed: guess on brick (sketch): ValueError: nothing works" in told.stdout
 
 
+def test_the_labels_of_a_suite_are_listed_without_running_it(cli, tmp_path):
+    shown = cli("benchmark", "--suite", "tiny.toml", "--list")
+    assert shown.exit_code == 0, shown.stderr
+    assert [line.split() for line in shown.stdout.splitlines()[1:]] == [
+        ["source", "sketch", "sketch"], ["source", "photos", "library-source"], ["method", "guess", "guess"],
+    ]  # fmt: skip
+    report = json.loads(cli("benchmark", "--suite", "tiny.toml", "--list", "--source", "sketch", "--json").stdout)
+    assert report["sources"] == [{"label": "sketch", "name": "sketch"}]
+    assert not (tmp_path / "benchmark").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "mentioned"),
     [

@@ -13,16 +13,20 @@ from tactile_loc_cli.workers import Processes, Scheduler, choose_workers
 
 if TYPE_CHECKING:
     from tactile_loc.benchmark.runner import Benchmark
+    from tactile_loc.benchmark.suite import Suite
 
 DEFAULT_OUT = Path("benchmark")
 
 SuiteName = Annotated[str, declare("--suite", "NAME|FILE.toml", "The suite: quick, standard, full, or a file.")]
-Sources = Annotated[list[str] | None, declare("--source", "LABEL,...", "Only these sources of touches.")]
+Sources = Annotated[
+    list[str] | None, declare("--source", "LABEL,...", "Only these sources of touches; --list shows the labels.")
+]
 Methods = Annotated[
     list[str] | None, declare("--method", "LABEL,...", "Only these methods; also the name of a method of a plugin.")
 ]
 Data = Annotated[Path | None, declare("--data", "FOLDER", "Folder of recorded touches and further meshes.")]
 Examples = Annotated[int | None, declare("--examples", "N", "Examples of each object. Default: the suite's.", min=1)]
+List = Annotated[bool, declare("--list", None, "Only list the sources and methods of the suite, with their labels.")]
 Out = Annotated[Path, declare("--out", "FOLDER", "Folder of the rows and tables.")]
 
 
@@ -34,6 +38,7 @@ def benchmark(
     examples: Examples = None,
     workers: Processes = None,
     scheduler: Scheduler = None,
+    list_labels: List = False,
     out: Out = DEFAULT_OUT,
     store: options.Store = None,
 ) -> dict[str, Any]:
@@ -55,6 +60,8 @@ def benchmark(
     chosen = chosen.select(source and split_all(source), method and split_all(method))
     if examples is not None:
         chosen = chosen.model_copy(update={"examples": examples})
+    if list_labels:
+        return _list_labels(chosen)
     stages = StageStore(store)
     found = run_benchmark(chosen, out, stages.root, choose_workers(out, workers, scheduler), make_progress())
     files = write_benchmark(out, found)
@@ -65,6 +72,14 @@ def benchmark(
     if found.failed:
         raise Finding(UNEXPECTED, outcome)
     return outcome
+
+
+def _list_labels(suite: Suite) -> dict[str, Any]:
+    entries = {"source": suite.source, "method": suite.method}
+    rows = [[kind, one.label, one.name] for kind, some in entries.items() for one in some]
+    say_table([["kind", "label", "name"], *rows], left=3)
+    listed = {f"{kind}s": [{"label": one.label, "name": one.name} for one in some] for kind, some in entries.items()}
+    return {"suite": suite.name, **listed}
 
 
 def _say_outcome(found: Benchmark, out: Path, files: list[Path]) -> dict[str, Any]:
