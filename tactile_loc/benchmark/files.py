@@ -1,4 +1,4 @@
-"""The files of a benchmark: benchmark.json and .md, leaderboard.json, rows.parquet, and the files of BOP."""
+"""The files of a benchmark: benchmark.json and .md, leaderboard.json, rows.parquet, pictures, and the files of BOP."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.benchmark.bop_scenes import make_scenes
+from tactile_loc.benchmark.job import Row
 from tactile_loc.benchmark.leaderboard import record_leaderboard
-from tactile_loc.benchmark.runner import Benchmark
+from tactile_loc.benchmark.results import Results, UsedMethod, UsedSource
+from tactile_loc.benchmark.suite import Suite
 from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
+from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation.recall.bop import write_bop
 from tactile_loc.evaluation.recall.tables import format_share
 from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts
+from tactile_loc.io.streams.records import read_document
+from tactile_loc.reports.page import name_damage
 from tactile_loc.sweeps.results import write_parquet
+from tactile_loc.sweeps.sweep import require_tables
 
 HEAD = (
     "source", "touches", "method", "within 0.5 mm", "1 mm (95 % interval)", "2 mm", "5 mm", "any listed, 1 mm",
@@ -27,76 +33,124 @@ TABLE_NOTE = (
     "examples in which no method lists a wrong pose that explains the touches as well as the true pose. AUC: mean "
     "share within 0.1, 0.2, ... 5 mm. MSSD: average recall of BOP. Certain: examples that the method calls certain."
 )
+NAME, ROWS = "benchmark", "rows.parquet"
 POSES = ("T_base_object", "true_T_base_object", "scores")  # values of a row that are not in the table of rows
 
 
-def write_benchmark(out: Path, found: Benchmark) -> list[Path]:
-    """Write all results into the folder `out`, and return their paths. Raises OutputError."""
-    written = write_texts(out, "benchmark", json=format_json(record_benchmark(found)), md=format_summary(found))
-    if found.rows:
-        written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(found)))
-        written.append(write_parquet(out / "rows.parquet", make_table(found)))
-        ids, *_ = write_bop(out, make_scenes(found.rows), "benchmark")
+def write_benchmark(out: Path, results: Results, pictures: Sequence[Mapping[str, Any]] = ()) -> list[Path]:
+    """Write all results into the folder `out`, and return the paths. Raises OutputError.
+
+    `pictures` shows a touch of each source: see `page.show_sources`.
+    """
+    document = {**record_benchmark(results), "pictures": list(pictures)}
+    written = write_texts(out, NAME, json=format_json(document), md=format_summary(results))
+    if results.rows:
+        written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(results)))
+        written.append(write_parquet(out / ROWS, make_table(results)))
+        ids, *_ = write_bop(out, make_scenes(results.rows), "benchmark")
         written.append(ids.parent)
     return written
 
 
-def record_benchmark(found: Benchmark) -> dict[str, Any]:
+def record_benchmark(results: Results) -> dict[str, Any]:
     """Return the leaderboard's document with the suite's objects, its components, and the failures, as JSON values."""
     return {
-        **record_leaderboard(found),
-        "plan": found.suite.model_dump(mode="json"),
-        "left_out": found.left_out,
-        "failed": [{**cell.names, "error": cell.error} for cell in found.failed],
+        **record_leaderboard(results),
+        "plan": results.suite.model_dump(mode="json"),
+        "left_out": results.left_out,
+        "failed": list(results.failed),
     }
 
 
-def make_table(found: Benchmark) -> Any:
+def find_benchmark(path: Path) -> Path | None:
+    """Return the JSON file of the benchmark in a folder, or that a file belongs to; None if there is no such file."""
+    document = path / f"{NAME}.json" if path.is_dir() else path.with_suffix(".json")
+    return document if document.name == f"{NAME}.json" and document.is_file() else None
+
+
+def read_benchmark(path: Path) -> tuple[Results, list[Mapping[str, Any]]]:
+    """Return the results and the pictures in the file benchmark.json; the rows are beside it, without poses.
+
+    Raises ResultError if a file is missing or damaged, or if there are no rows, and MissingLibraryError without pandas.
+    """
+    document = read_document(path)
+    with name_damage(path):
+        suite, left_out = Suite.model_validate(document["plan"]), document["left_out"]
+        sources = [
+            UsedSource(one.label, **document["sources"].get(one.label, {"name": one.name}),
+                       problem=left_out.get(one.label, ""))
+            for one in suite.source
+        ]  # fmt: skip
+        methods = [
+            UsedMethod(one.label, **document["methods"].get(one.label, {"name": one.name}),
+                       problem=left_out.get(one.label, ""))
+            for one in suite.method
+        ]  # fmt: skip
+        rows, about = _read_rows(path.with_name(ROWS)), (document["versions"], document["created"])
+        return Results(suite, sources, methods, rows, document["failed"], *about), document["pictures"]
+
+
+def make_table(results: Results) -> Any:
     """Return all rows as a pandas table, without the listed poses."""
     import pandas as pd
 
-    return pd.DataFrame([{key: value for key, value in row.items() if key not in POSES} for row in found.rows])
+    return pd.DataFrame([{key: value for key, value in row.items() if key not in POSES} for row in results.rows])
 
 
-def describe_suite(found: Benchmark) -> str:
+def _read_rows(path: Path) -> list[Row]:
+    """Return the rows of `make_table`. Values that a row lacks are left out."""
+    require_tables("a benchmark", "benchmark")
+    import pandas as pd
+
+    if not path.is_file():
+        raise ResultError(f"there is no file {path}: no job of the benchmark has succeeded, or the file was moved")
+    try:
+        table = pd.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path} cannot be read ({error}); run the benchmark again") from error
+    return [{key: value for key, value in row.items() if pd.notna(value)} for row in table.to_dict("records")]
+
+
+def describe_suite(results: Results) -> str:
     """Return a sentence about the suite."""
-    suite = found.suite
+    suite = results.suite
     summary = f"{suite.summary}. " if suite.summary else ""
     return f"{summary}{suite.examples} examples of each object, seed {suite.seed}."
 
 
-def format_summary(found: Benchmark) -> str:
+def format_summary(results: Results) -> str:
     """Return the tables as Markdown."""
-    parts = [f"# Benchmark: {found.suite.name}\n", f"{describe_suite(found)} {TABLE_NOTE}\n"]
-    if found.rows:
-        parts.append(format_markdown(tabulate(found.groups)))
-    parts += ["## Sources\n", format_markdown(tabulate_sources(found))]
-    parts += ["## Methods\n", format_markdown(tabulate_methods(found))]
-    if found.failed:
-        parts += ["## Failures\n", format_markdown(tabulate_failures(found))]
+    parts = [f"# Benchmark: {results.suite.name}\n", f"{describe_suite(results)} {TABLE_NOTE}\n"]
+    if results.rows:
+        parts.append(format_markdown(tabulate(results.groups)))
+    parts += ["## Sources\n", format_markdown(tabulate_sources(results))]
+    parts += ["## Methods\n", format_markdown(tabulate_methods(results))]
+    if results.failed:
+        parts += ["## Failures\n", format_markdown(tabulate_failures(results))]
     return "\n".join(parts)
 
 
-def tabulate_sources(found: Benchmark) -> Table:
+def tabulate_sources(results: Results) -> Table:
     """Return a row for each source: its licence, versions and number of objects, or why it was left out."""
     rows = [["source", "licence", "versions", "objects", "left out"]]
-    for one in found.sources:
+    for one in results.sources:
         objects = str(len(one.objects) or "-")
-        rows.append([one.entry.label, one.licence or "-", _join_versions(one.libraries), objects, one.problem])
+        rows.append([one.label, one.licence or "-", _join_versions(one.libraries), objects, one.problem])
     return rows
 
 
-def tabulate_methods(found: Benchmark) -> Table:
+def tabulate_methods(results: Results) -> Table:
     """Return a row for each method: the paper that it follows and its versions, or why it was left out."""
     rows = [["method", "follows", "versions", "left out"]]
-    for one in found.methods:
-        rows.append([one.entry.label, one.paper or "-", _join_versions(one.libraries), one.problem])
+    for one in results.methods:
+        rows.append([one.label, one.paper or "-", _join_versions(one.libraries), one.problem])
     return rows
 
 
-def tabulate_failures(found: Benchmark) -> Table:
+def tabulate_failures(results: Results) -> Table:
     """Return a row for each job that ended with an error."""
-    return [["source", "object", "method", "error"], *([*cell.names.values(), cell.error] for cell in found.failed)]
+    header = ["source", "object", "method", "error"]
+    return [header, *([failed[name] for name in header] for failed in results.failed)]
 
 
 def _join_versions(libraries: Mapping[str, str]) -> str:

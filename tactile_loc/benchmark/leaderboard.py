@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.benchmark.runner import Benchmark
+from tactile_loc.benchmark.results import Results, describe_used
 from tactile_loc.benchmark.summary import Group
 from tactile_loc.core.errors import ResultError
-from tactile_loc.io.streams.records import read_document, read_versions
+from tactile_loc.io.streams.records import read_document
 
 SCHEMA_VERSION = 1
 
@@ -37,29 +36,17 @@ class Standing:
     group: Group
 
 
-def record_leaderboard(found: Benchmark) -> dict[str, Any]:
+def record_leaderboard(results: Results) -> dict[str, Any]:
     """Return the suite, the sources and methods with their versions, and the groups, as JSON values."""
     return {
         "schema_version": SCHEMA_VERSION,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": read_versions(),
-        "suite": {"name": found.suite.name, "summary": found.suite.summary, **found.suite.describe_protocol()},
-        "sources": {
-            one.entry.label: {
-                "protocol": one.hash_protocol(found.suite), "name": one.entry.name, "licence": one.licence,
-                "libraries": dict(one.libraries), "objects": list(one.objects), "recorded": one.recorded,
-            }
-            for one in found.sources if not one.problem
-        },
-        "methods": {
-            one.entry.label: {
-                "name": one.entry.name, "options": one.entry.options, "paper": one.paper,
-                "libraries": dict(one.libraries),
-            }
-            for one in found.methods if not one.problem
-        },
-        "groups": [group.describe() for group in found.groups],
-    }  # fmt: skip
+        "created": results.created,
+        "versions": dict(results.versions),
+        "suite": {"name": results.suite.name, "summary": results.suite.summary, **results.suite.describe_protocol()},
+        "sources": describe_used(results.sources),
+        "methods": describe_used(results.methods),
+        "groups": [group.describe() for group in results.groups],
+    }
 
 
 def read_standings(path: Path) -> Iterator[Standing]:

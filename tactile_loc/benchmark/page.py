@@ -18,11 +18,11 @@ from tactile_loc.benchmark.files import (
     tabulate_sources,
 )
 from tactile_loc.benchmark.prepare import PreparedSource
+from tactile_loc.benchmark.results import Results
 from tactile_loc.benchmark.runner import Benchmark
 from tactile_loc.benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_outcomes
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.recall.summary import Outcomes, bin_probabilities
-from tactile_loc.io.streams.records import read_versions
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_photo
@@ -32,38 +32,38 @@ BEYOND_MM = 1e6  # stands for the error of an example without a pose
 DIGITS = 4
 
 
-def make_benchmark_page(found: Benchmark, store: StageStore) -> Page:
-    """Return the page of a benchmark with rows; the example touches come from the store."""
-    groups, determined = found.groups, find_determined(found.rows)
-    outcomes = [make_outcomes(rows, determined) for rows in group_rows(found.rows).values()]
+def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]]) -> Page:
+    """Return the page of a benchmark with rows. `pictures` is the result of `show_sources`."""
+    groups, determined = results.groups, find_determined(results.rows)
+    outcomes = [make_outcomes(rows, determined) for rows in group_rows(results.rows).values()]
     sections = [
-        Section("summary", "", {"numbers": list(_list_numbers(found)), **_list_choices(groups)}),
+        Section("summary", "", {"numbers": list(_list_numbers(results)), **_list_choices(groups)}),
         Section("success", "Success"),
         Section("curves", "Recall"),
         Section("reliability", "Reliability of the probabilities"),
         Section("times", "Time"),
         Section("table_section", "All results", {"rows": tabulate(groups), "note": TABLE_NOTE}),
-        Section("sources", "Sources", {"rows": tabulate_sources(found), "examples": list(_show_sources(found, store))}),
-        Section("methods", "Methods", {"rows": tabulate_methods(found)}),
-        *([Section("failures", "Failures", {"rows": tabulate_failures(found)})] if found.failed else []),
-        Section("made", "Settings", {"suite": _format_suite(found), "versions": list(read_versions().items())}),
+        Section("sources", "Sources", {"rows": tabulate_sources(results), "examples": pictures}),
+        Section("methods", "Methods", {"rows": tabulate_methods(results)}),
+        *([Section("failures", "Failures", {"rows": tabulate_failures(results)})] if results.failed else []),
+        Section("made", "Settings", {"suite": _format_suite(results), "versions": list(results.versions.items())}),
     ]
     data = {
         "groups": [_collect_group(group, of) for group, of in zip(groups, outcomes, strict=True)],
         "methods": list(dict.fromkeys(group.method for group in groups)), "within_mm": [1e3 * m for m in WITHIN_M],
     }  # fmt: skip
-    title = f"Benchmark: {found.suite.name}"
-    return Page("benchmark", title, describe_suite(found), sections, data, ["errors.js", "benchmark.js"])
+    title = f"Benchmark: {results.suite.name}"
+    return Page("benchmark", title, describe_suite(results), sections, data, ["errors.js", "benchmark.js"])
 
 
-def _list_numbers(found: Benchmark) -> Iterator[tuple[str, str, str]]:
-    used = [source for source in found.sources if not source.problem]
+def _list_numbers(results: Results) -> Iterator[tuple[str, str, str]]:
+    used = [source for source in results.sources if not source.problem]
     objects = {name for source in used for name in source.objects}
-    yield "sources", str(len(used)), f"{len(found.sources) - len(used)} left out"
-    methods = [method for method in found.methods if not method.problem]
-    yield "methods", str(len(methods)), f"{len(found.methods) - len(methods)} left out"
-    yield "objects", str(len(objects)), f"{found.suite.examples} examples of each, with each source"
-    yield "jobs", str(len(found.cells)), f"{len(found.failed)} failed"
+    yield "sources", str(len(used)), f"{len(results.sources) - len(used)} left out"
+    methods = [method for method in results.methods if not method.problem]
+    yield "methods", str(len(methods)), f"{len(results.methods) - len(methods)} left out"
+    yield "objects", str(len(objects)), f"{results.suite.examples} examples of each, with each source"
+    yield "jobs", str(results.jobs), f"{len(results.failed)} failed"
 
 
 def _list_choices(groups: Sequence[Group]) -> dict[str, Any]:
@@ -98,8 +98,11 @@ def _round_mm(errors_m: NDArray[np.float64]) -> list[float]:
     return [float(f"{min(1e3 * e, BEYOND_MM):.{DIGITS}g}") for e in np.sort(errors_m)]
 
 
-def _show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, Any]]:
-    """Yield an example touch of each source: what the sensor saw, and the contact shape that it read."""
+def show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, Any]]:
+    """Yield a touch of each source, as JSON values with pictures: what the sensor saw, and the shape that it read.
+
+    The touches come from the store.
+    """
     for source in found.sources:
         for obj in source.objects.values():
             drawer = ExampleDrawer(found.suite, source.entry, source.table, obj)
@@ -117,5 +120,5 @@ def _show_touch(source: PreparedSource, name: str, examples: Examples, geometry:
     }  # fmt: skip
 
 
-def _format_suite(found: Benchmark) -> str:
-    return format_toml(found.suite.model_dump(mode="json", exclude_none=True))
+def _format_suite(results: Results) -> str:
+    return format_toml(results.suite.model_dump(mode="json", exclude_none=True))

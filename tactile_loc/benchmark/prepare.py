@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.benchmark.examples import describe_libraries, make_sensor
+from tactile_loc.benchmark.results import UsedMethod, UsedSource
 from tactile_loc.benchmark.suite import HERE, Entry, Suite, create, find_in_data, hash_component_code
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -34,6 +35,11 @@ class PreparedMethod:
     paper: str = ""
     libraries: Mapping[str, str] = field(default_factory=dict)
 
+    def describe_use(self) -> UsedMethod:
+        """Return what the files of a benchmark state about the method."""
+        entry = self.entry
+        return UsedMethod(entry.label, entry.name, entry.options, self.paper, self.libraries, self.problem)
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedSource:
@@ -50,6 +56,13 @@ class PreparedSource:
     libraries: Mapping[str, str] = field(default_factory=dict)
     licence: str = ""
     recorded: bool = False
+
+    def describe_use(self, suite: Suite) -> UsedSource:
+        """Return what the files of a benchmark state about the source."""
+        return UsedSource(
+            self.entry.label, self.entry.name, "" if self.problem else self.hash_protocol(suite), self.licence,
+            self.libraries, list(self.objects), self.recorded, self.problem,
+        )  # fmt: skip
 
     def hash_protocol(self, suite: Suite) -> str:
         """Return a hash of everything that determines the touches, whatever the method and the libraries' versions.

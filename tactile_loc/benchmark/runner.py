@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -19,11 +20,12 @@ from tactile_loc.benchmark.prepare import (
     prepare_method,
     prepare_source,
 )
+from tactile_loc.benchmark.results import Results
 from tactile_loc.benchmark.suite import Suite
-from tactile_loc.benchmark.summary import Group, summarise
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
+from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import require_writable
 from tactile_loc.store.keys import hash_shortly
 from tactile_loc.sweeps.finished import FinishedRows
@@ -77,14 +79,17 @@ class Benchmark:
     done: int
 
     @cached_property
-    def rows(self) -> list[Row]:
-        """All rows, in the order of sources, objects and methods."""
-        return [row for cell in self.cells for row in cell.rows]
-
-    @cached_property
-    def groups(self) -> list[Group]:
-        """The results of each source, method and number of touches."""
-        return summarise(self.rows)
+    def results(self) -> Results:
+        """The rows and failures, with what the files state about the sources and methods."""
+        return Results(
+            self.suite,
+            [one.describe_use(self.suite) for one in self.sources],
+            [one.describe_use() for one in self.methods],
+            [row for cell in self.cells for row in cell.rows],
+            [{**cell.names, "error": cell.error} for cell in self.failed],
+            read_versions(),
+            datetime.now(UTC).isoformat(timespec="seconds"),
+        )
 
     @property
     def failed(self) -> list[Cell]:

@@ -65,11 +65,17 @@ def write_report(source: Source, out: Path | None = None) -> Path:
 
     Raises ResultError if the result cannot be read, and OutputError if the report cannot be written.
     """
-    path = source.folder / DEFAULT_NAME if out is None else out
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise OutputError(f"`out` {path.name} must end in .html; choose another name")
+    path = choose_path(source.folder, out)
     with name_damage(source.path):
         return write_page(make_page(source), path)
+
+
+def choose_path(folder: Path, out: Path | None) -> Path:
+    """Return the path `out` of a page, by default in the folder. Raises OutputError if it does not end in .html."""
+    path = folder / DEFAULT_NAME if out is None else out
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OutputError(f"`out` {path.name} must end in .html; choose another name")
+    return path
 
 
 def write_page(page: Page, path: Path) -> Path:

@@ -16,12 +16,12 @@ from tactile_loc.core.errors import ResultError
 @pytest.fixture(scope="module")
 def written(finished, tmp_path_factory):
     out = tmp_path_factory.mktemp("files")
-    write_benchmark(out, finished)
+    write_benchmark(out, finished.results)
     return out
 
 
 def test_the_table_has_a_row_for_each_group(finished):
-    groups = finished.groups
+    groups = finished.results.groups
     header, *rows = tabulate(groups)
     assert header == list(HEAD)
     assert len(rows) == len(groups)
@@ -42,13 +42,13 @@ def test_the_markdown_has_a_row_for_what_was_left_out(written, finished):
 
 def test_all_rows_are_in_the_parquet_file(written, finished):
     table = pd.read_parquet(written / "rows.parquet")
-    assert len(table) == len(finished.rows)
-    assert table["surface_mm"].iloc[0] == finished.rows[0]["surface_mm"]
+    assert len(table) == len(finished.results.rows)
+    assert table["surface_mm"].iloc[0] == finished.results.rows[0]["surface_mm"]
 
 
 def test_the_failures_are_recorded(run_small, tmp_path):
     found = run_small(tmp_path, method=["oracle", {"name": "guess", "fault": "error"}])
-    write_benchmark(tmp_path, found)
+    write_benchmark(tmp_path, found.results)
     (failed,) = json.loads((tmp_path / "benchmark.json").read_text())["failed"]
     assert (failed["method"], failed["error"]) == ("guess", "ValueError: nothing works")
     assert "ValueError: nothing works" in (tmp_path / "benchmark.md").read_text()
@@ -58,7 +58,7 @@ def test_a_leaderboard_file_is_read_back_and_names_no_path(written, finished, bo
     text = (written / "leaderboard.json").read_text()
     assert str(box_file.parent) not in text
     standings = list(read_standings(written / "leaderboard.json"))
-    assert [standing.group for standing in standings] == finished.groups
+    assert [standing.group for standing in standings] == finished.results.groups
     assert standings[0].suite == "small"
     assert standings[0].libraries["bench-fakes"] == "1.5"
     assert standings[-1].component == "guess"

@@ -15,7 +15,7 @@ from tactile_loc.evaluation.recall.bop import write_bop
 @pytest.fixture(scope="module")
 def root(finished, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bop")
-    write_bop(folder, make_scenes(finished.rows), "small")
+    write_bop(folder, make_scenes(finished.results.rows), "small")
     return folder / "bop"
 
 
@@ -37,7 +37,7 @@ def test_the_rows_are_the_listed_poses_and_the_truth_is_that_of_the_examples(roo
         (true,) = truth[row["im_id"]]
         assert np.allclose(np.array(row["R"].split(), float), true["cam_R_m2c"], atol=1e-7)
         assert np.allclose(np.array(row["t"].split(), float), true["cam_t_m2c"], atol=1e-4)
-    T = np.array(finished.rows[0]["true_T_base_object"])
+    T = np.array(finished.results.rows[0]["true_T_base_object"])
     assert np.allclose(truth["0"][0]["cam_t_m2c"], 1e3 * T[:3, 3])
 
 
@@ -50,7 +50,7 @@ def test_an_example_without_a_pose_has_no_row_and_no_truth(root):
 def test_labels_that_differ_only_in_signs_get_files_of_their_own(run_small, tmp_path):
     labels = ["guess 1", "guess_1"]
     found = run_small(method=[{"name": "guess", "label": label} for label in labels], touches=[1])
-    write_bop(tmp_path, make_scenes(found.rows))
+    write_bop(tmp_path, make_scenes(found.results.rows))
     results = json.loads((tmp_path / "bop" / "ids.json").read_text())["results"]
     assert [one["method"] for one in results] == labels
     assert len({one["file"] for one in results}) == 2

@@ -11,7 +11,7 @@ from tactile_loc.core.slots.benchmarking import ScoredPoses
 
 
 def rows_of(found, method):
-    return [row for row in found.rows if (row["source"], row["method"]) == ("sketch", method)]
+    return [row for row in found.results.rows if (row["source"], row["method"]) == ("sketch", method)]
 
 
 def test_right_and_wrong_poses_are_measured(finished):
@@ -30,7 +30,7 @@ def test_right_and_wrong_poses_are_measured(finished):
 def test_each_example_has_a_row_for_each_number_of_touches(finished):
     rows = rows_of(finished, "oracle")
     assert [(row["example"], row["touches"]) for row in rows] == [(e, n) for e in range(3) for n in (1, 2)]
-    archived = [row for row in finished.rows if (row["source"], row["method"]) == ("archive", "guess")]
+    archived = [row for row in finished.results.rows if (row["source"], row["method"]) == ("archive", "guess")]
     assert [(row["example"], row["touches"]) for row in archived] == [(0, 1), (1, 1)]
     assert [bool(row["problem"]) for row in archived] == [False, True]
 
@@ -38,7 +38,7 @@ def test_each_example_has_a_row_for_each_number_of_touches(finished):
 def test_a_method_without_a_pose_gives_rows_and_no_error(run_small):
     found = run_small(method=[{"name": "guess", "fault": "no pose"}])
     assert not found.failed
-    assert {row["problem"] for row in found.rows} == {"nothing fits"}
+    assert {row["problem"] for row in found.results.rows} == {"nothing fits"}
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_an_answer_that_is_none_gives_one_clear_error(run_small, tmp_path, fault
     (cell,) = found.failed
     assert says in cell.error
     assert "return" in cell.error or "raise" in cell.error
-    assert found.rows == []
+    assert found.results.rows == []
     assert not (tmp_path / "errors").exists(), "a mistake of the method needs no traceback of ours"
 
 

@@ -27,8 +27,8 @@ def drop_times(rows):
 def test_a_missing_library_leaves_out_its_source_or_method_with_the_line_to_install(finished):
     assert not missing(finished.left_out["library-source"], "nowhere_to_be_found", "pip install touch-maker")
     assert not missing(finished.left_out["library-method"], "nowhere_to_be_found", "pip install touch-finder")
-    assert {row["source"] for row in finished.rows} == {"sketch", "shy", "archive"}
-    assert {row["method"] for row in finished.rows} == {"oracle", "guess"}
+    assert {row["source"] for row in finished.results.rows} == {"sketch", "shy", "archive"}
+    assert {row["method"] for row in finished.results.rows} == {"oracle", "guess"}
 
 
 def test_a_library_that_is_missing_while_a_sensor_is_prepared_leaves_out_the_source(make_suite, bench_store):
@@ -62,7 +62,7 @@ def test_finished_jobs_are_kept(run_small, tmp_path):
     first = run_small(tmp_path)
     again = run_small(tmp_path)
     assert (first.done, again.done) == (2, 0)
-    assert again.rows == first.rows
+    assert again.results.rows == first.results.rows
     more = run_small(tmp_path, method=["guess", {"name": "guess", "label": "slow guess", "sleep_s": 0.001}])
     assert more.done == 1
 
@@ -81,7 +81,7 @@ def test_a_label_does_not_make_a_new_job(run_small, tmp_path):
     run_small(tmp_path, method=["guess"])
     renamed = run_small(tmp_path, method=[{"name": "guess", "label": "nobody"}])
     assert renamed.done == 0
-    assert {row["method"] for row in renamed.rows} == {"nobody"}
+    assert {row["method"] for row in renamed.results.rows} == {"nobody"}
 
 
 def start_anew() -> None:
@@ -101,7 +101,7 @@ def test_changed_code_of_a_method_makes_a_new_job(run_small, tmp_path):
     start_anew()
     again = run_small(tmp_path, method=["moving", "guess"])
     assert again.done == 1
-    one, other = ([row for row in found.rows if row["method"] == "moving"] for found in (first, again))
+    one, other = ([row for row in found.results.rows if row["method"] == "moving"] for found in (first, again))
     assert one[0]["T_base_object"] != other[0]["T_base_object"]
     assert run_small(tmp_path, method=["moving", "guess"]).done == 0
 
@@ -122,7 +122,7 @@ def test_a_worker_with_other_code_does_no_job(make_suite, bench_store, tmp_path)
 
     found = run_benchmark(make_suite(method=["guess"]), tmp_path, bench_store, Elsewhere())
     assert not missing(found.failed[0].error, "worker", "install the same versions")
-    assert found.rows == []
+    assert found.results.rows == []
 
 
 def test_a_failed_job_states_its_error_and_is_tried_again(run_small, tmp_path):
@@ -130,7 +130,7 @@ def test_a_failed_job_states_its_error_and_is_tried_again(run_small, tmp_path):
     failed = run_small(tmp_path / "out", method=method)
     (cell,) = failed.failed
     assert not missing(cell.error, "ValueError", "the first call fails")
-    assert {row["method"] for row in failed.rows} == {"oracle"}
+    assert {row["method"] for row in failed.results.rows} == {"oracle"}
     (trace,) = (tmp_path / "out" / "errors").iterdir()
     assert "Traceback" in trace.read_text()
     row = json.loads((tmp_path / "out" / "rows" / f"{cell.job.key}.json").read_text())
@@ -152,17 +152,17 @@ def test_damaged_rows_are_done_again(run_small, tmp_path):
     path.write_text(path.read_text()[:50])
     again = run_small(tmp_path)
     assert again.done == 1
-    assert drop_times(again.rows) == drop_times(first.rows)
+    assert drop_times(again.results.rows) == drop_times(first.results.rows)
 
 
 def test_a_run_in_another_folder_and_store_gives_the_same_table(run_small, tmp_path):
     one = run_small(tmp_path / "a", store=tmp_path / "store a", method=["guess"])
     other = run_small(tmp_path / "b", store=tmp_path / "store b", method=["guess"])
-    assert drop_times(one.rows) == drop_times(other.rows)
+    assert drop_times(one.results.rows) == drop_times(other.results.rows)
 
 
 def test_groups_follow_the_suite(finished):
-    groups = finished.groups
+    groups = finished.results.groups
     assert [(group.source, group.method, group.touches) for group in groups if group.source != "shy"] == [
         ("sketch", "oracle", 1), ("sketch", "oracle", 2), ("sketch", "guess", 1), ("sketch", "guess", 2),
         ("archive", "guess", 1),

@@ -71,6 +71,13 @@ def test_a_suite_is_run_once_and_written(cli, tmp_path):
     assert any(line.startswith("1 job, 0 done now") for line in lines)
     for name in FILES - {"rows", "workers.log"}:
         assert name in lines[-1]
+    page = (tmp_path / "benchmark" / "report.html").read_text()
+    for result in ("benchmark", "benchmark/benchmark.json"):
+        made = cli("report", result, "--out", "again.html", "--json")
+        assert made.exit_code == 0, made.stderr
+        assert json.loads(made.stdout)["kind"] == "benchmark"
+        assert (tmp_path / "again.html").read_text() == page
+    assert_refused(cli("report", "benchmark", "--out", "again.pdf"), "again.pdf", ".html")
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ def benchmark(
     reason. After an interruption, the same command resumes.
     """
     from tactile_loc.benchmark.files import tabulate, write_benchmark
-    from tactile_loc.benchmark.page import make_benchmark_page
+    from tactile_loc.benchmark.page import make_benchmark_page, show_sources
     from tactile_loc.benchmark.runner import run_benchmark
     from tactile_loc.benchmark.suite import Suite
     from tactile_loc.reports.report import DEFAULT_NAME, write_page
@@ -64,10 +64,11 @@ def benchmark(
         return _list_labels(chosen)
     stages = StageStore(store)
     found = run_benchmark(chosen, out, stages.root, choose_workers(out, workers, scheduler), make_progress())
-    files = write_benchmark(out, found)
-    if found.rows:
-        say_table(tabulate(found.groups), left=(0, 2))
-        files.append(write_page(make_benchmark_page(found, stages), out / DEFAULT_NAME))
+    results, pictures = found.results, list(show_sources(found, stages))
+    files = write_benchmark(out, results, pictures)
+    if results.rows:
+        say_table(tabulate(results.groups), left=(0, 2))
+        files.append(write_page(make_benchmark_page(results, pictures), out / DEFAULT_NAME))
     outcome = _say_outcome(found, out, files)
     if found.failed:
         raise Finding(UNEXPECTED, outcome)
