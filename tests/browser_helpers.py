@@ -40,5 +40,16 @@ def list_requests(browser: Any) -> list[str]:
     return [m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"]
 
 
+def plots(browser: Any) -> dict[str, int]:
+    """Return the number of traces of each plot, by the name of its element."""
+    script = "return [...document.querySelectorAll('.plotly')].map(e => [e.id, (e.data || []).length])"
+    return {name: count for name, count in browser.execute_script(script) if name}
+
+
+def choose(browser: Any, name: str, value: str) -> None:
+    """Choose an option of a list, by its value."""
+    find(browser, f"#{name} option[value='{value}']").click()
+
+
 def find(browser: Any, selector: str) -> Any:
     return browser.find_element("css selector", selector)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_helpers import LOCAL, find, list_errors, list_requests, open_browser
+from browser_helpers import LOCAL, choose, find, list_errors, list_requests, open_browser, plots
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
@@ -54,16 +54,6 @@ def show(browser: Any, tmp_path: Path) -> Iterator[Callable[[Path], Any]]:
     urls = list_requests(browser)
     assert any(url.endswith("page.html") for url in urls)
     assert [url for url in urls if not url.startswith(LOCAL)] == []
-
-
-def plots(browser: Any) -> dict[str, int]:
-    """The number of traces of each plot, by the name of its element."""
-    script = "return [...document.querySelectorAll('.plotly')].map(e => [e.id, (e.data || []).length])"
-    return {name: count for name, count in browser.execute_script(script) if name}
-
-
-def choose(browser: Any, name: str, value: str) -> None:
-    find(browser, f"#{name} option[value='{value}']").click()
 
 
 def pixels(element: Any) -> np.ndarray:
