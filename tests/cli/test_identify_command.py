@@ -54,6 +54,17 @@ def test_a_required_verdict_decides_the_exit_code(cli, parts):
     assert json.loads(Path("out/identification.json").read_text())["verdict"] == "ambiguous"
 
 
+def test_a_given_symmetry_counts_for_every_object(cli, parts):
+    words = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--json"]
+    counts = []
+    for more in ([], ["--symmetry", "none"]):
+        found = json.loads(cli(*words, *more).stdout)["objects"]
+        (plate,) = (one for one in found if one["name"] == "plate")
+        counts.append(len(plate["poses"]))
+    assert counts[0] < counts[1], "turned poses of the plate are different poses"
+    assert_refused(cli(*words[:-1], "--symmetry", "round"), "'round'", "symmetry")
+
+
 def test_bad_input_is_one_sentence(cli, parts):
     touch = ["--touch", "touches/touch-0000.npz"]
     assert_refused(cli("identify", "--objects", "nowhere", *touch), "nowhere", "folder")

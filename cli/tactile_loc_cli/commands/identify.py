@@ -26,7 +26,18 @@ Located = Annotated[
 ]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
 Given = Annotated[
-    RunOptions, options.Takes("units", "touch_unit", "touch_kind", "press_depth", "sensor", "option", "config")
+    RunOptions,
+    options.Takes(
+        "units",
+        "symmetry",
+        "touch_unit",
+        "touch_kind",
+        "press_depth",
+        "sensor",
+        "option",
+        "config",
+        symmetry="Rotational symmetry of every object, such as none or z6. Default: auto, detected for each object.",
+    ),
 ]
 
 
