@@ -112,7 +112,7 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
 def _describe_side(record: ResultRecord) -> str:
     """Name the searched side by its outward normal in the object's frame. The normal points into the sensor."""
     x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
-    return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
+    return f"the object's side ({x:z.2f}, {y:z.2f}, {z:z.2f})"
 
 
 def _name_side(record: ResultRecord) -> str:
@@ -157,7 +157,7 @@ def say_mount(record: MountRecord) -> None:
 
 def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
     off = (1e3 * (touch.residual_m or 0.0), np.degrees(touch.residual_rad or 0.0))
-    return [touch.name, *(f"{v:.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
+    return [touch.name, *(f"{v:z.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
 
 
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
@@ -186,7 +186,7 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
 def _list_rated_cells(one: RatedRecord) -> list[str]:
     travel_m = [m for m in one.travel_m if m is not None]
     travel = f"{1e3 * min(travel_m):.1f} to {1e3 * max(travel_m):.1f}" if travel_m else "-"
-    numbers = [f"{one.information_nats:.2f}", f"{one.entropy_nats:.2f}", f"{100 * one.meets:.0f}"]
+    numbers = [f"{one.information_nats:z.2f}", f"{one.entropy_nats:z.2f}", f"{100 * one.meets:.0f}"]
     return [str(one.rank), one.name, *numbers, travel, f"{one.cost:g}"]
 
 

@@ -200,7 +200,7 @@ def _describe_distribution(record: ResultRecord, arrays: ResultArrays, data: dic
 
 def _write_side(side: dict[str, Any]) -> str:
     """Describe the sides of the object that can face the sensor."""
-    normal = "({:.2f}, {:.2f}, {:.2f})".format(*side["normal"])
+    normal = "({:z.2f}, {:z.2f}, {:z.2f})".format(*side["normal"])
     if side["kind"] == "one":
         return (
             f"In all poses of the grid, the same side of the object faces the sensor: {normal} in the object's frame."

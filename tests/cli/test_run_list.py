@@ -90,7 +90,7 @@ def test_one_touch_with_a_sensor_pose_is_located_in_the_base_frame(cli, listed):
     assert done.exit_code == 0, done.stderr
     assert not missing(done.stdout, "base frame", "about the base's x, y and z axes")
     best = json.loads(Path("out/result.json").read_text())["hypotheses"][0]
-    x_mm = f"{1e3 * best['T_base_object'][0][3]:.2f}"
+    x_mm = f"{1e3 * best['T_base_object'][0][3]:z.2f}"
     assert x_mm in done.stdout
     np.testing.assert_allclose(
         best["T_base_object"], np.linalg.inv(next(iter(listed.values()))) @ best["T_sensor_object"], atol=1e-9

@@ -36,4 +36,4 @@ def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = 
 
 def join_numbers(values: Iterable[float], digits: int) -> str:
     """Return numbers as text, with `digits` digits after the point: 1.20, -0.31, 4.00."""
-    return ", ".join(f"{value:.{digits}f}" for value in values)
+    return ", ".join(f"{value:z.{digits}f}" for value in values)

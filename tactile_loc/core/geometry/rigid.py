@@ -118,7 +118,7 @@ def axis_angle(R: Array) -> tuple[float, Array]:
 def format_pose(T: NDArray[np.float64]) -> list[str]:
     """Return texts for a pose (4, 4), metres: x, y, z in mm, the rotation angle in degrees, and its axis."""
     angle_deg, axis = axis_angle(T[:3, :3])
-    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
+    return [*(f"{1e3 * v:z.2f}" for v in T[:3, 3]), f"{angle_deg:z.1f}", "({:z.3f}, {:z.3f}, {:z.3f})".format(*axis)]
 
 
 def rotation_to_quaternion(R: Array) -> Array:

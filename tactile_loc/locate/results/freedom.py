@@ -116,4 +116,4 @@ def _name_direction(vector: Float64) -> str:
     nearest = int(np.abs(unit).argmax())
     if abs(unit[nearest]) >= ALONG:
         return "xyz"[nearest]
-    return "({:.2f}, {:.2f}, {:.2f})".format(*(unit * np.sign(unit[nearest])).round(2) + 0.0)
+    return "({:z.2f}, {:z.2f}, {:z.2f})".format(*(unit * np.sign(unit[nearest])))

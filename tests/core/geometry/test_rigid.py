@@ -6,12 +6,14 @@ from message_helpers import naming
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import (
     align_to_z,
     axis_angle,
     axis_times_sine,
     cross_matrix,
     draw_rotations,
+    format_pose,
     invert,
     is_rigid,
     make_transform,
@@ -229,3 +231,9 @@ def test_a_covariance_may_be_tiny_or_zero():
     half = (A @ A.T).astype(np.float32)
     half[0, 1] *= np.float32(1) + np.finfo(np.float32).eps
     assert require_covariance(half, "it")[0, 1] == half[0, 1], "rounding to single precision keeps enough symmetry"
+
+
+def test_small_negative_numbers_are_written_as_zero():
+    T = make_transform(rotation_about([1e-9, -1e-9, 1], 0.5), [-1e-9, 0.001, -2e-6])
+    assert format_pose(T) == ["0.00", "1.00", "0.00", "28.6", "(0.000, 0.000, 1.000)"]
+    assert format_pose_words(T).place == "0.0, 1.0, 0.0"

@@ -114,7 +114,7 @@ def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localizati
     lines = one.summary().splitlines()
     assert lines[0] == f"certain: {MEANINGS[Verdict.CERTAIN]}"
     for value_m in one.best.T_sensor_object[:3, 3]:
-        assert f"{1e3 * value_m:.2f}" in lines[1]
+        assert f"{1e3 * value_m:z.2f}" in lines[1]
     probability = format_percent(one.probability_within())
     assert lines[2] == f"within 1 mm with {probability} probability, imprint IoU 80 %"
     assert str(one) == one.summary()
