@@ -96,16 +96,30 @@ class Visitor:
         """Write a value into the visible field whose label begins with a text."""
         from selenium.webdriver.common.keys import Keys
 
+        field = self._find_field(label)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(str(value), Keys.TAB)
+
+    def choose(self, label: str, value: str) -> None:
+        """Choose a value of the visible list whose label begins with a text."""
+        find = (
+            "return [...document.querySelectorAll('[role=option]')]"
+            ".find(one => one.offsetParent && one.innerText.trim() === arguments[0])"
+        )
+        self._find_field(label).click()
+        wait_until(lambda: self.browser.execute_script(find, value), f"the list {label!r} has no {value!r}")
+        self.browser.execute_script(find, value).click()
+
+    def _find_field(self, label: str) -> Any:
         find = (
             "const shown = [...document.querySelectorAll('label')].filter(label => label.offsetParent);"
             "let row = shown.find(label => label.innerText.startsWith(arguments[0]));"
-            "while (row && !row.querySelector('input, textarea')) row = row.parentElement;"
-            "return row && row.querySelector('input, textarea')"
+            "const fields = 'input:not([type=hidden]), textarea';"
+            "while (row && !row.querySelector(fields)) row = row.parentElement;"
+            "return row && row.querySelector(fields)"
         )
         wait_until(lambda: self.browser.execute_script(find, label), f"there is no field {label!r}")
-        field = self.browser.execute_script(find, label)
-        field.send_keys(Keys.CONTROL, "a")
-        field.send_keys(str(value), Keys.TAB)
+        return self.browser.execute_script(find, label)
 
     def await_download(self, name: str) -> Path:
         """Wait for a downloaded file, and return its path."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 NAME, DIAMETER_MM, MM_PER_PX = "my_sensor", 10.0, 0.05
 SMALLEST_MM, LARGEST_MM = 1e-4, 1000.0
-SHOWN_NAMES = 4
+SHOWN_NAMES, NO_FILE = 4, "-"
 HOW_TO = (
     "Press a ball of known diameter on the gel about thirty times, all over the gel, and take a photo of each press. "
     "Take one photo without contact, with the same light."
@@ -49,9 +49,12 @@ class CalibrationTab:
             )
             gui.add_markdown("For many photos at once, upload a zip archive.")
             self.listed = gui.add_markdown("")
-            self.clear = gui.add_button("Remove all photos")
+            self.chosen = gui.add_dropdown("File", (NO_FILE,), visible=False)
+            self.remove = gui.add_button("Remove this file", visible=False)
+            self.clear = gui.add_button("Remove all photos", visible=False)
         self.reference.on_upload(self._notices.guard(self._upload_reference))
         self.photos.on_upload(self._notices.guard(self._upload_photos))
+        self.remove.on_click(self._notices.guard(self._remove))
         self.clear.on_click(self._notices.guard(self._clear))
 
     def _upload_reference(self) -> None:
@@ -60,6 +63,10 @@ class CalibrationTab:
 
     def _upload_photos(self) -> None:
         self.calibrator.add_photos(self.photos.value.name, self.photos.value.content)
+        self._show_photos()
+
+    def _remove(self) -> None:
+        self.calibrator.remove_photo(self.chosen.value)
         self._show_photos()
 
     def _clear(self) -> None:
@@ -73,6 +80,11 @@ class CalibrationTab:
             f"Without contact: {reference or 'none yet'}\n\n"
             f"Photos of presses: {len(names)}{f' ({some})' if names else ''}"
         )
+        files = [*([] if reference is None else [reference]), *names]
+        self.chosen.options = files or (NO_FILE,)
+        self.chosen.value = self.chosen.options[-1]
+        for handle in (self.chosen, self.remove, self.clear):
+            handle.visible = bool(files)
 
     def _add_length_controls(self) -> None:
         gui = self.client.gui

@@ -114,6 +114,14 @@ class Calibrator:
         elif suffix not in VIDEO_SUFFIXES:
             raise UploadError(f"{path.name} is neither a photo, nor a video, nor {TABLE}; leave it out")
 
+    def remove_photo(self, name: str) -> None:
+        """Remove one file of `names`, or the reference. Raises UploadError if there is no such file."""
+        if name not in (*self.names, self.reference):
+            raise UploadError(f"there is no photo {name!r}; choose one of the list")
+        (self._photos / name).unlink()
+        if name == self.reference:
+            self.reference = None
+
     def clear(self) -> None:
         """Remove all photos. A sensor that was made from them stays."""
         self.reference = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from tactile_loc.core.errors import OutputError
 from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.config import RunConfig
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
@@ -56,12 +58,23 @@ def write_export(
     The script locates the object again from the files in the folder. `prior` is the prior of the result, in the base
     frame. Raises OutputError if a file cannot be written.
     """
+    found = dataclasses.replace(found, config=_name_copies(localizer.config))
     written = found.save(folder)
     written.append(write_report(find_source(written[0])))
     names = [f"touch-{number}.npz" for number in range(1, len(found.touches) + 1)]
     written += [write_touch(folder / name, touch) for name, touch in zip(names, found.touches, strict=True)]
     script = _write_script(folder, localizer, found, names, prior)
     return [*written, write_atomically(folder / SCRIPT, lambda temporary: temporary.write_text(script, "utf-8"))]
+
+
+def _name_copies(config: RunConfig) -> RunConfig:
+    """Return the settings with the names of the copies of the object's and the sensor's files, not with their paths."""
+    chosen, sensor = config.object, config.sensor
+    options = {key: Path(value).name if key == "path" else value for key, value in sensor.options.items()}
+    return config.model_copy(update={
+        "object": chosen.model_copy(update={"path": Path(chosen.path).name}),
+        "sensor": sensor.model_copy(update={"options": options}),
+    })  # fmt: skip
 
 
 def _write_script(

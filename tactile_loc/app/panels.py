@@ -18,7 +18,7 @@ from tactile_loc.app.pictures import EMPTY, paint_beside, paint_wide
 from tactile_loc.app.scene_view import SceneView, choose_magnification, from_view
 from tactile_loc.app.session import Session
 from tactile_loc.app.virtual_finger import Pose
-from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.formatting import format_mm, format_percent
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
@@ -28,7 +28,7 @@ from tactile_loc.locate.results.localization import Localization
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-OWN = "own file"
+OWN, NO_TOUCH = "own file", "-"
 READ_FROM_PATHS = ("file", "calibrated")  # sensors that are chosen by their path
 ARCHIVE = "tactile-loc-result.zip"
 PRIOR_MM, PRIOR_DEG = 5.0, 15.0
@@ -67,8 +67,9 @@ class Page:
         with gui.add_folder("1. Object and sensor"):
             demo = config.object.path if config.object.path in DEMO_OBJECTS else OWN
             self.objects = gui.add_dropdown("Object", (*DEMO_OBJECTS, OWN), initial_value=demo)
+            unit = config.object.units if demo == OWN else "mm"
             self.units = gui.add_dropdown(
-                "Unit of own files", get_args(Units), initial_value="mm", hint="A STEP file states its own unit."
+                "Unit of own files", get_args(Units), initial_value=unit, hint="A STEP file states its own unit."
             )
             self.upload = gui.add_upload_button("Open your own mesh", hint="An STL, OBJ, PLY or STEP file.")
             names = [name for name in registry().names("sensor") if name not in READ_FROM_PATHS]
@@ -81,6 +82,7 @@ class Page:
             self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN)
             self.about = gui.add_markdown("")
         self.objects.on_update(self.notices.guard(self._choose_object))
+        self.units.on_update(self.notices.guard(self._choose_units))
         self.upload.on_upload(self.notices.guard(self._upload_object))
         self.sensors.on_update(self.notices.guard(self._choose_sensor))
         self.use_sensor.on_click(self.notices.guard(self._read_sensor))
@@ -89,6 +91,15 @@ class Page:
         if self.objects.value != OWN:
             self.session.load_object(self.objects.value)
             self._show_object()
+
+    def _choose_units(self) -> None:
+        """Read the own mesh again, in another unit. If it cannot be used, its unit stays."""
+        try:
+            if self.session.choose_units(cast(Units, self.units.value)):
+                self._show_object()
+        finally:
+            if self.session.is_own_object:
+                self.units.value = self.session.localizer.config.object.units
 
     def _upload_object(self) -> None:
         uploaded = self.upload.value
@@ -143,10 +154,13 @@ class Page:
             self.shape = gui.add_image(EMPTY, label="Contact shape")
             self.noise = gui.add_dropdown("Noise", tuple(NOISE), initial_value="none")
             self.add = gui.add_button("Add this touch", color="blue")
-            self.clear = gui.add_button("Remove all touches")
             self.touches = gui.add_markdown("")
+            self.chosen_touch = gui.add_dropdown("Touch", (NO_TOUCH,), visible=False)
+            self.remove = gui.add_button("Remove this touch", visible=False)
+            self.clear = gui.add_button("Remove all touches", visible=False)
         self.depth.on_update(self.notices.guard(self._ask_press))
         self.add.on_click(self.notices.guard(self._add_touch))
+        self.remove.on_click(self.notices.guard(self._remove_touch))
         self.clear.on_click(self.notices.guard(self._clear_touches))
 
     def _follow_drag(self, event: Any) -> None:
@@ -154,7 +168,16 @@ class Page:
 
     def _ask_press(self) -> None:
         if self.view.finger_gizmo is not None:
-            self.follower.ask((self.view.read_finger(self.session.scene.geometry), 1e-3 * self.depth.value))
+            self.follower.ask((self.view.read_finger(self.session.scene.geometry), self._read_depth_m()))
+
+    def _read_depth_m(self) -> float:
+        """Return the press in metres. A typed number outside the slider's range is clipped, with a note."""
+        asked = self.depth.value
+        self.depth.value = min(max(asked, self.depth.min), self.depth.max)
+        if asked != self.depth.value:
+            limits = f"{self.depth.min:g} to {self.depth.max:g} mm"
+            self.notices.notify(f"The press is {self.depth.value:g} mm", f"This sensor can be pressed {limits} deep.")
+        return 1e-3 * float(self.depth.value)
 
     def _follow(self, asked: tuple[Pose, float]) -> None:
         self.notices.attempt(lambda: self._show_press(*asked))
@@ -167,14 +190,18 @@ class Page:
 
     def _settle(self) -> None:
         """Move the gizmo to the finger after a drag."""
-        press = self.session.press(self.view.read_finger(self.session.scene.geometry), 1e-3 * self.depth.value)
+        press = self.session.press(self.view.read_finger(self.session.scene.geometry), self._read_depth_m())
         if press.touches:
             self.view.move_finger_gizmo(press.T_base_sensor, self.session.scene.geometry)
 
     def _add_touch(self) -> None:
         geometry = self.session.scene.geometry
-        self.session.press(self.view.read_finger(geometry), 1e-3 * self.depth.value)
+        self.session.press(self.view.read_finger(geometry), self._read_depth_m())
         self.session.add_touch(self.noise.value)
+        self._show_touches()
+
+    def _remove_touch(self) -> None:
+        self.session.remove_touch(self.chosen_touch.options.index(self.chosen_touch.value))
         self._show_touches()
 
     def _clear_touches(self) -> None:
@@ -182,10 +209,14 @@ class Page:
         self._show_touches()
 
     def _show_touches(self) -> None:
-        """List and draw the touches. A result stays until the next one, unless no touch is left."""
+        """List and draw the touches. A result stays until the next one, unless a touch was removed."""
         touches = self.session.touches
-        names = ", ".join(touch.name for touch in touches)
-        self.touches.content = f"Touches: {names}" if touches else "No touch yet."
+        names = [touch.name for touch in touches]
+        self.touches.content = f"Touches: {', '.join(names)}" if touches else "No touch yet."
+        self.chosen_touch.options = [f"{number}: {name}" for number, name in enumerate(names, 1)] or (NO_TOUCH,)
+        self.chosen_touch.value = self.chosen_touch.options[-1]
+        for handle in (self.chosen_touch, self.remove, self.clear):
+            handle.visible = bool(touches)
         self.view.show_touches(touches)
         if self.session.result is None:
             self._clear_result()
@@ -213,20 +244,21 @@ class Page:
         """Locate the object in the thread of this callback, so that the page can still be used."""
         self._read_prior()
         self.locate.disabled = True
-        count = len(self.session.touches)
-        self.status.content = f"Locating from {count} touches. The first time for an object takes up to a minute ..."
+        self._clear_result()
+        touches = name_count(len(self.session.touches))
+        self.status.content = f"Locating from {touches}. The first time for an object takes up to a minute ..."
         try:
             found = self.session.locate()
         finally:
             self.locate.disabled = False
             self.status.content = ""
-        if found is self.session.result:
-            self._show_result(found)
-        else:
+            if self.session.result is not None:
+                self._show_result(self.session.result)
+        if found is not self.session.result:
             self.notices.notify("The touches changed", "Locate again to use the present touches.")
 
     def _show_result(self, found: Localization) -> None:
-        self.status.content = f"Located in {sum(found.seconds.values()):.2f} s"
+        self.status.content = f"Located in {sum(found.seconds.values()):.2f} s from {name_count(len(found.touches))}"
         self.verdict.content = found.summary().replace("\n", "\n\n")
         self.history.content = self._write_history()
         for slider, count in ((self.number, len(found.hypotheses)), (self.shown_touch, len(found.touches))):
@@ -318,13 +350,23 @@ class Page:
         self.client.send_file_download(ARCHIVE, content, save_immediately=True)
 
 
+def name_count(touches: int) -> str:
+    """Return "1 touch" or "3 touches"."""
+    return f"{touches} touch{'' if touches == 1 else 'es'}"
+
+
 def describe_pose(found: Localization, number: int) -> str:
-    """Return the probability of a hypothesis, how well it explains the touches, and the error of its place."""
+    """Return the probability of a hypothesis, how well it explains the touches, and its error.
+
+    The error is the distance from the true pose, which virtual touches know, and the standard deviations of its place.
+    """
     hypothesis = found.hypotheses[number]
     text = (
         f"Pose {number + 1} of {len(found.hypotheses)}: probability {format_percent(hypothesis.probability)}, "
         f"imprint IoU {format_percent(hypothesis.imprint_iou)}"
     )
+    if (errors_m := found.measure_errors_m(found.object)) is not None:
+        text += f", {format_mm(errors_m[number])} mm from the true pose"
     in_base = hypothesis.T_base_object is not None
     covariance = hypothesis.base_covariance if in_base else hypothesis.covariance
     if covariance is None:

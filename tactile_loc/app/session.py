@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
+from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, choose_sensor
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.toml import read_toml
@@ -92,6 +94,11 @@ class Session:
         return self.localizer.object
 
     @property
+    def is_own_object(self) -> bool:
+        """Whether the object is a mesh file, and no demo object."""
+        return self.localizer.config.object.path not in DEMO_OBJECTS
+
+    @property
     def scene(self) -> Scene:
         """The object and the sensor, which is not pressed."""
         return self.localizer.scene
@@ -107,6 +114,17 @@ class Session:
         """Take another object from the content of a mesh file. Raises TactileLocError if it cannot be used."""
         own = self.folder / "meshes" / hashlib.sha256(content).hexdigest()[:16]
         self.load_object(write_upload(own, name, content), units)
+
+    def choose_units(self, units: Units) -> bool:
+        """Read the mesh file of an own object again in another unit, and return True; return False if nothing changes.
+
+        Raises TactileLocError if the mesh cannot be used.
+        """
+        chosen = self.localizer.config.object
+        if not self.is_own_object or chosen.units == units:
+            return False
+        self.load_object(chosen.path, units)
+        return True
 
     def choose_sensor(self, sensor: str) -> None:
         """Take another sensor: a name, a .toml file or a calibration folder. Raises TactileLocError for bad input."""
@@ -127,9 +145,16 @@ class Session:
         self.result: Localization | None = None
         self.history: tuple[Judged, ...] = ()
 
+    def remove_touch(self, number: int) -> None:
+        """Remove a touch, numbered from 0, and the result, to which it belonged."""
+        left = tuple(touch for k, touch in enumerate(self.touches) if k != number)
+        self.clear_touches()
+        self.touches = left
+
     def add_touch(self, noise: str = "none") -> Touch:
         """Add the touch of the virtual finger, and return it. Raises TactileLocError as `make_touch` does."""
-        name = f"touch-{len(self.touches) + 1}"
+        taken = {touch.name for touch in self.touches}
+        name = next(name for k in itertools.count(1) if (name := f"touch-{k}") not in taken)
         touch = make_touch(self.scene, self.T_base_sensor, self.press_depth_m, name, noise, self.rng)
         self.touches = (*self.touches, touch)
         return touch

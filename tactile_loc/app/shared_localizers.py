@@ -6,6 +6,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 
@@ -35,6 +36,8 @@ class SharedLocalizers:
         Raises TactileLocError if the object or the sensor cannot be used.
         """
         obj = load_stored_object(chosen.path, chosen.units, chosen.symmetry, self.store)
+        if Path(chosen.path).is_relative_to(self.folder):  # an upload, whose folder means nothing to people
+            obj = replace(obj, source=Path(chosen.path).name)
         settings = {"object": chosen.model_dump(), "sensor": sensor.model_dump()}
         key = json.dumps([obj.describe(), settings], sort_keys=True)
         with self._lock:

@@ -48,6 +48,12 @@ def test_photos_come_one_by_one_or_in_an_archive(filled):
     assert len(filled.names) == 8
     filled.set_reference("newer.png", encode_png(BALLS.background))
     assert (filled.reference, len(filled.names)) == ("newer.png", 8)
+    filled.remove_photo("one.png")
+    assert filled.names == sorted(list_photos())
+    filled.remove_photo("newer.png")
+    assert (filled.reference, len(filled.names)) == (None, 7)
+    with pytest.raises(UploadError):
+        filled.remove_photo("../other.png")
     filled.clear()
     assert (filled.reference, filled.names) == (None, [])
 

@@ -13,6 +13,7 @@ import app_session as program
 import browser
 import numpy as np
 import pytest
+import trimesh
 from press_sets import BALL_M, MM, TINY, ball_set
 from test_uploads import pack
 
@@ -136,11 +137,23 @@ def test_visitors_press_locate_and_export(tmp_path, store):
             visitor.await_text("The next touch is green")
             visitor.click("Add this touch")
             visitor.await_text("Touches: touch-1, touch-2")
+            assert "mm from the true pose" in visitor.read()
+            visitor.click("Locate")
+            visitor.await_text(" s from 2 touches")
             visitor.click("Download the result")
             with zipfile.ZipFile(visitor.await_download(program.ARCHIVE)) as archive:
                 assert {"result.json", "locate.py", "touch-1.npz"} <= set(archive.namelist())
                 record = json.loads(archive.read("result.json"))
             assert record["verdict"] in visitor.read()
+            visitor.fill("Press (mm)", 99)
+            visitor.await_text("The press is")
+            assert mine.depth.value == mine.depth.max
+            visitor.click("Remove this touch")
+            visitor.await_text("Touches: touch-1")
+            program.wait_until(lambda: "from 2 touches" not in visitor.read(), "the old result stays")
+            assert mine.session.result is None
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1, touch-2")
             assert sorted(len(page.session.touches) for page in (mine, theirs)) == [0, 2]
             assert "No touch yet" in other.read()
             wrong = tmp_path / "wrong.stl"
@@ -148,6 +161,12 @@ def test_visitors_press_locate_and_export(tmp_path, store):
             other.upload("Open your own mesh", wrong)
             other.await_text("This did not work")
             assert "pin: 16.0" in other.read()
+            (tmp_path / "block.stl").write_bytes(trimesh.creation.box((30, 20, 10)).export(file_type="stl"))
+            other.upload("Open your own mesh", tmp_path / "block.stl")
+            other.await_text("block: 30.0 x 20.0 x 10.0 mm")
+            other.choose("Unit of own files", "cm")
+            other.await_text("block: 300.0 x 200.0 x 100.0 mm")
+            assert theirs.units.value == "cm"
             calibrate_in_the_page(other, theirs, tmp_path)
             assert theirs.session.localizer.config.sensor.name == "calibrated"
             assert mine.session.localizer.config.sensor.name == MINI.name

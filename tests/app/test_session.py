@@ -27,10 +27,12 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.io.images import encode_png
 from tactile_loc.io.touches import write_touch
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.store import StageStore
 
 SENSOR = SlotConfig(name="gelsight-mini")
 DEPTH_M = 8e-4
+AT_CORNER = make_translation([0.014, 0.009, 0])  # of the block
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +111,16 @@ def test_touches_are_located_in_the_objects_resting_frame(located):
     assert [judged.touches for judged in located.history] == [1, 2]
 
 
+def test_a_touch_is_removed_with_the_result_and_its_name_is_free_again(session, located):
+    session.press(session.T_base_sensor, DEPTH_M)
+    first, second, third = (session.add_touch() for _ in range(3))
+    session.result, session.history = located.result, located.history
+    session.remove_touch(1)
+    assert session.touches == (first, third)
+    assert (session.result, session.history) == (None, ())
+    assert session.add_touch().name == second.name
+
+
 def test_nothing_is_located_without_a_touch(session):
     with pytest.raises(TouchError):
         session.locate()
@@ -137,6 +149,18 @@ def test_an_uploaded_mesh_is_read_in_its_unit(session):
     session.upload_object("block.stl", make_block(), "mm")
     np.testing.assert_allclose(session.object.mesh.extents_m, [0.03, 0.02, 0.01], atol=1e-9)
     assert session.press(place_above(session.object, session.scene), DEPTH_M).touches
+
+
+def test_another_unit_reads_an_uploaded_mesh_again(session):
+    assert not session.choose_units("m"), "a demo object has its own unit"
+    session.upload_object("block.stl", make_block(), "mm")
+    session.press(AT_CORNER @ session.T_base_sensor, DEPTH_M)
+    session.add_touch()
+    assert not session.choose_units("mm")
+    assert len(session.touches) == 1
+    assert session.choose_units("inch")
+    np.testing.assert_allclose(session.object.mesh.extents_m, 25.4 * np.array([0.03, 0.02, 0.01]), rtol=1e-6)
+    assert session.touches == ()
 
 
 def test_a_damaged_upload_leaves_the_object(session):
@@ -273,6 +297,19 @@ def test_the_exported_script_computes_the_same_result(located, localizers, tmp_p
     assert capsys.readouterr().out.strip() == found.summary()
     first, again = (json.loads((tmp_path / part).read_text()) for part in ("result.json", "again/result.json"))
     assert (again["verdict"], again["hypotheses"]) == (first["verdict"], first["hypotheses"])
+
+
+@pytest.mark.slow
+def test_exported_files_of_an_uploaded_mesh_name_no_folder_of_the_server(session, tmp_path, store):
+    session.upload_object("block.stl", make_block(), "mm")
+    session.press(AT_CORNER @ session.T_base_sensor, DEPTH_M)
+    session.add_touch()
+    found = session.locate()
+    session.export(tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text())["configuration"]["object"]["path"] == "block.stl"
+    for path in tmp_path.iterdir():
+        assert str(session.folder).encode() not in path.read_bytes(), path
+    assert Localization.load(tmp_path).summary() == found.summary()
 
 
 def test_the_script_of_an_uploaded_mesh_holds_its_copy(session, tmp_path):
