@@ -46,9 +46,10 @@ from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis, JudgedH
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import judge
 from tactile_loc.locate.scoring import NewMatcher
-from tactile_loc.locate.search import PlaceSearch, build_places, search_together
+from tactile_loc.locate.search import PlaceSearch, search_together
 from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
 from tactile_loc.locate.stored_object import load_stored_object
+from tactile_loc.locate.stored_places import build_places
 from tactile_loc.store.store import StageStore
 
 

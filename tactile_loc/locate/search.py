@@ -18,7 +18,7 @@ from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
-from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.gel_surface import SLACK
@@ -26,7 +26,6 @@ from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.common_poses import compute_prior_weights
 from tactile_loc.core.slots.encoder import Encoder
-from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.options import SearchOptions
@@ -34,10 +33,7 @@ from tactile_loc.locate.hypotheses import compute_imprint_ious, keep_apart
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace
 
-STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 6
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
@@ -45,20 +41,6 @@ ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
 STEPS_NEARER = 2  # steps of registration before the distances of poses are compared again
-
-
-def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
-    """Return the places of the scene's object, stored or built now, and their store key."""
-    obj = scene.object
-    key = StageKey(STAGE, STAGE_VERSION, {"object": obj.describe(), "sampler": sampler.describe()}, obj.name)
-
-    def build(work: Workspace) -> None:
-        places = sampler.places(obj, progress)
-        work.save_array("T_place_object", places.T_place_object)
-        work.save_array("patches", places.patches)
-
-    stored = store.build(key, build)
-    return Places(np.array(stored.load_array("T_place_object")), stored.load_array("patches")), key
 
 
 class PlaceSearch:

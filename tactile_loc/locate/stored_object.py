@@ -49,14 +49,13 @@ def _load_surface(path: Path, store: StageStore) -> Surface:
     key = StageKey("surface", SURFACE_VERSION, described, path.stem)
 
     def save(surface: Surface, work: Workspace) -> None:
-        work.save_array("vertices", surface.vertices)
-        work.save_array("faces", surface.faces)
+        work.save_array("vertices", surface.vertices, packed=True)
+        work.save_array("faces", surface.faces, packed=True)
         work.save_json("watertight", surface.is_watertight)
 
     def load(kept: Artifact) -> Surface:
-        return Surface(
-            np.array(kept.load_array("vertices")), np.array(kept.load_array("faces")), kept.load_json("watertight")
-        )
+        vertices, faces = (kept.load_array(name, mmap=False) for name in ("vertices", "faces"))
+        return Surface(vertices, faces, kept.load_json("watertight"))
 
     return _load_or_keep(store, key, lambda: read_surface(path), save, load)
 

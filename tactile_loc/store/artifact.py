@@ -22,7 +22,7 @@ from tactile_loc.store.keys import StageKey, hash_file, hash_json
 MANIFEST = "manifest.json"
 _FORMAT = 1
 _MEMBER = "array"  # name of the array in a packed file, which is an ordinary npz
-_LEVEL = 1  # compression level; higher levels take several times as long and save 5 % of the size
+_LEVEL = 6  # compression level; level 1 takes half the time and up to a tenth more space
 
 
 class DamagedError(StoreError):
