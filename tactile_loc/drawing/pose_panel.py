@@ -89,7 +89,7 @@ def _choose_size(bounds: Bounds) -> tuple[int, int]:
     return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
 
 
-def paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) -> None:
+def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opacity: float) -> None:
     """Blend a colour into the marked pixels (H, W) of an RGBA image, in place."""
     from matplotlib.colors import to_rgb
 

@@ -14,11 +14,13 @@ from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.zbuffer import draw_nearest_faces
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 Bounds = tuple[float, float, float, float]
 
 LIGHT = np.array([0.35, -0.45, 0.82])  # direction towards the light in the sensor frame: up, right and in front
 CREASE_DEG = 28.0
-LIT_PX = 1500  # pixels along the longer side of the picture seen from the light
+LIT_PX = 1000  # pixels along the longer side of the picture seen from the light
+IN_SHADOW = 0.35  # share of the diffuse light in shadow
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,13 @@ class Buffers:
     of the ray. `normals` and `points` list the K hits row by row.
     """
 
-    surface: NDArray[np.int64]
-    face: NDArray[np.int64]
-    depth: NDArray[np.float32]
+    surface: NDArray[np.int32]
+    face: NDArray[np.int32]
+    depth: Float32
     face_normals: Array
     """Unit normals (F, 3) of all faces, towards the viewer."""
+    surface_of_face: NDArray[np.int32]
+    """The index (F,) of each face's surface."""
     origins: tuple[Array, Array, Array]
     """The rays' starts and direction: right (W, 3), up (H, 3) and towards (3,).
 
@@ -69,17 +73,26 @@ class Buffers:
         """Mask (H, W) of the pixels whose ray hits a surface."""
         return self.surface >= 0
 
-    @cached_property
+    @property
     def normals(self) -> Array:
         """Unit normals (K, 3) of the faces at `points`, towards the viewer."""
         return self.face_normals[self.face[self.hit]]
 
-    @cached_property
+    @property
     def points(self) -> Array:
         """Points (K, 3) where rays hit a surface."""
+        return np.stack(self.locate(np.eye(3), 0.0), axis=-1)
+
+    def locate(self, axes: Array, lift: float) -> tuple[Float32, Float32, Float32]:
+        """Return coordinates x, y and z (K,) of `points` along axes (3, 3), rows, moved by `lift` along the normals."""
         rows, columns = np.nonzero(self.hit)
-        right, up, towards = self.origins
-        return right[columns] + up[rows] - self.depth[self.hit][:, None] * towards
+        depth, face = self.depth[self.hit], self.face[self.hit]
+        right, up, towards, normals = (np.asarray(of @ axes.T, np.float32) for of in (*self.origins, self.face_normals))
+        x, y, z = (
+            right[columns, k] + up[rows, k] - depth * towards[k] + (np.float32(lift) * normals[:, k])[face]
+            for k in range(3)
+        )
+        return x, y, z
 
     def find_edges(self, jump: float) -> NDArray[np.bool_]:
         """Return a mask (H, W) of outlines, creases, and depth steps larger than `jump` (in the points' unit)."""
@@ -104,7 +117,8 @@ class Tracer:
         self.view = view
         corners = np.concatenate([triangles.reshape(-1, 3) for triangles in surfaces])
         self._mesh = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
-        self._of_face = np.append(np.repeat(np.arange(len(surfaces)), [len(triangles) for triangles in surfaces]), -1)
+        numbers = np.arange(len(surfaces), dtype=np.int32)
+        self._of_face = np.repeat(numbers, [len(triangles) for triangles in surfaces])
         self._normals = compute_normals(corners.reshape(-1, 3, 3))
         self._distance = 4.0 * float(np.abs(corners).max()) + 1.0
 
@@ -118,7 +132,8 @@ class Tracer:
         # triangles may have any winding
         towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals
         origins = u[:, None] * axes[0] + self._distance * axes[2], v[:, None] * axes[1], axes[2]
-        return Buffers(self._of_face[face], face, depth, towards, origins)
+        surface = np.append(self._of_face, np.int32(-1))[face]
+        return Buffers(surface, face, depth, towards, self._of_face, origins)
 
     def cast_shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
         """Return a mask (H, W) of the pixels in shadow, found with a second picture that is seen from the light.
@@ -136,17 +151,16 @@ class Tracer:
         rows, columns = (int(np.ceil(size / pixel)) + 1 for size in (high - low)[::-1])
         bounds = low[0], low[0] + columns * pixel, low[1], low[1] + rows * pixel
         depth, *_ = self._render_along(axes, bounds, (rows, columns))
-        start = buffers.points + (lift + 1.5 * pixel) * buffers.normals
-        at = start @ axes.T
-        column = ((at[:, 0] - low[0]) / pixel).astype(int).clip(0, columns - 1)
-        row = (rows - 1 - ((at[:, 1] - low[1]) / pixel).astype(int)).clip(0, rows - 1)
+        x, y, z = buffers.locate(axes, lift + 1.5 * pixel)
+        column = ((x - np.float32(low[0])) / np.float32(pixel)).astype(np.int32).clip(0, columns - 1)
+        row = (rows - 1 - ((y - np.float32(low[1])) / np.float32(pixel)).astype(np.int32)).clip(0, rows - 1)
         hidden = np.zeros(buffers.surface.shape, bool)
-        hidden[buffers.hit] = depth[row, column] < self._distance - at[:, 2]
+        hidden[buffers.hit] = depth[row, column] < self._distance - z
         return hidden
 
     def _render_along(
         self, axes: Array, bounds: Bounds, shape: tuple[int, int]
-    ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, Array]:
+    ) -> tuple[Float32, NDArray[np.int32], Array, Array]:
         """Return the depths and faces (H, W) that rays along -axes[2] hit, and the pixels' positions.
 
         The positions are u (W,) along axes[0] and v (H,) along axes[1].
@@ -160,29 +174,35 @@ class Tracer:
         return depth, face, u, v
 
 
-def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
+def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Float32:
     """Return a picture as RGBA (H, W, 4), 0 to 1; pixels without a hit are transparent.
 
     `colours` (S, 3) has a colour for each surface. `shadow` (H, W) marks the pixels in shadow.
     """
-    light = LIGHT / np.linalg.norm(LIGHT)
-    lit = np.where(shadow[buffers.hit], 0.35, 1.0)
-    diffuse = np.clip(buffers.normals @ light, 0.0, 1.0) * lit
-    sky = 0.5 + 0.5 * buffers.normals[:, 2]
-    brightness = 0.30 + 0.22 * sky + 0.55 * diffuse
-    image = np.zeros((*buffers.surface.shape, 4))
-    image[buffers.hit, :3] = np.clip(colours[buffers.surface[buffers.hit]] * brightness[:, None], 0.0, 1.0)
-    image[buffers.hit, 3] = 1.0
-    return image
+    normals, (surfaces, last) = buffers.face_normals, (buffers.surface_of_face, len(buffers.face_normals))
+    diffuse = np.clip(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    sky = 0.5 + 0.5 * normals[:, 2]
+    palette = np.zeros((2 * last + 1, 4), np.float32)  # the faces in the light and in shadow, and no face
+    for start, lit in ((0, 1.0), (last, IN_SHADOW)):
+        brightness = 0.30 + 0.22 * sky + 0.55 * lit * diffuse
+        palette[start : start + last, :3] = np.clip(colours[surfaces] * brightness[:, None], 0.0, 1.0)
+    palette[:-1, 3] = 1.0
+    return palette.take(np.where(buffers.hit, buffers.face + np.int32(last) * shadow, np.int32(2 * last)), axis=0)
 
 
-def shrink(image: Array, factor: int) -> Array:
+def shrink(image: Float32, factor: int) -> Float32:
     """Average blocks of `factor` x `factor` pixels of a picture (H, W, 4), RGBA. Opacity weights the colours."""
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 4)
-    alpha = blocks[..., 3:].mean(axis=(1, 3))
-    rgb = (blocks[..., :3] * blocks[..., 3:]).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)
-    return np.concatenate([np.clip(rgb, 0.0, 1.0), alpha], -1)
+    height, width = (size // factor * factor for size in image.shape[:2])
+    alpha = image[:height, :width, 3:]
+    weighted = np.concatenate([alpha * image[:height, :width, :3], alpha], axis=-1)
+    total = sum(weighted[row::factor, column::factor] for row in range(factor) for column in range(factor))
+    return unmultiply(np.asarray(total / np.float32(factor**2)))
+
+
+def unmultiply(image: Float32) -> Float32:
+    """Divide the colours of a picture (H, W, 4), RGBA, by their opacity, in place, and return it."""
+    image[..., :3] /= np.maximum(image[..., 3:], np.float32(1e-9))
+    return image.clip(0.0, 1.0, out=image)
 
 
 def compute_normals(triangles: Array) -> Array:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.compiled import map_in_threads
 from tactile_loc.core.formatting import format_millimetres
 from tactile_loc.core.geometry.rigid import invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -27,7 +28,7 @@ from tactile_loc.drawing.pose_panel import (
     paint,
     thicken,
 )
-from tactile_loc.drawing.raytracing import Bounds, Tracer, View, shade, shrink
+from tactile_loc.drawing.raytracing import Bounds, Tracer, View, shade, shrink, unmultiply
 from tactile_loc.locate.results.localization import Localization
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]  # RGBA (H, W, 4), 0 to 1
 
 SHAPE = 0.21  # width of a drawn contact shape, in widths of its side of the figure
 MOST_GHOSTS, MOST_SHAPES = 6, 4  # largest numbers of drawn poses of the first touch, and of drawn contact shapes
@@ -93,7 +95,7 @@ def _draw_shape(axes: Axes, touch: Touch, name: str) -> None:
     axes.set_xlabel(name, size=9, labelpad=3)
 
 
-def _draw_image(panel: SubFigure, view: _SharedView, image: Array) -> Axes:
+def _draw_image(panel: SubFigure, view: _SharedView, image: Image) -> Axes:
     axes: Axes = panel.add_axes((0.02, 0.055, 0.96, 0.545))
     axes.imshow(shrink(image, SUPERSAMPLE), extent=view.bounds, interpolation="antialiased")
     axes.set(xlim=view.bounds[:2], ylim=view.bounds[2:], aspect="equal")
@@ -149,18 +151,18 @@ class _SharedView:
         """The depth step that counts as an edge, mm."""
         return EDGE_STEP * float(np.ptp(self.triangles_mm.reshape(-1, 3), axis=0).max())
 
-    def draw_ghosts(self, T_sensor_object: Sequence[Array]) -> Array:
-        """Return a picture (H, W, 4), RGBA, of the first sensor and the object at each pose, seen through."""
+    def draw_ghosts(self, T_sensor_object: Sequence[Array]) -> Image:
+        """Return a picture of the first sensor and the object at each pose, seen through."""
         image = self._draw([], self.sensors_mm[:1])
-        for T in reversed(T_sensor_object):
-            image = _blend(image, self._draw([T], self.sensors_mm[:1]), GHOST)
-        return self._mark_truth(image)
+        for ghost in map_in_threads(lambda T: self._draw([T], self.sensors_mm[:1]), T_sensor_object[::-1]):
+            image = _blend(image, ghost, GHOST)
+        return self._mark_truth(unmultiply(image))
 
-    def draw_touched(self, T_sensor_object: Array) -> Array:
-        """Return a picture (H, W, 4), RGBA, of the object at a pose, on the first sensor; others are seen through."""
+    def draw_touched(self, T_sensor_object: Array) -> Image:
+        """Return a picture of the object at a pose, on the first sensor; others are seen through."""
         image = self._draw([T_sensor_object], self.sensors_mm[:1])
         every = self._draw([T_sensor_object], self.sensors_mm)
-        return self._mark_truth(_blend(image, every, SEEN_THROUGH))
+        return self._mark_truth(unmultiply(_blend(image, every, SEEN_THROUGH)))
 
     def label_sensors(self, axes: Axes, T_sensor_object: Array) -> None:
         """Write each touch's name on its sensor, in the corner that is farthest from the object and other sensors."""
@@ -176,7 +178,7 @@ class _SharedView:
             at = LABEL * corners[free_mm.argmax()] + (1 - LABEL) * middles[number + 1]
             axes.text(at[0], at[1], name_touch(number), size=10, ha="center", va="center", path_effects=halo)
 
-    def _draw(self, T_sensor_object: Sequence[Array], sensors_mm: Sequence[list[Array]]) -> Array:
+    def _draw(self, T_sensor_object: Sequence[Array], sensors_mm: Sequence[list[Array]]) -> Image:
         surfaces = [_move(self.triangles_mm, T) for T in T_sensor_object]
         colours = [STEEL] * len(surfaces) + [GEL, HOUSING] * len(sensors_mm)
         tracer = Tracer([*surfaces, *(part for sensor in sensors_mm for part in sensor)], self.view)
@@ -185,7 +187,7 @@ class _SharedView:
         paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
         return image
 
-    def _mark_truth(self, image: Array) -> Array:
+    def _mark_truth(self, image: Image) -> Image:
         if self.T_true is not None:
             seen = Tracer([_move(self.triangles_mm, self.T_true)], self.view).look(self.bounds, self.shape)
             paint(image, thicken(seen.find_edges(self.step_mm)), TRUTH, 0.95)
@@ -215,10 +217,7 @@ def _move(triangles_mm: Array, T: Array) -> Array:
     return moved
 
 
-def _blend(below: Array, above: Array, opacity: float) -> Array:
-    """Return a picture (H, W, 4), RGBA, with another one over it that is seen through."""
-    alpha = opacity * above[..., 3:]
-    kept = (1 - alpha) * below[..., 3:]
-    total = alpha + kept
-    rgb = (alpha * above[..., :3] + kept * below[..., :3]) / np.maximum(total, 1e-9)
-    return np.concatenate([rgb, total], axis=-1)
+def _blend(below: Image, above: Image, opacity: float) -> Image:
+    """Return a picture (H, W, 4) with another one over it that is seen through. Colours are multiplied by opacity."""
+    above = np.float32(opacity) * above
+    return above + (1 - above[..., 3:]) * below

@@ -46,7 +46,7 @@ def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Se
 
 def draw_nearest_faces(
     mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return the depths and the faces at which parallel rays along z first meet a mesh at one pose (4, 4).
 
     The rays pass through evenly spaced x (W,) and y (H,). The depths (H, W) are in the unit of the mesh; a ray that
@@ -58,7 +58,7 @@ def draw_nearest_faces(
     fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])
     camera = False, fx, fy, 0.5 - fx * x[0], 0.5 - fy * y[0], 0.0, np.inf
     _draw(0, 1, triangles, T, camera, x, y, depth, which)
-    order = np.append(triangles.order, -1)
+    order = np.append(triangles.order, -1).astype(np.int32)
     return depth[0], order[which[0]]
 
 
