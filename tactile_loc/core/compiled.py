@@ -42,7 +42,10 @@ def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> A
     """
     if function is None:
         return lambda f: njit(f, fast=fast)
-    decorate = partial(numba_njit, nogil=True, error_model="numpy", fastmath=FASTMATH if fast else False)
+    # C programs do not call these functions, so wrappers for C would only take time to compile
+    decorate = partial(
+        numba_njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, fastmath=FASTMATH if fast else False
+    )
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return decorate(function)
     with _one_folder:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.zbuffer import draw_nearest_faces
 
 Array = NDArray[np.float64]
@@ -115,12 +114,11 @@ class Tracer:
 
     def __init__(self, surfaces: list[Array], view: View) -> None:
         self.view = view
-        corners = np.concatenate([triangles.reshape(-1, 3) for triangles in surfaces])
-        self._mesh = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
+        self._triangles = np.concatenate(surfaces)
         numbers = np.arange(len(surfaces), dtype=np.int32)
         self._of_face = np.repeat(numbers, [len(triangles) for triangles in surfaces])
-        self._normals = compute_normals(corners.reshape(-1, 3, 3))
-        self._distance = 4.0 * float(np.abs(corners).max()) + 1.0
+        self._normals = compute_normals(self._triangles)
+        self._distance = 4.0 * float(np.abs(self._triangles).max()) + 1.0
 
     def look(self, bounds: Bounds, shape: tuple[int, int]) -> Buffers:
         """Cast a ray through each pixel of a picture with `shape` (H, W).
@@ -145,7 +143,7 @@ class Tracer:
         right = np.cross([0.0, 1.0, 0.0], towards)
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(towards, right), towards])
-        flat = self._mesh.vertices_m @ axes[:2].T
+        flat = self._triangles.reshape(-1, 3) @ axes[:2].T
         low, high = flat.min(axis=0), flat.max(axis=0)
         pixel = float((high - low).max()) / LIT_PX
         rows, columns = (int(np.ceil(size / pixel)) + 1 for size in (high - low)[::-1])
@@ -170,7 +168,7 @@ class Tracer:
         u = left + (np.arange(width) + 0.5) / width * (right - left)
         v = top - (np.arange(height) + 0.5) / height * (top - bottom)
         looking = make_transform(axes * [[1.0], [-1.0], [-1.0]], [0.0, 0.0, self._distance])
-        depth, face = draw_nearest_faces(self._mesh, looking, u, -v)
+        depth, face = draw_nearest_faces(self._triangles, looking, u, -v)
         return depth, face, u, v
 
 

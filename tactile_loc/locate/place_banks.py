@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -70,9 +70,15 @@ class PlaceBanks:
         return self._encode(press_depth_m, flat=True)
 
     def _encode(self, press_depth_m: float, flat: bool = False) -> Scores:
+        from tactile_loc.core.compiled import map_in_threads  # numba takes a while to import
+
+        encode = partial(self._encode_some, press_depth_m, flat)
         starts = range(0, len(self.places), ENCODED)
-        depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
-        press = np.float32(press_depth_m)
+        one_by_one = self.encoder.capabilities.needs_training  # a network has threads of its own
+        return np.concatenate(list(map(encode, starts) if one_by_one else map_in_threads(encode, starts)))
+
+    def _encode_some(self, press_depth_m: float, flat: bool, start: int) -> Scores:
+        depths_m, press = self.places.depths(press_depth_m, slice(start, start + ENCODED)), np.float32(press_depth_m)
         if flat:
-            depths = (np.where(some < press, np.float32(0), press) for some in depths)
-        return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
+            depths_m = np.where(depths_m < press, np.float32(0), press)
+        return self.encoder.encode(depths_m, press_depth_m, CAMERA)

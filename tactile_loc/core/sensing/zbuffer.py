@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.blocks import make_triangle_blocks
+from tactile_loc.core.objects.blocks import make_blocks, make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -45,21 +45,20 @@ def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Se
 
 
 def draw_nearest_faces(
-    mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+    triangles: NDArray[np.float64], T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return the depths and the faces at which parallel rays along z first meet a mesh at one pose (4, 4).
+    """Return the depths and the faces at which parallel rays along z first meet triangles (F, 3, 3) at a pose (4, 4).
 
-    The rays pass through evenly spaced x (W,) and y (H,). The depths (H, W) are in the unit of the mesh; a ray that
-    misses the mesh has the depth inf. The faces (H, W) are indices into the mesh's faces, or -1 for a miss.
+    The rays pass through evenly spaced x (W,) and y (H,). The depths (H, W) are in the unit of the triangles; a ray
+    that misses all triangles has the depth inf. The faces (H, W) are indices of triangles, or -1 for a miss.
     """
-    triangles, T = make_triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
+    block = make_blocks(triangles, len(triangles))  # the picture shows all triangles, so that none is worth skipping
     depth = np.empty((1, len(y), len(x)), np.float32)
     which = np.full(depth.shape, -1, np.int32)
     fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])
     camera = False, fx, fy, 0.5 - fx * x[0], 0.5 - fy * y[0], 0.0, np.inf
-    _draw(0, 1, triangles, T, camera, x, y, depth, which)
-    order = np.append(triangles.order, -1).astype(np.int32)
-    return depth[0], order[which[0]]
+    _draw(0, 1, block, np.ascontiguousarray(T_camera_object, float)[None], camera, x, y, depth, which)
+    return depth[0], which[0]
 
 
 @njit
