@@ -5,7 +5,6 @@ This is the public API. Names are imported at their first use, so `import tactil
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.lazy import lazy_names
@@ -82,5 +81,13 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.tracker import Motion as Motion
     from tactile_loc.tasks.tracker import Tracker as Tracker
 
-__version__ = version("tactile-loc")
-__all__, __getattr__, __dir__ = lazy_names(__name__)
+__version__: str
+
+
+def _find_version() -> str:
+    from importlib.metadata import version  # it takes longer to import than the rest of this module
+
+    return version("tactile-loc")
+
+
+__all__, __getattr__, __dir__ = lazy_names(__name__, __version__=_find_version)

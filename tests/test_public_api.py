@@ -17,15 +17,20 @@ PROJECT = Path(__file__).parents[1]
 HEAVY = ("numpy", "scipy", "trimesh", "open3d", "torch", "numba", "faiss", "pydantic", "matplotlib", "pyrender")
 
 
-def imported_by(statement: str) -> set[str]:
-    """The packages of HEAVY that a statement imports in a separate process."""
-    script = f"import sys\n{statement}\nprint(*[m for m in {HEAVY!r} if m in sys.modules])"
+def imported_by(statement: str, of: tuple[str, ...] = HEAVY) -> set[str]:
+    """The modules among `of` that a statement imports in a separate process."""
+    script = f"import sys\nbefore = set(sys.modules)\n{statement}\nprint(*({set(of)!r} & set(sys.modules) - before))"
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=PROJECT)
     return set(ran.stdout.split())
 
 
 def test_importing_the_package_imports_no_heavy_library():
     assert imported_by("import tactile_loc; dir(tactile_loc); tactile_loc.__version__") == set()
+
+
+def test_importing_the_package_imports_no_slow_module_of_python():
+    slow = ("email", "http", "importlib.metadata", "logging", "multiprocessing", "socket", "subprocess", "zipfile")
+    assert imported_by("import tactile_loc", slow) == set()
 
 
 def test_importing_the_plugin_hook_imports_at_most_pydantic():

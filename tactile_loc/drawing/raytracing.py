@@ -190,11 +190,15 @@ def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Float3
 
 def shrink(image: Float32, factor: int) -> Float32:
     """Average blocks of `factor` x `factor` pixels of a picture (H, W, 4), RGBA. Opacity weights the colours."""
+    alpha = image[..., 3:]
+    return unmultiply(average(np.concatenate([alpha * image[..., :3], alpha], axis=-1), factor))
+
+
+def average(image: Float32, factor: int) -> Float32:
+    """Average blocks of `factor` x `factor` pixels of a picture (H, W, C)."""
     height, width = (size // factor * factor for size in image.shape[:2])
-    alpha = image[:height, :width, 3:]
-    weighted = np.concatenate([alpha * image[:height, :width, :3], alpha], axis=-1)
-    total = sum(weighted[row::factor, column::factor] for row in range(factor) for column in range(factor))
-    return unmultiply(np.asarray(total / np.float32(factor**2)))
+    total = sum(image[row:height:factor, column:width:factor] for row in range(factor) for column in range(factor))
+    return np.asarray(total / np.float32(factor**2))
 
 
 def unmultiply(image: Float32) -> Float32:

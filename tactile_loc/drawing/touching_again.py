@@ -28,7 +28,7 @@ from tactile_loc.drawing.pose_panel import (
     paint,
     thicken,
 )
-from tactile_loc.drawing.raytracing import Bounds, Tracer, View, shade, shrink, unmultiply
+from tactile_loc.drawing.raytracing import Bounds, Tracer, View, average, shade, unmultiply
 from tactile_loc.locate.results.localization import Localization
 
 if TYPE_CHECKING:
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]  # RGBA (H, W, 4), 0 to 1
+Image = NDArray[np.float32]  # (H, W, 4): colours, 0 to 1, multiplied by opacity, and opacity
 
 SHAPE = 0.21  # width of a drawn contact shape, in widths of its side of the figure
 MOST_GHOSTS, MOST_SHAPES = 6, 4  # largest numbers of drawn poses of the first touch, and of drawn contact shapes
 PIXELS, SUPERSAMPLE = 480, 2
-GHOST, SEEN_THROUGH = 0.45, 0.5  # opacity of the first touch's poses, and of the other sensors
+GHOST, SEEN_THROUGH, TRUTH_OPACITY = 0.45, 0.5, 0.95  # opacity of the first touch's poses, other sensors and lines
 EDGE_STEP = 0.04  # depth step that counts as an edge, in sizes of the object
 WIDTH_IN, HEIGHT_IN = 13.6, 7.0
 LABEL = 0.55  # place of a sensor's label: 0 for the gel's middle, 1 for its corner
@@ -97,7 +97,7 @@ def _draw_shape(axes: Axes, touch: Touch, name: str) -> None:
 
 def _draw_image(panel: SubFigure, view: _SharedView, image: Image) -> Axes:
     axes: Axes = panel.add_axes((0.02, 0.055, 0.96, 0.545))
-    axes.imshow(shrink(image, SUPERSAMPLE), extent=view.bounds, interpolation="antialiased")
+    axes.imshow(unmultiply(image), extent=view.bounds, interpolation="antialiased")
     axes.set(xlim=view.bounds[:2], ylim=view.bounds[2:], aspect="equal")
     axes.set_axis_off()
     return axes
@@ -140,7 +140,7 @@ class _SharedView:
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Size (H, W) of the pictures before they are shrunk."""
+        """Size (H, W) of the pictures before they are averaged."""
         left, right, bottom, top = self.bounds
         scale = PIXELS * SUPERSAMPLE / max(right - left, top - bottom)
         height, width = (SUPERSAMPLE * round(scale * mm / SUPERSAMPLE) for mm in (top - bottom, right - left))
@@ -156,13 +156,13 @@ class _SharedView:
         image = self._draw([], self.sensors_mm[:1])
         for ghost in map_in_threads(lambda T: self._draw([T], self.sensors_mm[:1]), T_sensor_object[::-1]):
             image = _blend(image, ghost, GHOST)
-        return self._mark_truth(unmultiply(image))
+        return self._mark_truth(image)
 
     def draw_touched(self, T_sensor_object: Array) -> Image:
         """Return a picture of the object at a pose, on the first sensor; others are seen through."""
         image = self._draw([T_sensor_object], self.sensors_mm[:1])
         every = self._draw([T_sensor_object], self.sensors_mm)
-        return self._mark_truth(unmultiply(_blend(image, every, SEEN_THROUGH)))
+        return self._mark_truth(_blend(image, every, SEEN_THROUGH))
 
     def label_sensors(self, axes: Axes, T_sensor_object: Array) -> None:
         """Write each touch's name on its sensor, in the corner that is farthest from the object and other sensors."""
@@ -185,13 +185,15 @@ class _SharedView:
         seen = tracer.look(self.bounds, self.shape)
         image = shade(seen, np.array(colours), tracer.cast_shadow(seen, 0.02))
         paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
-        return image
+        return average(image, SUPERSAMPLE)
 
     def _mark_truth(self, image: Image) -> Image:
-        if self.T_true is not None:
-            seen = Tracer([_move(self.triangles_mm, self.T_true)], self.view).look(self.bounds, self.shape)
-            paint(image, thicken(seen.find_edges(self.step_mm)), TRUTH, 0.95)
-        return image
+        if self.T_true is None:
+            return image
+        seen = Tracer([_move(self.triangles_mm, self.T_true)], self.view).look(self.bounds, self.shape)
+        lines = np.zeros((*self.shape, 4), np.float32)
+        paint(lines, thicken(seen.find_edges(self.step_mm)), TRUTH, 1.0)
+        return _blend(image, average(lines, SUPERSAMPLE), TRUTH_OPACITY)
 
 
 def _fit_bounds(view: View, surfaces: Sequence[Array]) -> Bounds:
@@ -218,6 +220,6 @@ def _move(triangles_mm: Array, T: Array) -> Array:
 
 
 def _blend(below: Image, above: Image, opacity: float) -> Image:
-    """Return a picture (H, W, 4) with another one over it that is seen through. Colours are multiplied by opacity."""
+    """Return a picture (H, W, 4) with another one over it that is seen through."""
     above = np.float32(opacity) * above
     return above + (1 - above[..., 3:]) * below

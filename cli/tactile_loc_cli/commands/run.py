@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.lazy import import_ahead
 from tactile_loc.store.files import lock_folder, require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
@@ -99,6 +100,7 @@ def _locate_together(
     from tactile_loc.locate.localizer import localize_together
 
     observations = _read_observations(localizer)
+    drawing = import_ahead("matplotlib.backends.backend_agg", "matplotlib.figure")
     known = None if prior is None else read_prior(prior, localizer.object).view_from(observations[0][1].T_base_sensor)
     start = time.perf_counter()
     for one, touch in observations:
@@ -107,6 +109,7 @@ def _locate_together(
     alone = localize_together(observations[:1], known) if localizer.config.touch.path is None else None
     localization = localize_together(observations, known)
     located = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
+    drawing.join()
     return _report(located, localization, seconds, out, page, rerun, alone)
 
 
