@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -29,6 +30,9 @@ from tactile_loc_cli.doctor.command import doctor
 from tactile_loc_cli.evaluate.command import evaluate
 from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, describe_usage_error, tell
 from tactile_loc_cli.scaffold.command import new_plugin
+
+# Imports make many objects that stay. To look for garbage among them as often as usual takes a twentieth of a run.
+MADE_OBJECTS = 50_000  # objects between two searches for garbage
 
 
 class PlainErrors(TyperGroup):
@@ -115,6 +119,7 @@ app.command()(make_command(doctor))
 
 def main() -> None:
     """Run the command line."""
+    gc.set_threshold(MADE_OBJECTS)
     try:
         app(prog_name="tactile-loc")
     except KeyboardInterrupt:

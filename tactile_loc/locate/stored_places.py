@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import FAR, PATCH_PX, Places
+from tactile_loc.core.sensing.places import Places
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.store.artifact import Artifact
@@ -32,6 +29,8 @@ def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress
 
 
 def _save(places: Places, work: Workspace) -> None:
+    from tactile_loc.core.sensing.packed_patches import split_patches  # numba takes a while to import
+
     runs, changes = split_patches(places.patches)
     work.save_array("T_place_object", places.T_place_object, packed=True)
     work.save_array("runs", runs, packed=True)
@@ -39,28 +38,7 @@ def _save(places: Places, work: Workspace) -> None:
 
 
 def _load(stored: Artifact) -> Places:
+    from tactile_loc.core.sensing.packed_patches import join_patches
+
     patches = join_patches(stored.load_array("runs"), stored.load_array("changes"))
     return Places(stored.load_array("T_place_object"), patches)
-
-
-def split_patches(patches: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
-    """Split patches (N, PATCH_PX, PATCH_PX) into two arrays that compress well: see `join_patches`.
-
-    Three of four pixels show no surface. The others differ little from the pixel before.
-    """
-    seen = (patches != FAR).ravel()
-    starts = np.flatnonzero(np.diff(seen, prepend=False))
-    runs = np.diff(starts, prepend=0, append=seen.size).astype(np.uint32)
-    return runs, np.diff(patches.ravel()[seen], prepend=np.uint8(0))
-
-
-def join_patches(runs: NDArray[np.uint32], changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the patches (N, PATCH_PX, PATCH_PX) that `split_patches` split.
-
-    `runs` are the numbers of consecutive pixels without surface and with surface, in turn, beginning with pixels
-    without surface. `changes` are the differences, modulo 256, between consecutive pixels with surface.
-    """
-    seen = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
-    patches = np.full(len(seen), FAR, np.uint8)
-    patches[seen] = np.cumsum(changes, dtype=np.uint8)
-    return patches.reshape(-1, PATCH_PX, PATCH_PX)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import BELOW, FAR, PATCH_PX
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.stored_places import STAGE, STAGE_VERSION, build_places, join_patches, split_patches
+from tactile_loc.locate.stored_places import STAGE, STAGE_VERSION, build_places
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
@@ -22,24 +21,6 @@ def localizer(tmp_path_factory):
 
 def build(localizer, store):
     return build_places(localizer.sampler, localizer.scene, store, Progress())
-
-
-def test_any_patches_are_the_same_after_splitting_and_joining():
-    rng = np.random.default_rng(0)
-    noise = rng.integers(0, FAR + 1, (3, PATCH_PX, PATCH_PX), np.uint8)
-    for patches in (noise, np.where(rng.random(noise.shape) < 0.8, FAR, noise), 0 * noise, 0 * noise + FAR, noise[:0]):
-        for some in (patches, patches[:, ::-1]):
-            joined = join_patches(*split_patches(some))
-            assert joined.dtype == np.uint8
-            assert np.array_equal(joined, some)
-
-
-def test_a_patch_is_split_into_runs_and_changes():
-    patch = np.full((1, PATCH_PX, PATCH_PX), FAR, np.uint8)
-    patch[0, 0, 2:5] = BELOW, BELOW + 7, BELOW + 4
-    runs, changes = split_patches(patch)
-    assert runs.tolist() == [2, 3, PATCH_PX**2 - 5]
-    assert changes.tolist() == [BELOW, 7, 256 - 3]
 
 
 def test_stored_places_are_those_of_the_sampler_in_a_fifth_of_the_space(localizer, tmp_path):

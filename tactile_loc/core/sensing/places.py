@@ -47,9 +47,14 @@ class Places:
 
     def depths(self, press_depth_m: float, some: slice = slice(None)) -> Float32:
         """Return the contact depths (K, PATCH_PX, PATCH_PX), metres, of the places `some`, cut at the press depth."""
-        rise_m = (np.arange(FAR + 1, dtype=np.float32) - BELOW) * np.float32(STEP_M)
-        rise_m[FAR] = np.inf
-        return np.asarray(np.clip(rise_m, 0.0, np.float32(press_depth_m))[self.patches[some]])
+        patches, press = self.patches[some], np.float32(press_depth_m)
+        depths_m = patches.astype(np.float32)
+        depths_m -= BELOW
+        depths_m *= np.float32(STEP_M)
+        np.clip(depths_m, 0.0, press, out=depths_m)
+        if (FAR - BELOW) * np.float32(STEP_M) < press:
+            depths_m[patches == FAR] = press
+        return depths_m
 
     def poses(self, numbers: NDArray[np.int64], yaw_rad: NDArray[np.float64]) -> Poses:
         """Return poses (K, 4, 4), metres, that bring the places `numbers` (K,) to the origin, rotated by yaws (K,)."""

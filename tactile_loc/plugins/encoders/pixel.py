@@ -33,7 +33,8 @@ class PixelEncoder(Encoder):
         press = np.float32(press_depth_m)
         binary = self.options.signal == "binary"
         signal: Float32 = (depth_m < press).astype(np.float32) if binary else 1 - depth_m / press
-        signal = np.where(geometry.observed_mask, signal, np.float32(0))
+        if not geometry.observed_mask.all():
+            signal = np.where(geometry.observed_mask, signal, np.float32(0))
         height, width = geometry.shape
         down, across = _count_cells(geometry, self.options.cells)
         rows, columns = _make_averaging(height, down), _make_averaging(width, across)

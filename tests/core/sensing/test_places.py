@@ -33,6 +33,15 @@ def test_patches_keep_heights_to_half_a_step_and_mark_far_pixels():
     assert found == pytest.approx(3.3e-4, abs=STEP_M / 2)
 
 
+@pytest.mark.parametrize("press_m", [STEP_M, PRESS_M, HIGHEST_M, 2 * HIGHEST_M])
+def test_pixels_without_surface_are_exactly_at_the_press_depth(press_m):
+    steps = np.arange(FAR + 1, dtype=np.uint8)
+    found = Places(np.eye(4)[None], np.broadcast_to(steps[:, None, None], (FAR + 1, 1, 1))).depths(press_m).ravel()
+    assert found[FAR] == np.float32(press_m)
+    assert (found[:BELOW] == 0).all()
+    assert found[:FAR] == pytest.approx(np.clip((np.arange(FAR) - BELOW) * STEP_M, 0, press_m), rel=1e-6)
+
+
 @pytest.mark.parametrize("press_m", [2e-4, PRESS_M])
 def test_depths_are_cut_at_the_press(places, press_m):
     depths = places.depths(press_m)
