@@ -88,7 +88,7 @@ benchmark: $(STAMP) ## compare methods on touches from several sources, some min
 bench: $(STAMP) ## run all benchmarks, hours, and keep their tables
 	@$(VENV)/bin/python scripts/bench.py keep --all
 
-bench-compare: $(STAMP) ## report the changes of benchmarks since the previous version
+bench-compare: $(STAMP) ## print the ratio of every figure of the benchmarks to its value before
 	@$(VENV)/bin/python scripts/bench.py compare
 
 clean: ## remove .venv, out, build and the tools' caches

@@ -5,10 +5,11 @@
 machine, the versions, the date and the arguments. A run has the name of its benchmark, or the name given with `--as
 RUN`. Without arguments, the run repeats the arguments of the last time. Then the tables and computed figures of the
 documentation are renewed, and the sentences to check are listed. `bind RUN` confirms these sentences. `keep --all`
-repeats every kept run, and runs every other benchmark. `compare` reports the changes since the previous version with
-results. It fails if a time grew, or a speed fell, by more than a tenth. Times are compared as multiples of a yardstick:
-the time of a fixed piece of work before and after a run. `page` writes the documentation's page of results, and all
-figures that come from results.
+repeats every kept run, and runs every other benchmark. `compare` prints the ratio of every figure to its value before:
+in the previous version or, if only one version has the run, in the previous committed measurement. It fails if a time
+grew, or a speed fell, by more than a tenth. Times are compared as multiples of a yardstick: the time of a fixed piece
+of work before and after a run. `page` writes the documentation's page of results, and all figures that come from
+results.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ from statistics import median
 from typing import Any
 
 import figures
-from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_latest
+from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_before, read_latest
 
 BENCHMARKS = ROOT / "benchmarks"
 PAGE = ROOT / "docs" / "results.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # share by which a time may grow
-CHANGED = 0.1  # share by which a figure may change without a report
+CHANGED = 0.1  # share by which a figure may change without a mark
 TIME = re.compile(r"(?<!/)\b(m?s|seconds|milliseconds)\b")
 RATE = re.compile(r"/s\b")
 RATIO = re.compile(r"^x \w")  # ratio to another row of the same run
@@ -187,24 +188,29 @@ def list_benchmarks() -> list[str]:
 
 
 def compare(folder: Path = RESULTS) -> int:
-    """Print the changes between the last two versions with results. Return 1 if a figure is worse."""
+    """Print the ratio of every figure of the newest version to its value before. Return 1 if a figure is worse."""
     known = list_versions(folder)
-    if len(known) < 2:
-        print(f"bench: only {known[0]} has results; nothing to compare with" if known else "bench: nothing is kept yet")
+    if not known:
+        print("bench: nothing is kept yet")
         return 0
-    old, new = known[-2:]
-    worse = 0
-    for path in sorted((folder / new).glob("*.json")):
-        if not (folder / old / path.name).exists():
-            print(f"{path.stem}: new since {old}")
+    worse = compared = 0
+    for path in sorted((folder / known[-1]).glob("*.json")):
+        now = Kept.read(path)
+        if (before := read_before(now, folder)) is None:
+            print(f"{now.name}: measured once, {now.measurement}")
             continue
-        for change in find_changes(Kept.read(folder / old / path.name), Kept.read(path)):
-            worse += change.is_worse
-            if change.is_worse or abs(change.ratio - 1) > CHANGED:
-                mark = "WORSE  " if change.is_worse else "       "
-                print(f"{mark}{change.where}: {change.before:.4g} -> {change.now:.4g} ({change.ratio:.2f} times)")
-    print(f"bench: {old} -> {new}: {worse} figures are worse by more than {WORSE:.0%}")
+        changes = find_changes(before, now)
+        print(f"{now.name}: {len(changes)} figures, {before.measurement} -> {now.measurement}")
+        for change in changes:
+            print(_format_change(change))
+        worse, compared = worse + sum(change.is_worse for change in changes), compared + len(changes)
+    print(f"bench: {compared} figures of {known[-1]} are compared; {worse} are worse by more than {WORSE:.0%}")
     return 1 if worse else 0
+
+
+def _format_change(change: Change) -> str:
+    mark = "WORSE" if change.is_worse else "other" if abs(change.ratio - 1) > CHANGED else ""
+    return f"{mark:5}  {change.where}: {change.before:.4g} -> {change.now:.4g} ({change.ratio:.2f} times)"
 
 
 def format_page(folder: Path = RESULTS) -> str:
@@ -216,8 +222,9 @@ def format_page(folder: Path = RESULTS) -> str:
         "[Benchmarks](benchmarks.md) explains all tables.\n",
         "`benchmarks/results` contains a file for each run and version. The yardstick is the time that a fixed piece\n"
         "of work takes, measured before and after the run. To compare machines, times are divided by the yardstick.\n"
-        "`make bench-compare` reports the changes since the previous version. It fails if a time has grown, or a\n"
-        "speed has fallen, by more than a tenth.\n",
+        "`make bench-compare` prints the ratio of every figure to its value in the previous version. A run that only\n"
+        "one version has is compared with its previous committed measurement. The command fails if a time has grown,\n"
+        "or a speed has fallen, by more than a tenth.\n",
     ]
     runs = read_latest(folder)
     rows = []
@@ -265,7 +272,7 @@ def main() -> int:
     kept.add_argument("--all", action="store_true", help="every kept run, and every other benchmark")
     kept.add_argument("name", nargs="?")
     kept.add_argument("arguments", nargs=argparse.REMAINDER)
-    commands.add_parser("compare", help="report the changes since the previous version")
+    commands.add_parser("compare", help="print the ratio of every figure to its value before")
     commands.add_parser("page", help="write the documentation's page and figures")
     bound = commands.add_parser("bind", help="confirm the sentences of the documentation about a run")
     bound.add_argument("name")

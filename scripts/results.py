@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import accumulate
@@ -94,10 +96,20 @@ class Kept:
         """The name of the run and of its file."""
         return self.run or self.benchmark
 
+    @property
+    def measurement(self) -> str:
+        """The version and the date, as text."""
+        return f"{self.version} of {self.date}"
+
     @classmethod
     def read(cls, path: Path) -> Kept:
         """Read a results file."""
-        values = json.loads(path.read_text(encoding="utf-8"))
+        return cls.parse(path.read_text(encoding="utf-8"))
+
+    @classmethod
+    def parse(cls, text: str) -> Kept:
+        """Read the text of a results file."""
+        values = json.loads(text)
         return cls(**{**values, "tables": [Table(**table) for table in values["tables"]]})
 
     def write(self, folder: Path) -> Path:
@@ -142,11 +154,44 @@ def find_tables(text: str) -> list[Table]:
 
 def list_versions(folder: Path = RESULTS) -> list[str]:
     """Return the versions with results, the oldest first."""
-    found = [path.name for path in folder.glob("[0-9]*") if path.is_dir()]
-    return sorted(found, key=lambda name: [int(part) for part in re.findall(r"\d+", name)])
+    return sorted((path.name for path in folder.glob("[0-9]*") if path.is_dir()), key=_order_version)
+
+
+def _order_version(version: str) -> list[int]:
+    return [int(part) for part in re.findall(r"\d+", version)]
 
 
 def read_latest(folder: Path = RESULTS) -> Results:
     """Return the newest results of each run."""
     paths = {path.stem: path for version in list_versions(folder) for path in sorted((folder / version).glob("*.json"))}
     return Results((name, Kept.read(paths[name])) for name in sorted(paths))
+
+
+def read_before(now: Kept, folder: Path = RESULTS) -> Kept | None:
+    """Return the results of a run before `now`; None if there are none.
+
+    They are those of the newest older version. If only this version has the run, they are the newest committed results
+    from another measurement.
+    """
+    order = _order_version(now.version)
+    for version in reversed([one for one in list_versions(folder) if _order_version(one) < order]):
+        if (path := folder / version / f"{now.name}.json").exists():
+            return Kept.read(path)
+    committed = _read_committed(folder / now.version / f"{now.name}.json")
+    return next((kept for kept in committed if (kept.date, kept.seconds) != (now.date, now.seconds)), None)
+
+
+def _read_committed(path: Path) -> Iterator[Kept]:
+    """Yield the committed states of a results file, the newest first. States of an older format are left out."""
+    for commit in _ask_git(path.parent, "log", "--format=%H", "--", path.name).split():
+        with suppress(ValueError, TypeError, KeyError):
+            yield Kept.parse(_ask_git(path.parent, "show", f"{commit}:./{path.name}"))
+
+
+def _ask_git(folder: Path, *words: str) -> str:
+    """Return the output of git in a folder; empty if git fails or is not installed."""
+    try:
+        asked = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return ""
+    return asked.stdout if asked.returncode == 0 else ""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import subprocess
 
 import bench
 import pytest
@@ -85,7 +86,8 @@ def test_a_time_that_grows_by_a_tenth_fails(tmp_path, capsys, yardstick_ms, prin
     assert bench.compare(tmp_path) == (1 if fails or others else 0)
     said = capsys.readouterr().out
     assert ("WORSE  joint: pin, median, ms:" in said) == bool(fails)
-    assert "0.9.0 -> 0.10.0" in said
+    assert "joint: 13 figures, 0.9.0 of 2026-01-01 -> 0.10.0 of 2026-01-01" in said
+    assert said.count(" times)") == 13  # every figure, changed or not
 
 
 def test_a_grown_error_is_reported_without_failing(tmp_path, capsys):
@@ -111,10 +113,31 @@ def test_a_ratio_is_compared_without_the_yardstick(tmp_path, printed, fails):
     assert bench.compare(tmp_path) == fails
 
 
-def test_a_single_version_is_not_compared(tmp_path, capsys):
+def test_a_run_that_was_measured_once_is_not_compared(tmp_path, capsys):
     kept("0.1.0").write(tmp_path)
     assert bench.compare(tmp_path) == 0
-    assert "only 0.1.0" in capsys.readouterr().out
+    assert "joint: measured once, 0.1.0" in capsys.readouterr().out
+
+
+def test_a_single_version_is_compared_with_its_previous_committed_measurement(tmp_path, capsys):
+    def commit():
+        words = ["-c", "user.name=x", "-c", "user.email=x", "commit", "-qam", "x"]
+        for command in (["add", "."], words):
+            subprocess.run(["git", *command], cwd=tmp_path, check=True)
+
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    path = kept("0.1.0").write(tmp_path)
+    commit()
+    path.write_text('{"benchmark": "joint", "format": "of an older time"}')
+    commit()
+    measured = dataclasses.replace(kept("0.1.0", text=PRINTED.replace("| 50 |", "| 25 |")), date="2026-02-02")
+    measured.write(tmp_path)
+    commit()
+    dataclasses.replace(measured, beside=["a sentence that was added later"]).write(tmp_path)
+    assert bench.compare(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "0.1.0 of 2026-01-01 -> 0.1.0 of 2026-02-02" in said
+    assert "joint: pin, median, ms: 5 -> 2.5 (0.50 times)" in said
 
 
 def test_a_benchmark_is_run_and_its_results_are_saved(tmp_path, monkeypatch, capsys):
