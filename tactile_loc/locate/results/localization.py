@@ -25,7 +25,7 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_freedom, find_rivals
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
-from tactile_loc.locate.results.nearness import calibrate, compute_share_within
+from tactile_loc.locate.results.nearness import Nearness, calibrate, compute_share_within
 from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, explain_verdict, judge, name_next_step
 from tactile_loc.store.files import lock_folder
 
@@ -180,28 +180,32 @@ class Localization:
         """
         asked = Tolerance.parse(tolerance) if isinstance(tolerance, str) else tolerance or self.tolerance
         if asked not in self._probabilities_within:
-            self._probabilities_within[asked] = self._compute_probability_within(asked)
+            self._probabilities_within[asked] = calibrate(self.observe_nearness(asked))
         return self._probabilities_within[asked]
 
     @cached_property
     def _probabilities_within(self) -> dict[Tolerance, float]:
         return {}
 
-    def _compute_probability_within(self, tolerance: Tolerance) -> float:
+    def observe_nearness(self, tolerance: Tolerance) -> Nearness:
+        """Return what the result says about its first pose, from which `probability_within` is computed."""
         unrefined = np.diag([(0.5 * self.posterior.grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
         p = self._probabilities
         covariances = [unrefined if h.covariance is None else h.covariance for h in self.hypotheses]
         share = compute_share_within(T, p, covariances, self.object, tolerance)
         own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
-        return calibrate(share, self.posterior.elsewhere, own < LEAST_OWN or self._has_rivals(tolerance))
+        gap = self._measure_gap(tolerance)
+        undetermined = own < LEAST_OWN or bool(explain_as_well(np.array(0.0), gap))
+        return Nearness(share, self.posterior.elsewhere, gap, undetermined)
 
-    def _has_rivals(self, tolerance: Tolerance) -> bool:
-        """Return whether another pose, not within the tolerance of the first one, explains the touches as well."""
+    def _measure_gap(self, tolerance: Tolerance) -> float:
+        """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it."""
         known = [*self.hypotheses, *self.unlisted]
-        alike = explain_as_well(np.array([h.imprint_iou for h in known]), known[0].imprint_iou)
         T = np.stack([h.T_sensor_object for h in known])
-        return not tolerance.find_within(self.object, T[0], T[alike]).all()
+        rivals = ~tolerance.find_within(self.object, T[0], T)
+        ious = np.array([h.imprint_iou for h in known])
+        return float(ious[0] - ious[rivals].max(initial=0.0))
 
     @cached_property
     def freedom(self) -> Freedom:

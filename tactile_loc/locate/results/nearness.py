@@ -2,13 +2,15 @@
 
 Each hypothesis has a probability, and the covariance of its error. True poses are drawn from each hypothesis. The share
 of those within the tolerance of the first pose is weighted by the hypotheses' probabilities. `calibrate` turns this
-share into a probability, with numbers that were fitted to simulated touches of other objects.
+share, and how much worse other poses explain the touches, into a probability. Its numbers were fitted to simulated
+touches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +25,11 @@ Float64 = NDArray[np.float64]
 DRAWN = 64  # errors drawn from the covariance of a hypothesis
 FAR = 3.0  # hypotheses farther from the first one than this many tolerances draw nothing
 NEGLIGIBLE = 1e-3  # less probable hypotheses draw nothing
-# The fit: docs/benchmarks/probabilities.md. If the true pose was found, the log odds of a right first pose are a broken
-# line over those of the share: OFFSET at even odds, the SLOPE below them and the STEEP slope above. If the touches do
-# not determine the pose, the line is flat above even odds. The log odds that the pose was found are greater than
-# the search states by FOUND.
-OFFSET, SLOPE, STEEP, FOUND = 0.89, 0.88, 1.35, 4.2
+# The fit: docs/benchmarks/probabilities.md. The log odds of a right first pose are a sum: BASE; LOW or HIGH times the
+# log odds of the share, below and above even odds; FOUND times the log odds that the search found the true pose; and
+# GAP times the logarithm of the rivals' gap, to which LEAST_GAP is added.
+BASE, LOW, HIGH, FOUND, GAP, LEAST_GAP = 4.07, 0.64, 0.86, 0.18, 1.24, 0.03
+MOST_UNDETERMINED = 0.89  # largest probability of an undetermined pose, and of a share of at most a half: not certain
 LEAST = 2e-3  # shares and probabilities are clipped to the range from LEAST to 1 - LEAST
 
 
@@ -46,17 +48,32 @@ def compute_share_within(
     return float(min(1.0, within.reshape(len(counted), -1).mean(axis=1) @ probabilities[counted]))
 
 
-def calibrate(share: float, elsewhere: float, undetermined: bool = False) -> float:
-    """Return the fitted probability, 0 to 1, of a right first pose; it never decreases if `share` increases.
+class Nearness(NamedTuple):
+    """The observations from which the probability of a right first pose is computed.
 
-    `share`, 0 to 1, is the stated probability. `elsewhere`, below 1, is the stated probability that the search missed
-    the true pose. `undetermined` states whether the touches leave poses beyond the tolerance of the first one open.
+    `share`, 0 to 1, is the stated probability that it is within the tolerance. `elsewhere`, below 1, is the stated
+    probability that the search missed the true pose. `gap`, 0 to 1, is how much more imprint IoU the pose has than the
+    best pose beyond the tolerance. `undetermined` states whether the touches leave such poses open.
     """
+
+    share: float
+    elsewhere: float
+    gap: float
+    undetermined: bool = False
+
+
+def calibrate(nearness: Nearness) -> float:
+    """Return the fitted probability, 0 to 1, of a right first pose.
+
+    It never decreases if the share or the gap increases.
+    """
+    share, elsewhere, gap, undetermined = nearness
     odds = _compute_log_odds(share / (1 - elsewhere))
-    above = 0.0 if undetermined else STEEP
-    right = OFFSET + (above if odds > 0 else SLOPE) * odds
-    found = FOUND - _compute_log_odds(elsewhere)
-    return float(np.clip(1 / ((1 + np.exp(-right)) * (1 + np.exp(-found))), LEAST, 1 - LEAST))
+    above = 0.0 if undetermined else HIGH
+    right = BASE + (above if odds > 0 else LOW) * odds - FOUND * _compute_log_odds(elsewhere)
+    right += GAP * np.log(max(gap, 0.0) + LEAST_GAP)
+    most = MOST_UNDETERMINED if undetermined or odds <= 0 else 1 - LEAST
+    return float(np.clip(1 / (1 + np.exp(-right)), LEAST, most))
 
 
 def _compute_log_odds(p: float) -> float:

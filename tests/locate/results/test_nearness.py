@@ -12,7 +12,7 @@ from scipy.stats import norm
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, rotation_angle
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.io.options import CERTAIN
-from tactile_loc.locate.results.nearness import calibrate, compute_share_within, draw_poses
+from tactile_loc.locate.results.nearness import Nearness, calibrate, compute_share_within, draw_poses
 
 EXACT = np.zeros((6, 6))
 
@@ -58,19 +58,22 @@ def test_drawn_poses_have_the_covariance_and_are_the_same_each_time():
     assert np.sqrt((turns**2).mean()) == pytest.approx(np.linalg.norm(std[3:]), rel=0.05)
 
 
-def test_the_fitted_probability_increases_with_the_share_and_decreases_with_elsewhere():
-    shares = np.linspace(0, 0.5, 11)
-    fitted = [calibrate(share, 0.5) for share in shares]
-    assert all(0 < low <= high < 1 for low, high in itertools.pairwise(fitted))
-    assert fitted[0] < 0.02 < 0.5 < fitted[5] < fitted[-1]
-    missed = [calibrate(0.5 * (1 - elsewhere), elsewhere) for elsewhere in (0.0, 0.5, 0.9, 0.99)]
+def test_the_fitted_probability_increases_with_the_share_and_the_gap_and_decreases_with_elsewhere():
+    fitted = [calibrate(Nearness(share, 0.5, 0.1)) for share in np.linspace(0, 0.5, 11)]
+    assert all(0 < low < high < 1 for low, high in itertools.pairwise(fitted))
+    assert fitted[0] < 0.3 < 0.7 < fitted[-1]
+    missed = [calibrate(Nearness(0.5 * (1 - elsewhere), elsewhere, 0.1)) for elsewhere in (0.0, 0.5, 0.9, 0.99)]
     assert missed == sorted(missed, reverse=True)
-    assert calibrate(1.0, 0.0) > 0.99
+    apart = [calibrate(Nearness(0.2, 0.2, gap)) for gap in (0.0, 0.01, 0.1, 0.5)]
+    assert apart == sorted(apart)
+    assert apart[0] < 0.4 < 0.6 < apart[-1]
+    assert calibrate(Nearness(1.0, 0.0, 0.5)) > 0.99
 
 
 def test_a_pose_that_the_touches_do_not_determine_is_never_certain():
-    assert calibrate(0.999, 0.01, undetermined=True) < CERTAIN < calibrate(0.999, 0.01)
+    assert calibrate(Nearness(0.999, 0.01, 0.9, True)) < CERTAIN < calibrate(Nearness(0.999, 0.01, 0.9))
     shares = np.linspace(0, 1, 21)
-    undetermined = [calibrate(share, 0.1, undetermined=True) for share in shares]
+    undetermined = [calibrate(Nearness(share, 0.1, 0.01, True)) for share in shares]
     assert (np.diff(undetermined) >= 0).all()
-    assert all(p <= calibrate(share, 0.1) for p, share in zip(undetermined, shares, strict=True))
+    determined = [calibrate(Nearness(share, 0.1, 0.01)) for share in shares]
+    assert all(p <= other for p, other in zip(undetermined, determined, strict=True))
