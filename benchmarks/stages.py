@@ -1,0 +1,116 @@
+#!/usr/bin/env python3
+"""How long each stage of locating takes: by object, number of touches, and number of threads.
+
+Touches of the whole object come from any direction, and are drawn by ray casting. Each number of threads has a process
+of its own. Before the timed examples, two other examples are located, so that everything is loaded and built. The table
+has medians in ms of all examples: matching, coarse registration, refinement, the choice of hypotheses, and the whole
+call; and the 95 % quantile of the whole call. A first pose is right if its surface is within 1 mm of the true one.
+*misplaced* examples have one sensor pose that is 5 mm and 10 degrees off. So no pose explains all of their touches.
+
+Meshes are given as FILE[:UNITS] or a demo object's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.evaluation.metrics import compute_surface_distances
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.store.store import StageStore
+
+MS = 1e3
+STAGES = ("match", "register", "refine", "choose")
+LOADING = 2  # examples located before the timed ones
+OFF_M, OFF_RAD = 5e-3, np.radians(10.0)  # error of a misplaced sensor
+Row = dict[str, float | int | str]
+
+
+def misplace(touches: list[Touch]) -> list[Touch]:
+    """Return touches of which the last has a wrong sensor pose."""
+    wrong = make_transform(rotation_about([0.0, 0.0, 1.0], OFF_RAD), np.array([OFF_M, 0.0, 0.0]))
+    last = dataclasses.replace(touches[-1], T_base_sensor=np.asarray(touches[-1].T_base_sensor) @ wrong)
+    return [*touches[:-1], last]
+
+
+def measure(mesh: str, arguments: argparse.Namespace, store: StageStore) -> Iterator[Row]:
+    """Yield a row for each number of touches of one object, in this process's threads."""
+    path, _, units = mesh.partition(":")
+    localizer = Localizer.create(path, units=units or "auto", sensor=arguments.sensor, store=store)
+    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    examples = [
+        source.draw_example(max(arguments.touches), np.random.default_rng([arguments.seed, number]))[0]
+        for number in range(arguments.examples + LOADING)
+    ]
+    for count in arguments.touches:
+        for kind in ("clean", "misplaced") if count > 1 else ("clean",):
+            rows = [time_example(localizer, misplace(ts[:count]) if kind == "misplaced" else ts[:count])
+                    for ts in examples][LOADING:]  # fmt: skip
+            middle = {name: float(np.median([row[name] for row in rows])) for name in (*STAGES, "all")}
+            last = float(np.quantile([row["all"] for row in rows], 0.95))
+            right = float(np.mean([row["right"] for row in rows]))
+            yield {"object": Path(path).stem, "touches": count, "kind": kind, **middle, "last": last, "right": right}
+
+
+def time_example(localizer: Localizer, touches: list[Touch]) -> dict[str, float]:
+    """Return the ms of each stage, those of the whole call, and whether the first pose is right."""
+    start = time.perf_counter()
+    try:
+        found = localize_together([(localizer, touch) for touch in touches])
+    except TactileLocError:
+        return dict.fromkeys(STAGES, np.nan) | {"all": MS * (time.perf_counter() - start), "right": False}
+    spent = {"all": MS * (time.perf_counter() - start)}
+    first = found.best.T_sensor_object[None]
+    off_m = compute_surface_distances(localizer.object, first, np.asarray(touches[0].T_sensor_object))[0]
+    return {name: MS * found.seconds.get(name, 0.0) for name in STAGES} | spent | {"right": bool(off_m < 1e-3)}
+
+
+def main() -> None:
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("objects", nargs="*", default=["pin", "hook"])
+    parser.add_argument("--sensor", default="gelslim")
+    parser.add_argument("--touches", nargs="+", type=int, default=[1, 3, 5])
+    parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
+    parser.add_argument("--examples", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=35)
+    parser.add_argument("--store", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.store:  # this is a process with its own number of threads
+        for mesh in arguments.objects:
+            for row in measure(mesh, arguments, StageStore(arguments.store)):
+                print(json.dumps(row), flush=True)
+        return
+    print(
+        f"| object | touches | kind | threads | {' | '.join(f'{name}, ms' for name in STAGES)} | all, ms | 95 %, ms |",
+        end="",
+    )
+    print(f" right |\n|{'---|' * 11}")
+    with tempfile.TemporaryDirectory() as folder:
+        for threads in arguments.threads:
+            environment = os.environ | {"NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": "1"}
+            command = [sys.executable, *sys.argv, "--store", folder]
+            process = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+            for row in map(json.loads, process.stdout.splitlines()):
+                cells = [f"{row[name]:.1f}" for name in (*STAGES, "all", "last")]
+                about = f"{row['object']} | {row['touches']} | {row['kind']} | {threads}"
+                print(f"| {about} | {' | '.join(cells)} | {row['right']:.0%} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
