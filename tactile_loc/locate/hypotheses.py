@@ -26,7 +26,6 @@ LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 MASK_SHARE = 0.5
 SHARPNESS = 30.0  # an error of a sensor pose that costs 1 nat lowers the imprint IoU by 1 / SHARPNESS
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
-AT_ONCE = 500  # poses compared with the chosen ones at once
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
 Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
@@ -46,9 +45,7 @@ def find_hypotheses(
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
         refined = refine([views[number] for number in trusted], candidates)
     with times.stage("choose"):
-        T = np.stack([pose.T_sensor_object for pose in refined])
-        seen = None if len(views) == 1 else _find_seen_poses(views, refined, refine, trusted)
-        ious, _ = compare_where_seen(views, T, seen)
+        ious = _compare(views, refined, refine, trusted)
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -60,6 +57,17 @@ def find_hypotheses(
         counts = sum(1.0 if views[number].touch.has_depths else MASK_SHARE for number in trusted)
         nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), counts)
         return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
+
+
+def _compare(
+    views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
+) -> NDArray[np.float64]:
+    """Return the imprint IoUs (K, N), 0 to 1, of refined poses with each of N touches."""
+    if len(views) == 1 and all(pose.imprint_iou is not None for pose in refined):
+        return np.array([[pose.imprint_iou] for pose in refined])  # the refiner has drawn the poses already
+    T = np.stack([pose.T_sensor_object for pose in refined])
+    seen = None if len(views) == 1 else _find_seen_poses(views, refined, refine, trusted)
+    return compare_where_seen(views, T, seen)[0]
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -255,20 +263,8 @@ def keep_apart(
 
     No chosen pose is within `radius_m` metres of a pose with greater worth.
     """
+    from tactile_loc.core.poses.apart import choose_apart  # numba takes a while to import
+
     order = np.argsort(-worth, kind="stable")
-    chosen: list[int] = []
-    near = np.empty((0, 0))  # the chosen poses, embedded
-    for start in range(0, len(order), AT_ONCE):
-        left = order[start : start + AT_ONCE]
-        points = metric.embed(poses[left])
-        if len(near):
-            free = (measure_distances(points, near) > radius_m).all(axis=1)
-            left, points = left[free], points[free]
-        while len(left) and len(chosen) < count:
-            chosen.append(int(left[0]))
-            free = np.linalg.norm(points - points[0], axis=1) > radius_m
-            left, points = left[free], points[free]
-        if len(chosen) == count:
-            break
-        near = metric.embed(poses[chosen])
-    return np.array(chosen, np.int64)
+    points = np.ascontiguousarray(metric.embed(poses[order]))
+    return np.asarray(order[choose_apart(points, float(radius_m), count)])

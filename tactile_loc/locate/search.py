@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,13 +35,13 @@ from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
 
-SEARCH_VERSION = 6
+SEARCH_VERSION = 7
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
-GAP_POINTS, GAP_PX = 30, 120  # points per touch, and long side of their image, pixels
-STEPS_NEARER = 2  # steps of registration before the distances of poses are compared again
+GAP_POINTS, GAP_PX = 30, 60  # points per touch, and long side of their image, pixels
+SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
 
 
 class PlaceSearch:
@@ -57,7 +58,12 @@ class PlaceSearch:
         """
         self.places, self.key, self.scene, self.encoder, self.options = places, key, scene, encoder, options
         self.registration = JointRegistration(
-            RegistrationOptions(points=options.points, iterations=options.iterations, image_px=options.registration_px)
+            RegistrationOptions(
+                points=options.points,
+                stride=options.stride,
+                iterations=options.iterations,
+                image_px=options.registration_px,
+            )
         )
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
         # the least distance between starts, and the largest distance at which the true pose counts as found
@@ -76,12 +82,17 @@ class PlaceSearch:
         with times.stage("match"):
             groups = self.propose(touch, options.candidates, prior)
         with times.stage("register"):
-            most = options.registered // len(groups)
-            poses = np.concatenate([p[keep_apart(p, scores, self.metric, self.radius_m, most)] for p, scores in groups])
-            poses = self.registration.register_coarsely([view], poses)
+            poses = np.concatenate([self._register_group(view, *group, len(groups)) for group in groups])
             ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
             kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
+
+    def _register_group(self, view: View, poses: Poses, values: NDArray[np.float64], groups: int) -> Poses:
+        """Return the registered poses of one of several groups: see `propose`. All groups have equally many."""
+        apart = keep_apart(poses, values, self.metric, self.radius_m, self.options.moved // groups)
+        # what a prior proposes is not judged by the touch alone
+        kept = self.options.registered if groups == 1 else None
+        return self.registration.register_coarsely([view], poses[apart], kept)
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the search except the encoder and the touch, as JSON values."""
@@ -212,8 +223,14 @@ def measure_touch_excess(
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
     """Return the rows and columns (K,) of the `count` highest scores (M, N), unsorted; scores of -inf are left out."""
-    best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
-    return np.unravel_index(best[scores.ravel()[best] > -np.inf], scores.shape)
+    flat = scores.ravel()
+    some = flat[::SAMPLED]
+    rank = min(len(some), 2 * count // SAMPLED + 1)
+    high = np.flatnonzero(flat >= np.partition(some, len(some) - rank)[len(some) - rank])
+    if len(high) < count:  # the sample was not like the others
+        high = np.arange(len(flat))
+    best = high[np.argpartition(-flat[high], min(count, len(high)) - 1)[:count]]
+    return np.unravel_index(best[flat[best] > -np.inf], scores.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,9 +270,10 @@ def search_together(
     """Return the likeliest poses given several touches. Adds stage durations to `times`.
 
     The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
-    brought nearer. Those that are nearest then are registered to all touches, rendered, and compared with each touch.
-    No returned pose is near a better one. If none of the first poses explains the touches well, more are registered. A
-    `prior` is over poses in the first touch's sensor frame.
+    moved by a few steps of registration. A wrong pose may be as near as a pose beside the true one, but stays as far
+    from the touches then. So the poses that are nearest now are registered further, rendered, and compared with each
+    touch. No returned pose is near a better one. If none of the first poses explains the touches well, more are
+    registered. A `prior` is over poses in the first touch's sensor frame.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
@@ -267,10 +285,10 @@ def search_together(
         ])  # fmt: skip
         poses = _keep_nearest(views, search, poses, options.registered_widely)
     with times.stage("register"):
-        poses = _bring_nearer(views, search, poses)
-        registered, ious = _register(views, search, poses[: options.registered_together])
+        first, others = np.split(poses, [options.moved_together])
+        registered, ious = _register(views, search, first, options.registered_together)
         if ious.mean(axis=1).max() < options.wide_below_iou:
-            more, more_ious = _register(views, search, poses[options.registered_together :])
+            more, more_ious = _register(views, search, others)
             registered, ious = np.concatenate([registered, more]), np.concatenate([ious, more_ious])
         kept = keep_apart(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
@@ -288,41 +306,41 @@ def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, 
 
 
 def _keep_nearest(
-    views: Sequence[View], search: PlaceSearch, poses: Poses, count: int, exactly: bool = False
+    views: Sequence[View], search: PlaceSearch, poses: Poses, count: int
 ) -> Poses:  # fmt: skip
     """Return the `count` poses whose surface is nearest to the touches, none near a better one.
 
-    `poses` (K, 4, 4), metres, are in the first touch's sensor frame. `exactly` is as for `SurfaceField.measure_gaps`.
+    `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
     """
-    return poses[keep_apart(poses, -_measure_gaps(views, poses, exactly), search.metric, search.radius_m, count)]
+    return poses[keep_apart(poses, -_estimate_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
-def _bring_nearer(views: Sequence[View], search: PlaceSearch, poses: Poses) -> Poses:
-    """Move the first poses by a few steps of registration, and sort these by their distance again; keep the others.
+def _register(
+    views: Sequence[View], search: PlaceSearch, poses: Poses, kept: int | None = None
+) -> tuple[Poses, NDArray[np.float64]]:
+    """Register poses (K, 4, 4), metres, roughly to all N touches; return them and their coarse imprint IoUs (K, N).
 
-    A wrong pose may be as near to the touches as a pose a few millimetres beside the true one. After a few steps, the
-    wrong pose is still as far from the touches, but the other pose is at the true one.
+    `kept` is as for `JointRegistration.register_coarsely`.
     """
-    first, others = np.split(poses, [search.options.moved_together])
-    moved = search.registration.register_coarsely(views, first, STEPS_NEARER)
-    return np.concatenate([_keep_nearest(views, search, moved, len(moved), exactly=True), others])
-
-
-def _register(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
-    """Register poses (K, 4, 4), metres, roughly to all N touches; return them and their coarse imprint IoUs (K, N)."""
-    registered, options = search.registration.register_coarsely(views, poses), search.options
+    registered, options = search.registration.register_coarsely(views, poses, kept), search.options
     return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)
 
 
-def _measure_gaps(views: Sequence[View], poses: Poses, exactly: bool) -> NDArray[np.float64]:
+def _estimate_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
     """Return the summed distances (K,), metres, from the touches' points to the object's surface at poses (K, 4, 4)."""
     from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
     field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))
     for view in views:
-        geometry, shape = view.touch.thin(GAP_PX)
-        points_m = (make_contact_cloud if shape.depths_known else make_outline_cloud)(shape, geometry)[0]
-        points_m = points_m[:: max(1, len(points_m) // GAP_POINTS)]
-        gaps += field.measure_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m, exactly)
+        points_m = _list_gap_points(view.touch)
+        gaps += field.estimate_gaps(points_m, seen_from @ invert(view.T_sensor_first))
     return gaps
+
+
+@lru_cache(maxsize=32)
+def _list_gap_points(touch: Touch) -> NDArray[np.float64]:
+    """Return about GAP_POINTS points (P, 3), metres, of the surface in contact or, without depths, of its outline."""
+    geometry, shape = touch.thin(GAP_PX)
+    points_m = (make_contact_cloud if shape.depths_known else make_outline_cloud)(shape, geometry)[0]
+    return points_m[:: max(1, len(points_m) // GAP_POINTS)]

@@ -23,7 +23,7 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.locate.search import PlaceSearch, search_together
+from tactile_loc.locate.search import PlaceSearch, find_highest, search_together
 from tactile_loc.store.store import StageStore
 
 WHOLE = {"grid": {"name": "whole"}, "sensor": {"name": "gelsight-mini", "gel": "rigid"}}
@@ -197,6 +197,20 @@ def test_the_deepest_point_is_the_anchor(examples):
     assert (x, y) == pytest.approx(deepest[:2], abs=1e-4)
 
 
+@pytest.mark.parametrize("count", [1, 40, 5000, 100_000])
+def test_the_highest_scores_are_found_in_any_order(count):
+    rng = np.random.default_rng(count)
+    for scores in (rng.normal(size=(40, 1000)), np.sort(rng.normal(size=40_000)).reshape(40, 1000), np.zeros((8, 100))):
+        found = scores[find_highest(scores.astype(np.float32), count)]
+        assert sorted(found) == pytest.approx(np.sort(scores, axis=None)[-count:], abs=1e-6)
+
+
+def test_scores_of_minus_infinity_are_not_among_the_highest():
+    scores = np.full((10, 100), -np.inf, np.float32)
+    scores[3, 5] = -1.0
+    assert [part.tolist() for part in find_highest(scores, 20)] == [[3], [5]]
+
+
 def test_mixing_searched_and_listed_touches_is_refused(localizer, examples, store):
     listed = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 8})
     with pytest.raises(ConfigError, match="whole"):
@@ -269,7 +283,7 @@ def common(first: np.ndarray, second: np.ndarray) -> set:
 def noisy(localizer) -> list[Touch]:
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=make_noise("mild"))
-    return [source.draw_example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
+    return [source.draw_example(1, np.random.default_rng([31, k]))[0][0] for k in range(32)]
 
 
 def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:

@@ -23,16 +23,18 @@ from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
 
 MOST_CELLS = 6_000_000
+FAR = 255  # value of a distance of `reach_m` or more
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
-@keep_old_names(in_unit="to_unit", closest="find_closest", mean_gaps="measure_gaps")
+@keep_old_names(in_unit="to_unit", closest="find_closest")
 @dataclass(frozen=True, eq=False)
 class SurfaceField:
     """The nearest surface points of a mesh, for points up to `reach_m` metres from the mesh."""
 
     triangles: NearestTriangles
     reach_m: float
+    distances: NDArray[np.uint8]  # (X, Y, Z), from the centre of each cell to the surface, in steps of reach_m / FAR
 
     @classmethod
     def of(cls, mesh: TriangleMesh, reach_m: float = 4e-3, cell_m: float = 5e-4) -> SurfaceField:
@@ -45,8 +47,11 @@ class SurfaceField:
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
         first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
-        carry(first, sides, normals, low, cell_m, reach_m, nearest)
-        return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners)), reach_m)
+        squared_m2 = np.full(nearest.shape, np.inf, np.float32)
+        carry(first, sides, normals, low, cell_m, reach_m, nearest, squared_m2)
+        distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
+        triangles = NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners))
+        return cls(triangles, reach_m, distances)
 
     def to_unit(self, per_m: float) -> NearestTriangles:
         """Return the arrays for compiled code in another unit of length. A metre has `per_m` of these units."""
@@ -64,20 +69,30 @@ class SurfaceField:
         look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
         return found, which
 
-    def measure_gaps(
-        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float, exactly: bool = False
+    def measure_distances(
+        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the mean distance (K,), metres, to the surface of points (N, 3) moved by T_object_points (K, 4, 4).
+        """Return the distances (K, N), metres, to the surface of points (N, 3) moved by T_object_points (K, 4, 4).
 
-        Each distance counts as at most `most_m`. Without points, the result is 0. Unless `exactly` is true, only the
-        triangle nearest to the centre of a point's cell counts, so distances below a cell can be too large.
+        A distance above `reach_m` can be infinite.
+        """
+        distances_m = np.empty((len(T_object_points), len(points_m)))
+        points_m = np.ascontiguousarray(points_m, float)
+        run_in_threads(_fill_distances, len(distances_m), points_m, T_object_points, self.triangles, distances_m)
+        return distances_m
+
+    def estimate_gaps(self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rough mean distances (K,), metres, to the surface of points (N, 3) moved by T_object_points (K, 4, 4).
+
+        Each distance is that of the centre of the point's cell, and at most `reach_m`. This is many times as fast as
+        `measure_distances`, to compare many poses. Without points, the result is 0.
         """
         gaps = np.zeros(len(T_object_points))
-        points_m = np.ascontiguousarray(points_m, float)
+        triangles, points_m = self.triangles, np.ascontiguousarray(points_m, float)
         run_in_threads(
-            _fill_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), exactly, gaps
+            _fill_rough_gaps, len(gaps), points_m, T_object_points, triangles.low, triangles.cell, self.distances, gaps
         )
-        return gaps
+        return gaps * (self.reach_m / FAR)
 
 
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -102,63 +117,91 @@ def build_surface_field(mesh: TriangleMesh) -> SurfaceField:
 @njit
 def look_up(points, triangles, found, which):
     """Fill `found` (N, 3) with the surface points nearest to `points` (N, 3), and `which` (N,) with their triangles."""
+    corners, sides = triangles.corners, triangles.sides
     for i in range(len(points)):
-        f = find_triangle_near(points[i], triangles)
-        which[i] = f
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        f = find_cell_triangle(x, y, z, triangles)
         if f >= 0:
-            which[i] = f = find_downhill(points[i], f, triangles)[0]
-            x, y, z = find_closest_on_triangle(points[i], triangles.corners[f], triangles.sides[f])
-            found[i, 0], found[i, 1], found[i, 2] = x, y, z
+            f, _ = walk_to_nearest(x, y, z, f, triangles)
+            found[i, 0], found[i, 1], found[i, 2] = find_closest_point(x, y, z, f, corners, sides)
+        which[i] = f
 
 
 @njit
-def _fill_mean_gaps(first, last, points, T, triangles, most, exactly, gaps):
-    """Fill `gaps` (K,) with the mean distances of the points, moved by T (K, 4, 4), for moves from first to last."""
-    x = np.empty(3)
+def _fill_distances(first, last, points, T, triangles, distances):
+    """Fill `distances` (K, N) of the points, moved by T (K, 4, 4), for moves from first to last."""
     for k in range(first, last):
-        total = 0.0
         for i in range(len(points)):
-            for r in range(3):
-                x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
-            f = find_triangle_near(x, triangles)
-            gap = most
-            if f >= 0:
-                if exactly:
-                    squared = find_downhill(x, f, triangles)[1]
-                else:
-                    squared = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
-                gap = min(most, math.sqrt(squared))
-            total += gap
+            a, b, c = points[i, 0], points[i, 1], points[i, 2]
+            x = T[k, 0, 0] * a + T[k, 0, 1] * b + T[k, 0, 2] * c + T[k, 0, 3]
+            y = T[k, 1, 0] * a + T[k, 1, 1] * b + T[k, 1, 2] * c + T[k, 1, 3]
+            z = T[k, 2, 0] * a + T[k, 2, 1] * b + T[k, 2, 2] * c + T[k, 2, 3]
+            f = find_cell_triangle(x, y, z, triangles)
+            distances[k, i] = np.inf if f < 0 else math.sqrt(walk_to_nearest(x, y, z, f, triangles)[1])
+
+
+@njit(fast=True)
+def _fill_rough_gaps(first, last, points, T, low, cell, distances, gaps):
+    """Fill `gaps` (K,) with the mean distances of the points, moved by T (K, 4, 4), for moves from first to last."""
+    X, Y, Z = distances.shape
+    per = 1.0 / cell
+    for k in range(first, last):
+        a, b, c = (T[k, 0, 3] - low[0]) * per, (T[k, 1, 3] - low[1]) * per, (T[k, 2, 3] - low[2]) * per
+        R00, R01, R02 = T[k, 0, 0] * per, T[k, 0, 1] * per, T[k, 0, 2] * per
+        R10, R11, R12 = T[k, 1, 0] * per, T[k, 1, 1] * per, T[k, 1, 2] * per
+        R20, R21, R22 = T[k, 2, 0] * per, T[k, 2, 1] * per, T[k, 2, 2] * per
+        total = 0
+        for n in range(len(points)):
+            x, y, z = points[n, 0], points[n, 1], points[n, 2]
+            u, v, w = R00 * x + R01 * y + R02 * z + a, R10 * x + R11 * y + R12 * z + b, R20 * x + R21 * y + R22 * z + c
+            inside = u >= 0.0 and v >= 0.0 and w >= 0.0 and u < X and v < Y and w < Z
+            total += int(distances[int(u), int(v), int(w)]) if inside else FAR
         gaps[k] = total / max(1, len(points))
 
 
 @njit
 def find_triangle_near(x, triangles):
     """Return the number of the triangle nearest to the cell of x (3,), or -1 beyond reach."""
-    i = math.floor((x[0] - triangles.low[0]) / triangles.cell)
-    j = math.floor((x[1] - triangles.low[1]) / triangles.cell)
-    k = math.floor((x[2] - triangles.low[2]) / triangles.cell)
+    return find_cell_triangle(x[0], x[1], x[2], triangles)
+
+
+@njit
+def find_downhill(x, f, triangles):
+    """Return the triangle nearest to x (3,), and its squared distance: see `walk_to_nearest`."""
+    return walk_to_nearest(x[0], x[1], x[2], f, triangles)
+
+
+# The next functions take numbers instead of arrays, because a view of an array takes numba longer than the arithmetic.
+@njit(fast=True)
+def find_cell_triangle(x, y, z, triangles):
+    """Return the number of the triangle nearest to the cell of the point x, y, z, or -1 beyond reach."""
+    i = math.floor((x - triangles.low[0]) / triangles.cell)
+    j = math.floor((y - triangles.low[1]) / triangles.cell)
+    k = math.floor((z - triangles.low[2]) / triangles.cell)
     a, b, c = triangles.nearest.shape
     if i < 0 or j < 0 or k < 0 or i >= a or j >= b or k >= c:
         return -1
     return int(triangles.nearest[i, j, k])
 
 
-@njit
-def find_downhill(x, f, triangles):
-    """Return the triangle nearest to x (3,), and its squared distance.
+@njit(fast=True)
+def walk_to_nearest(x, y, z, f, triangles):
+    """Return the triangle nearest to the point x, y, z, and its squared distance.
 
     The search starts at triangle f, and goes over shared edges as long as the triangles become nearer.
     """
-    least = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
+    corners, sides, normals, ends, beside = (
+        triangles.corners, triangles.sides, triangles.normals, triangles.ends, triangles.beside,
+    )  # fmt: skip
+    least = _measure_squared_distance(x, y, z, f, corners, sides)
     while True:
         best = f
-        for number in range(triangles.ends[f], triangles.ends[f + 1]):
-            other = triangles.beside[number]
-            a, n = triangles.corners[other], triangles.normals[other]
-            off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
+        for number in range(ends[f], ends[f + 1]):
+            other = beside[number]
+            off = normals[other, 0] * (x - corners[other, 0]) + normals[other, 1] * (y - corners[other, 1])
+            off += normals[other, 2] * (z - corners[other, 2])
             if off * off < least:  # otherwise even the plane of the triangle is farther
-                d = _measure_squared_distance(x, a, triangles.sides[other])
+                d = _measure_squared_distance(x, y, z, other, corners, sides)
                 if d < least:
                     least, best = d, other
         if best == f:
@@ -168,13 +211,20 @@ def find_downhill(x, f, triangles):
 
 @njit
 def find_closest_on_triangle(x, a, sides):
-    """Return the point nearest to x (3,) of the triangle with corner a (3,) and `sides` (2, 3) from there.
+    """Return the point nearest to x (3,) of the triangle with corner a (3,) and `sides` (2, 3) from there."""
+    return find_closest_point(x[0], x[1], x[2], 0, a.reshape(1, 3), sides.reshape(1, 2, 3))
+
+
+@njit(fast=True)
+def find_closest_point(x, y, z, f, corners, sides):
+    """Return the point nearest to the point x, y, z of triangle f, given `corners` (F, 3) and `sides` (F, 2, 3).
 
     See Ericson, Real-Time Collision Detection, 5.1.5.
     """
-    ab0, ab1, ab2 = sides[0, 0], sides[0, 1], sides[0, 2]
-    ac0, ac1, ac2 = sides[1, 0], sides[1, 1], sides[1, 2]
-    p0, p1, p2 = x[0] - a[0], x[1] - a[1], x[2] - a[2]
+    a0, a1, a2 = corners[f, 0], corners[f, 1], corners[f, 2]
+    ab0, ab1, ab2 = sides[f, 0, 0], sides[f, 0, 1], sides[f, 0, 2]
+    ac0, ac1, ac2 = sides[f, 1, 0], sides[f, 1, 1], sides[f, 1, 2]
+    p0, p1, p2 = x - a0, y - a1, z - a2
     d1, d2 = ab0 * p0 + ab1 * p1 + ab2 * p2, ac0 * p0 + ac1 * p1 + ac2 * p2
     between = ab0 * ac0 + ab1 * ac1 + ab2 * ac2
     d3, d4 = d1 - (ab0 * ab0 + ab1 * ab1 + ab2 * ab2), d2 - between
@@ -197,18 +247,16 @@ def find_closest_on_triangle(x, a, sides):
     else:
         total = va + vb + vc
         v, w = vb / total, vc / total
-    return a[0] + v * ab0 + w * ac0, a[1] + v * ab1 + w * ac1, a[2] + v * ab2 + w * ac2
+    return a0 + v * ab0 + w * ac0, a1 + v * ab1 + w * ac1, a2 + v * ab2 + w * ac2
 
 
 @njit
-def carry(corners, sides, normals, low, cell, reach, nearest):
-    """Fill `nearest` (X, Y, Z) with triangles, first in the cells that triangles cross, then outwards cell by cell."""
+def carry(corners, sides, normals, low, cell, reach, nearest, squared):
+    """Fill `nearest` (X, Y, Z) with triangles, first in the cells that triangles cross, then outwards cell by cell.
+
+    Also fill `squared` (X, Y, Z) with the squared distances to these triangles, where it is infinite at the start.
+    """
     X, Y, Z = nearest.shape
-    squared = np.empty((X, Y, Z), np.float32)
-    for i in range(X):
-        for j in range(Y):
-            for k in range(Z):
-                squared[i, j, k] = np.inf
     count = _mark_crossed(corners, sides, normals, low, cell, nearest, squared)
     wave = np.empty((count, 3), np.int32)
     count = 0
@@ -229,7 +277,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest):
                 if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
                     continue
                 x[0], x[1], x[2] = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
-                d = _measure_squared_distance(x, corners[f], sides[f])
+                d = _measure_squared_distance(x[0], x[1], x[2], f, corners, sides)
                 if d < squared[i, j, k] and d <= reach * reach:
                     squared[i, j, k], nearest[i, j, k] = d, f
                     if queued[i, j, k] != layer:
@@ -262,14 +310,14 @@ def _mark_crossed(corners, sides, normals, low, cell, nearest, squared):
                     off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
                     if abs(off) > near:
                         continue
-                    d = _measure_squared_distance(x, corners[f], sides[f])
+                    d = _measure_squared_distance(x[0], x[1], x[2], f, corners, sides)
                     if d < squared[i, j, k] and d <= near * near:
                         count += nearest[i, j, k] < 0
                         squared[i, j, k], nearest[i, j, k] = d, f
     return count
 
 
-@njit
-def _measure_squared_distance(x, a, sides):
-    p = find_closest_on_triangle(x, a, sides)
-    return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2
+@njit(fast=True)
+def _measure_squared_distance(x, y, z, f, corners, sides):
+    p = find_closest_point(x, y, z, f, corners, sides)
+    return (x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2

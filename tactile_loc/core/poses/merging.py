@@ -16,11 +16,11 @@ def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: 
     `radius_m`, metres, which is one number or one for each pose (K,). A pose without such a neighbour is kept, and has
     its own index. At most `most` poses are kept; further poses without a neighbour get -1.
     """
-    radii_m = np.broadcast_to(radius_m, len(T_object))
+    radii_m, orbits = np.broadcast_to(radius_m, len(T_object)), metric.embed_orbits(np.asarray(T_object))
     merged = np.full(len(T_object), -1)
     kept: list[int] = []
-    for k, T in enumerate(T_object):
-        distances_m = metric.symmetric_distance(T_object[kept], np.broadcast_to(T, (len(kept), 4, 4)))
+    for k in range(len(T_object)):
+        distances_m = np.linalg.norm(orbits[:, kept] - orbits[0, k], axis=-1).min(axis=0)
         near = np.flatnonzero(distances_m < radii_m[k])
         if len(near):
             merged[k] = kept[near[0]]

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, quote
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 
 if TYPE_CHECKING:
-    from tactile_loc.core.objects.surface_field import SurfaceField
+    from scipy.spatial import cKDTree
 
 POINTS = 200  # points of the surface whose distances are averaged
-REACH = 4  # points farther away than this many tolerances count as this far
+FAR_POINTS = 5000  # samples of the surface for the distances of points beyond the reach of its field
 EXPECTED = "give a distance in mm, a rotation in degrees, or both, such as 0.5mm,2deg"
 _PART = re.compile(r"([0-9]*\.?[0-9]+(?:e[+-]?[0-9]+)?)\s*(mm|deg)")
 
@@ -66,7 +66,7 @@ class Tolerance:
     def find_within(self, obj: ObjectModel, T: Poses, T_other: Poses, times: float = 1.0) -> NDArray[np.bool_]:
         """Return whether the pose T (4, 4), metres, is within the tolerance of each pose T_other (N, 4, 4), as (N,).
 
-        Limits count this many `times`, at most REACH.
+        Limits count this many `times`.
         """
         within = np.ones(len(T_other), bool)
         if self.rotation_rad is not None:
@@ -74,7 +74,7 @@ class Tolerance:
             within &= turned_rad <= times * self.rotation_rad
         if self.distance_m is not None:
             near = np.flatnonzero(within)
-            distances_m = measure_surface_distances(obj.mesh, T, T_other[near], self.distance_m)
+            distances_m = measure_surface_distances(obj.mesh, T, T_other[near], times * self.distance_m)
             within[near] = distances_m <= times * self.distance_m
         return within
 
@@ -84,27 +84,35 @@ class Tolerance:
 
 
 def measure_surface_distances(
-    mesh: TriangleMesh, T: Poses, T_other: Poses, most_m: float = 1e-3
+    mesh: TriangleMesh, T: Poses, T_other: Poses, most_m: float = math.inf
 ) -> NDArray[np.float64]:
     """Return the mean distances (N,), metres, of the surface at poses T from the surface at poses T_other.
 
-    One of the two has the shape (N, 4, 4), metres, and the other may have the shape (4, 4). Distances up to `most_m`
-    are right. A point that is farther away than REACH times `most_m` counts as this far, so larger means may be too
-    small.
+    One of the two has the shape (N, 4, 4), metres, and the other may have the shape (4, 4). Means up to `most_m` are
+    right, and larger means may be too small.
     """
-    field = _build_field(mesh, REACH * most_m)
-    return field.measure_gaps(_sample_points(mesh), invert(T_other) @ T, field.reach_m)
+    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
+
+    field, points_m, moves = build_surface_field(mesh), _sample_points(mesh), invert(T_other) @ T
+    distances_m = field.measure_distances(points_m, moves)
+    far = np.isinf(distances_m)
+    distances_m[far] = field.reach_m  # at least
+    open_ = np.flatnonzero(far.any(axis=1) & (distances_m.mean(axis=1) <= most_m))
+    pose, point = np.nonzero(far[open_])
+    moved_m = transform_points(moves[open_][pose], points_m[point][:, None])[:, 0]
+    distances_m[open_[pose], point] = _build_tree(mesh).query(moved_m)[0]
+    return np.asarray(distances_m.mean(axis=1))
 
 
 ONE_MILLIMETRE = Tolerance()
 
 
 @lru_cache(maxsize=64)
-def _build_field(mesh: TriangleMesh, reach_m: float) -> SurfaceField:
-    from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field  # numba takes a while
+def _build_tree(mesh: TriangleMesh) -> cKDTree:
+    """Return a search tree of surface samples, dense enough for the distances of far points."""
+    from scipy.spatial import cKDTree  # scipy takes a while to import
 
-    field = build_surface_field(mesh)
-    return field if field.reach_m >= reach_m else SurfaceField.of(mesh, reach_m, reach_m / 8)
+    return cKDTree(mesh.sample(FAR_POINTS, np.random.default_rng(1)))
 
 
 @lru_cache(maxsize=64)

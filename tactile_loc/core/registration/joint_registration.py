@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from tactile_loc.core.geometry.rigid import Poses, move_covariance
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
-from tactile_loc.core.registration.observations import MILLI, Seen, observe
+from tactile_loc.core.registration.observations import MILLI, observe
 from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import View
@@ -30,9 +31,10 @@ from tactile_loc.core.slots.scene import View
 if TYPE_CHECKING:
     from tactile_loc.core.objects.surface_field import SurfaceField
 
-VERSION = 1  # part of the store's keys: raise it when the output changes
+VERSION = 2  # part of the store's keys: raise it when the output changes
 ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
 FINELY = 4  # number of last steps, which use all points
+EARLY = 2  # number of first steps, after which poses are compared
 SAMPLES = 4000  # number of points of the object's surface that must not reach too deep into the gel
 BLOCK = 16  # number of neighbouring samples that are skipped together
 Floats = NDArray[np.float64]
@@ -47,6 +49,7 @@ class RegistrationOptions(ComponentOptions):
     scale_mm: float = Field(default=3.0, gt=0, description="scale of the robust weights in the first step, mm")
     scale_end_mm: float = Field(default=0.1, gt=0, description="the same in the last step, mm")
     iterations: int = Field(default=15, ge=2, description="largest number of steps")
+    stride: int = Field(default=3, ge=1, description="the first steps use one point out of this many")
     noise_mm: float = Field(default=0.03, gt=0, description="least standard deviation of a point of a touch, mm")
     patch_mm: float = Field(default=1.0, gt=0, description="distance within which errors of points are alike, mm")
     press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, as a share of it")
@@ -71,26 +74,31 @@ class JointRegistration:
         if not len(T_first_object):
             return []
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
-        after = _explain(views, found.T)
+        after = _explain(views, found.T_first_object)
         before = np.ones_like(after)
         doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly the whole touch cannot be worse than before
         before[:, doubted] = _explain(views, T_first_object[doubted])
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         results = []
         for k, given in enumerate(T_first_object):
-            T, (contact, imprint) = (found.T[k], after[:, k]) if good[k] else (given.copy(), before[:, k])
-            settled = bool(good[k] and found.moved[k] < SETTLED_MM and contact > 0)
+            T, (contact, imprint) = (found.T_first_object[k], after[:, k]) if good[k] else (given.copy(), before[:, k])
+            settled = bool(good[k] and found.registered.moved[k] < SETTLED_MM and contact > 0)
             pose = RefinedPose(T, float(contact), settled, self.options.iterations, imprint_iou=float(imprint))
-            results.append(_add_registered(pose, found, k, views[0]) if good[k] else pose)
-        return results
+            results.append(pose)
+        return found.add_to(results, np.flatnonzero(good))
 
-    def register_coarsely(self, views: Sequence[View], T_first_object: Poses, steps: int | None = None) -> Poses:
+    def register_coarsely(self, views: Sequence[View], T_first_object: Poses, kept: int | None = None) -> Poses:
         """Register many poses (K, 4, 4), metres, roughly, and return the registered poses (K, 4, 4), metres.
 
         Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before. With
-        `steps`, only the first steps are taken.
+        `kept`, only this many poses are returned: those that explain the touches best after the first EARLY steps.
         """
-        return self._register(views, T_first_object, self.list_scales_mm(self.options.iterations)[:steps], 0).T
+        scales_mm = self.list_scales_mm(self.options.iterations)
+        if kept is not None and kept < len(T_first_object):
+            early = self._register(views, T_first_object, scales_mm[:EARLY])
+            T_first_object = early.T_first_object[np.argsort(early.registered.misfit, kind="stable")[:kept]]
+            scales_mm = scales_mm[EARLY:]
+        return self._register(views, T_first_object, scales_mm).T_first_object
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.
@@ -99,7 +107,7 @@ class JointRegistration:
         (6, 6) is as in RefinedPose. It is None if the touches give no information about the pose.
         """
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
-        return found.T, _covariances(found, views[0])
+        return found.T_first_object, found.compute_covariances()[0]
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
         """Take one registration step from poses (K, 4, 4), metres; return the new poses and the covariances.
@@ -108,7 +116,7 @@ class JointRegistration:
         the scale of the robust weights, mm. Covariances are as for `follow`, but at T_first_object.
         """
         found = self._register(views, T_first_object, np.array([scale_mm]), 1)
-        return found.T, _covariances(found._replace(T=T_first_object), views[0])
+        return found.T_first_object, found.compute_covariances(T=T_first_object)[0]
 
     def add_covariances(self, views: Sequence[View], poses: Sequence[RefinedPose]) -> list[RefinedPose]:
         """Return poses, in the first touch's sensor frame, with their covariances given the touches.
@@ -117,14 +125,10 @@ class JointRegistration:
         """
         T = np.stack([pose.T_sensor_object for pose in poses])
         found = self._register(views, T, np.array([self.options.scale_end_mm]), 1)
-        levers_m = [_lever_m(views[0], one) for one in T]
+        own, reported = found.compute_covariances(T=T)
         return [
-            dataclasses.replace(
-                pose, covariance=_covariance(own, lever_m), reported_covariance=_covariance(reported, lever_m)
-            )
-            for pose, own, reported, lever_m in zip(
-                poses, found.information, found.reported_information, levers_m, strict=True
-            )
+            dataclasses.replace(pose, covariance=one, reported_covariance=other)
+            for pose, one, other in zip(poses, own, reported, strict=True)
         ]
 
     def list_scales_mm(self, count: int) -> Floats:
@@ -135,36 +139,64 @@ class JointRegistration:
         start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
-    def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> Registered:
-        """Register poses (K, 4, 4), metres, to touches. Return poses in metres, but information in mm and rad."""
+    def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int = 0) -> _Found:
+        """Register poses (K, 4, 4), metres, to touches. The last `finely` steps use all points."""
+        problem = self._pose_problem(views)
+        return _Found(views[0], problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride))
+
+    def _pose_problem(self, views: Sequence[View]) -> Registration:
         from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
-        seen = [Seen.of(view.touch, options.image_px) for view in views]
-        observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
+        observed = observe(
+            [view.touch for view in views], options.image_px, options.points, options.noise_mm / MILLI,
+            options.patch_mm / MILLI, area_m2,
+        )  # fmt: skip
         press_mm = [_press_std_m(view, options.press_error) * MILLI for view in views]
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
-        registration = Registration(
+        return Registration(
             observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm,
             _triangles_mm(build_surface_field(mesh)),
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,
         )  # fmt: skip
-        found = registration.register(_scale(T, MILLI), scales_mm, finely)
-        T, T_each, T_reported = (_scale(poses, 1 / MILLI) for poses in (found.T, found.T_each, found.T_reported))
-        return found._replace(T=T, T_each=T_each, T_reported=T_reported)
 
 
-def _add_registered(pose: RefinedPose, found: Registered, k: int, view: View) -> RefinedPose:
-    """Return the refined pose with the covariances and the poses in other frames of registered pose `k`."""
-    lever_m = _lever_m(view, pose.T_sensor_object)
-    return dataclasses.replace(
-        pose, covariance=_covariance(found.information[k], lever_m), T_sensors_object=found.T_each[k],
-        T_reported_object=found.T_reported[k],
-        reported_covariance=_covariance(found.reported_information[k], lever_m),
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Poses of the object registered to touches; `view` is that of the first touch."""
+
+    view: View
+    problem: Registration
+    registered: Registered
+
+    @cached_property
+    def T_first_object(self) -> Poses:  # noqa: N802
+        """The poses (K, 4, 4), metres, in the first sensor's frame."""
+        return _scale(self.registered.T, 1 / MILLI)
+
+    def compute_covariances(self, some: Any = slice(None), T: Poses | None = None) -> tuple[Covariances, Covariances]:
+        """Return the covariances of `some` poses, and those of their reported poses: see `_to_covariances`.
+
+        With T (K, 4, 4), metres, they belong to these poses instead, from which the last step began.
+        """
+        found, at = self.registered, (self.T_first_object if T is None else T)[some]
+        levers_m = at[:, :3, :3] @ self.view.scene.object.mesh.centroid_m
+        own, reported = self.problem.inform(found.T_reported[some], found.parts[some])
+        return _to_covariances(own, levers_m), _to_covariances(reported, levers_m)
+
+    def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.int64]) -> list[RefinedPose]:
+        """Return the refined poses; those with the numbers `good` get covariances and poses in other frames."""
+        results, found = list(poses), self.registered
+        each, reported = _scale(found.T_each, 1 / MILLI), _scale(found.T_reported, 1 / MILLI)
+        for k, one, other in zip(good, *self.compute_covariances(good), strict=True):
+            results[k] = dataclasses.replace(
+                poses[k], covariance=one, T_sensors_object=each[k], T_reported_object=reported[k],
+                reported_covariance=other,
+            )  # fmt: skip
+        return results
 
 
 def _press_std_m(view: View, press_error: float) -> float:
@@ -191,29 +223,19 @@ def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:
     return np.asarray(np.mean(each, axis=0))
 
 
-def _covariances(found: Registered, view: View) -> Covariances:
-    return [_covariance(A, _lever_m(view, T)) for A, T in zip(found.information, found.T, strict=True)]
+def _to_covariances(information: Floats, levers_m: Floats) -> Covariances:
+    """Convert information (K, 6, 6), rotations (rad), then mm, to covariances (6, 6), x, y, z (m), then rotations.
 
-
-def _lever_m(view: View, T: Floats) -> Floats:
-    """Return the vector (3,), metres, from the object frame's origin to the centroid, along the sensor's axes."""
-    return np.asarray(T[:3, :3] @ view.scene.object.mesh.centroid_m)
-
-
-def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
-    """Convert information (6, 6), rotations (rad) first, then mm, to a covariance (6, 6), x, y, z (m), then rotations.
-
-    The information refers to rotations about the object's centroid, which is at `lever_m` (3,) from the origin of the
-    object frame. The covariance refers to rotations about this origin.
+    The information refers to rotations about the object's centroid, which is at `levers_m` (K, 3) from the origin of
+    the object frame. The covariances refer to rotations about this origin. Without information, a covariance is None.
     """
-    swapped = information[[3, 4, 5, 0, 1, 2]][:, [3, 4, 5, 0, 1, 2]]
+    swapped = information[:, [3, 4, 5, 0, 1, 2]][:, :, [3, 4, 5, 0, 1, 2]]
     values, vectors = np.linalg.eigh(swapped)
-    if not values[-1] > 0:
-        return None
     # a direction that no touch constrains gets a standard deviation of about 30 mm or 3 rad
-    covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
+    covariances = (vectors / np.maximum(values, 1e-3)[:, None]) @ vectors.swapaxes(1, 2)
     unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
-    return move_covariance(covariance * unit * unit[:, None], -lever_m)
+    moved = move_covariance(covariances * unit * unit[:, None], -levers_m)
+    return [one if known else None for one, known in zip(moved, values[:, -1] > 0, strict=True)]
 
 
 @lru_cache(maxsize=64)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from tactile_loc.core.compiled import njit
-from tactile_loc.core.objects.surface_field import find_closest_on_triangle, find_downhill, find_triangle_near
+from tactile_loc.core.objects.surface_field import find_cell_triangle, find_closest_point, walk_to_nearest
 
 # mypy: ignore-errors
 
@@ -20,116 +20,139 @@ NEAR_PLANE_MM = 0.1  # for a point less than this beside its triangle, the dista
 
 
 @njit(fast=True)
-def build_equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
-    """Fill A (K, N, 6, 6), b (K, N, 6) for twists u that make poses T_each (K, N, 4, 4) explain their touches better.
+def build_equations(T_each, every, observed, triangles, samples, scale, noise, A, b):
+    """Fill A (N, 6, 6), b (N, 6) for twists u that make poses T_each (N, 4, 4) explain N touches better.
 
-    The twists solve A u = b. Only poses from first to last are filled. Pose k uses one point out of every[k].
-    `triangles` are the object's triangles, in mm; `samples` are points of its surface, in blocks. `scale`, mm, is the
-    scale of the robust weights. `misfit` (K, 2) gets two sums over the points: of weighted squared distances, mm^2, and
-    of weights. A, b and `misfit` must be zeros at the start.
+    The twists solve A u = b. One point out of `every` is used. `triangles` are the object's triangles, in mm; `samples`
+    are points of its surface, in blocks. `scale`, mm, is the scale of the robust weights. If the points of all touches
+    have a larger misfit than `noise`, mm, their weights are reduced accordingly. Returns the misfit: the sum of squared
+    distances of points and samples, mm^2, divided by the number of points. An outlier counts as GROSS_MM.
     """
-    for k in range(first, last):
-        for i in range(T_each.shape[1]):
-            add_seen(i, T_each[k, i], observed, triangles, scale, every[k], A[k, i], b[k, i], misfit[k])
-            add_kept_out(i, T_each[k, i], observed, samples, scale, every[k], A[k, i], b[k, i])
-            for m in range(6):
-                for n in range(m):
-                    A[k, i, m, n] = A[k, i, n, m]
+    A[:], b[:] = 0.0, 0.0
+    squares = weights = inside = 0.0
+    for i in range(len(T_each)):
+        squared, weight = add_seen(i, T_each[i], observed, triangles, scale, every, A[i], b[i])
+        inside += add_kept_out(i, T_each[i], observed, samples, scale, every, A[i], b[i])
+        squares, weights = squares + squared, weights + weight
+    surer = min(1.0, noise * noise * weights / max(squares, 1e-30))
+    for i in range(len(T_each)):
+        for m in range(6):
+            b[i, m] *= surer
+            for n in range(m, 6):
+                A[i, m, n] *= surer
+                A[i, n, m] = A[i, m, n]
+    return (squares + inside) / max(weights, 1e-30)
 
 
 @njit(fast=True)
-def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
+def add_seen(i, T, observed, triangles, scale, every, A, b):
     """Add the equations of touch i's points: each must lie on a part of the object's surface that faces the same way.
 
-    Also add the points' weighted squared distances, mm^2, and their weights to the misfit (2,).
+    Returns two sums over the points: of weighted squared distances, mm^2, and of weights.
     """
-    x, y = np.empty(3), np.empty(3)
+    points, normals, weights, slacks = observed.points, observed.normals, observed.weights, observed.slack
+    corners, faces = triangles.corners, triangles.normals
+    c0, c1, c2 = observed.centres[i, 0], observed.centres[i, 1], observed.centres[i, 2]
+    R00, R01, R02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    R10, R11, R12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    R20, R21, R22, t2 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
     J = np.empty(6)
+    squares = total = 0.0
     for j in range(observed.starts[i], observed.starts[i + 1], every):
-        p, n = observed.points[j], observed.normals[j]
-        for a in range(3):  # x and y are the point and its normal in the object frame
-            x[a] = T[0, a] * (p[0] - T[0, 3]) + T[1, a] * (p[1] - T[1, 3]) + T[2, a] * (p[2] - T[2, 3])
-            y[a] = T[0, a] * n[0] + T[1, a] * n[1] + T[2, a] * n[2]
-        f = find_triangle_near(x, triangles)
+        p0, p1, p2 = points[j, 0], points[j, 1], points[j, 2]
+        q0, q1, q2 = p0 - t0, p1 - t1, p2 - t2
+        x = R00 * q0 + R10 * q1 + R20 * q2  # the point in the object frame
+        y = R01 * q0 + R11 * q1 + R21 * q2
+        z = R02 * q0 + R12 * q1 + R22 * q2
+        f = find_cell_triangle(x, y, z, triangles)
         if f < 0:
             continue
-        f, squared = find_downhill(x, f, triangles)
-        m = triangles.normals[f]
-        facing = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
+        f, squared = walk_to_nearest(x, y, z, f, triangles)
+        m0, m1, m2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        d0 = R00 * m0 + R01 * m1 + R02 * m2  # the face's normal in the sensor frame
+        d1 = R10 * m0 + R11 * m1 + R12 * m2
+        d2 = R20 * m0 + R21 * m1 + R22 * m2
+        facing = d0 * normals[j, 0] + d1 * normals[j, 1] + d2 * normals[j, 2]
         if facing <= 0.0:
             continue
-        corner = triangles.corners[f]
-        off = m[0] * (x[0] - corner[0]) + m[1] * (x[1] - corner[1]) + m[2] * (x[2] - corner[2])
-        d0, d1, d2, r = m[0], m[1], m[2], off
+        off = m0 * (x - corners[f, 0]) + m1 * (y - corners[f, 1]) + m2 * (z - corners[f, 2])
+        r = off
         if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # the point is beside the triangle
-            c = find_closest_on_triangle(x, corner, triangles.sides[f])
+            n0, n1, n2 = find_closest_point(x, y, z, f, corners, triangles.sides)
             r = math.sqrt(squared)
-            d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
-        r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
-        weight = every * observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
-        # y is now the direction d in the sensor frame: if u moves the point by u(p), the residual falls by d . u(p)
-        for a in range(3):
-            y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
-        compute_row(p, observed.centres[i], y, J)
-        add(J, r, weight, A, b)
-        weight = every * observed.weights[j] * facing
-        misfit[0] += weight * min(r * r, GROSS_MM**2)
-        misfit[1] += weight
+            n0, n1, n2 = (x - n0) / r, (y - n1) / r, (z - n2) / r
+            d0 = R00 * n0 + R01 * n1 + R02 * n2
+            d1 = R10 * n0 + R11 * n1 + R12 * n2
+            d2 = R20 * n0 + R21 * n1 + R22 * n2
+        r = math.copysign(max(0.0, abs(r) - slacks[j]), r)
+        weight = every * weights[j] * facing
+        squares += weight * min(r * r, GROSS_MM**2)
+        total += weight
+        # if a twist u moves the point by u(p), the residual falls by d . u(p)
+        fill_row(p0 - c0, p1 - c1, p2 - c2, d0, d1, d2, J)
+        add(J, r, weight / (1.0 + r * r / (scale * scale)) ** 2, A, b)
+    return squares, total
 
 
 @njit(fast=True)
 def add_kept_out(i, T, observed, samples, scale, every, A, b):
-    """Add the equations of surface samples that reach deeper into the gel than touch i shows."""
-    camera = observed.cameras[i]
+    """Add the equations of surface samples that reach deeper into the gel than touch i shows.
+
+    Returns the sum of their weighted squared distances, mm^2.
+    """
+    camera, images = observed.cameras[i], observed.images
     pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
+    left, right, top, bottom, sample_weight = camera[6], camera[7], camera[8], camera[9], camera[10]
+    c0, c1, c2 = observed.centres[i, 0], observed.centres[i, 1], observed.centres[i, 2]
     height, width, offset = observed.sizes[i, 0], observed.sizes[i, 1], observed.offsets[i]
-    d, p, J = np.empty(3), np.empty(3), np.empty(6)
+    middles, radii, starts, corners = samples.centres, samples.radii, samples.starts, samples.corners
+    J = np.empty(6)
     z0, z1, z2, above = T[2, 0], T[2, 1], T[2, 2], T[2, 3] - gel
-    for block in range(len(samples.radii)):
-        s = samples.centres[block]
-        if z0 * s[0] + z1 * s[1] + z2 * s[2] + above >= samples.radii[block]:
+    squares = 0.0
+    for block in range(len(radii)):
+        if z0 * middles[block, 0] + z1 * middles[block, 1] + z2 * middles[block, 2] + above >= radii[block]:
             continue
-        for j in range(samples.starts[block], samples.starts[block + 1], every):
-            s = samples.corners[j, 0]
-            z = z0 * s[0] + z1 * s[1] + z2 * s[2] + above
+        for j in range(starts[block], starts[block + 1], every):
+            s0, s1, s2 = corners[j, 0, 0], corners[j, 0, 1], corners[j, 0, 2]
+            z = z0 * s0 + z1 * s1 + z2 * s2 + above
             if z >= 0.0:
                 continue
             z += gel
-            x = T[0, 0] * s[0] + T[0, 1] * s[1] + T[0, 2] * s[2] + T[0, 3]
-            y = T[1, 0] * s[0] + T[1, 1] * s[1] + T[1, 2] * s[2] + T[1, 3]
-            if x < camera[6] or x > camera[7] or y < camera[8] or y > camera[9]:
+            x = T[0, 0] * s0 + T[0, 1] * s1 + T[0, 2] * s2 + T[0, 3]
+            y = T[1, 0] * s0 + T[1, 1] * s1 + T[1, 2] * s2 + T[1, 3]
+            if x < left or x > right or y < top or y > bottom:
                 continue
             k = 1.0 / z if pinhole else 1.0
             u, v = math.floor(fx * x * k + cx - 0.5), math.floor(fy * y * k + cy - 0.5)
             if u < 0 or v < 0 or u >= width or v >= height:
                 continue
-            pixel = observed.images[offset + v * width + u]
-            nothing = pixel[0] < 0.0
-            surface = -pixel[0] if nothing else pixel[0]
+            pixel = offset + v * width + u
+            lowest = images[pixel, 0]
+            nothing = lowest < 0.0
+            surface = -lowest if nothing else lowest
             if not surface > z:  # the pixel is not observed, or the sample is not deeper
                 continue
             r = min(surface, gel) - z
-            d[0] = d[1] = 0.0
-            d[2] = 1.0
-            aside, across = pixel[1] - x, pixel[2] - y
+            d0, d1, d2 = 0.0, 0.0, 1.0
+            aside, across = images[pixel, 1] - x, images[pixel, 2] - y
             far = math.sqrt(aside * aside + across * across)
             if nothing and far < r:  # the contact beside the sample is nearer than the gel's surface
                 r = far
                 if r < 1e-6:
                     continue
-                d[0], d[1], d[2] = aside / far, across / far, 0.0
-            p[0], p[1], p[2] = x, y, z
-            compute_row(p, observed.centres[i], d, J)
+                d0, d1, d2 = aside / far, across / far, 0.0
             # the sample moves with the object: it must move along d by r
-            add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
+            fill_row(x - c0, y - c1, z - c2, d0, d1, d2, J)
+            add(J, r, every * sample_weight / (1.0 + r * r / (scale * scale)) ** 2, A, b)
+            squares += every * sample_weight * min(r * r, GROSS_MM**2)
+    return squares
 
 
 @njit(fast=True)
-def compute_row(p, centre, d, J):
-    """Fill J (6,) with the derivative of p's motion along d with respect to a twist about the centre."""
-    l0, l1, l2 = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
-    J[0], J[1], J[2] = l1 * d[2] - l2 * d[1], l2 * d[0] - l0 * d[2], l0 * d[1] - l1 * d[0]
-    J[3], J[4], J[5] = d[0], d[1], d[2]
+def fill_row(l0, l1, l2, d0, d1, d2, J):
+    """Fill J (6,) with the derivative of a point's motion along d with respect to a twist. The point is at l."""
+    J[0], J[1], J[2] = l1 * d2 - l2 * d1, l2 * d0 - l0 * d2, l0 * d1 - l1 * d0
+    J[3], J[4], J[5] = d0, d1, d2
 
 
 @njit(fast=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -71,26 +72,44 @@ class Seen:
         return cls(shape, touch.thin_surface(pixels), geometry)
 
 
-def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
+def observe(
+    touches: Sequence[Touch], pixels: int, points: int, noise_m: float, patch_m: float, sample_area_m2: float
+) -> Observed:
     """Return the observations of touches, in mm, with at most about `points` surface points each.
 
-    `noise_m`, metres, is the least standard deviation of a measured surface point. Points share their errors over
-    patches of `patch_m` metres. `sample_area_m2` is the area of the object's surface for each of its samples.
+    Images have about `pixels` pixels on the longer side. `noise_m`, metres, is the least standard deviation of a
+    measured surface point. Points share their errors over patches of `patch_m` metres. `sample_area_m2` is the area of
+    the object's surface for each of its samples.
     """
-    clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
-    P, n, w, slack = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(4))
-    weight = UNSEEN * sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
-    images = [_image_mm(touch) for touch in touches]
-    sizes = np.array([image.shape[:2] for image in images])
-    starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
-    middles = np.stack([
-        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # a touch can have no points
-        for touch, cloud in zip(touches, clouds, strict=True)
-    ])  # fmt: skip
-    cameras = np.stack([_camera_mm(t, weight) for t in touches])
-    pixels = np.concatenate([image.reshape(-1, 4) for image in images])
+    each = [_observe_one(touch, pixels, points, noise_m, patch_m, sample_area_m2) for touch in touches]
+    P, n, w, slack = (np.concatenate([one.cloud[k] for one in each]) for k in range(4))
+    sizes = np.array([one.image.shape[:2] for one in each])
+    starts = np.cumsum([0, *(len(one.cloud[0]) for one in each)])
+    images = np.concatenate([one.image.reshape(-1, 4) for one in each])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
-    return Observed(P, n, w, slack, starts, middles, cameras, pixels, sizes, offsets)
+    cameras, middles = np.stack([one.camera for one in each]), np.stack([one.middle for one in each])
+    return Observed(P, n, w, slack, starts, middles, cameras, images, sizes, offsets)
+
+
+class _ObservedOne(NamedTuple):
+    """The observation of one touch: points, normals, weights and slack, an image, a camera and the points' middle."""
+
+    cloud: tuple[Floats, Floats, Floats, Floats]
+    image: NDArray[np.float32]
+    camera: Floats
+    middle: Floats
+
+
+@lru_cache(maxsize=32)  # a touch is observed for the search, for the refinement and for covariances
+def _observe_one(
+    touch: Touch, pixels: int, points: int, noise_m: float, patch_m: float, sample_area_m2: float
+) -> _ObservedOne:
+    """Return the observation of one touch: see `observe`."""
+    seen = Seen.of(touch, pixels)
+    cloud = _cloud_mm(seen, points, noise_m * MILLI, patch_m * MILLI)
+    camera = _camera_mm(seen, UNSEEN * sample_area_m2 / (patch_m * noise_m * MILLI) ** 2)
+    middle = cloud[0].mean(axis=0) if len(cloud[0]) else seen.geometry.gel_middle_m * MILLI  # it can have no points
+    return _ObservedOne(cloud, _image_mm(seen), camera, middle)
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:

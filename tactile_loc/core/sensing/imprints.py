@@ -44,18 +44,19 @@ def compare_imprints(
     A pixel is in contact if its depth is below the press depth and `observed` (H, W) is True. A pose whose contact does
     not overlap that of the touch has IoUs of 0.
     """
-    press = np.float32(press_depth_m)
-    made, seen = ((depth_m < press) & observed for depth_m in (made_m, seen_m))
-    common = made & seen
-    count, either = (np.count_nonzero(both, axis=(-2, -1)) for both in (common, made | seen))
-    a, b = (
-        np.where(contact, np.float32(1 + OUTLINE_SHARE) - depth_m / press, np.float32(0))
-        for contact, depth_m in ((made, made_m), (seen, seen_m))
-    )
-    least, most = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))
-    off_m = np.where(common, np.minimum(np.abs(made_m - seen_m), np.float32(FAR_OFF_M)), np.float32(0))
-    mean_off_m = off_m.sum(axis=(-2, -1), dtype=float) / np.maximum(count, 1)
+    from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
+    from tactile_loc.core.sensing.imprint_sums import add_imprints
+
+    count = len(made_m)
+    made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
+    sums = np.empty((count, 5))
+    run_in_threads(
+        add_imprints, count, made_m, seen_m, np.float32(press_depth_m), np.ascontiguousarray(observed),
+        np.float32(OUTLINE_SHARE), np.float32(FAR_OFF_M), sums,
+    )  # fmt: skip
+    common, either, least, most, off_m = sums.T
     imprint_ious = least / np.maximum(most, 1.0)
-    area_mm2 = count * (1e3 * pixel_pitch_m) ** 2
+    area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
+    mean_off_m = off_m / np.maximum(common, 1)
     evidence = IOU_NATS * imprint_ious + AREA_NATS * np.log1p(area_mm2) - DEPTH_NATS * 1e3 * mean_off_m
-    return Explained(count / np.maximum(either, 1), imprint_ious, evidence)
+    return Explained(common / np.maximum(either, 1), imprint_ious, evidence)

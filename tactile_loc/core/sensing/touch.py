@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -248,8 +248,7 @@ class Touch:
 
     def thin(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
         """Return the sensor and the touching shape with fewer pixels: about `pixels` on the longer side."""
-        step = self._find_step(pixels)
-        return self.geometry.subsample(step), self.touching_shape.subsample(step)
+        return _thin(self, self._find_step(pixels))
 
     def find_known(self, cut_m: float) -> NDArray[np.bool_]:
         """Return the observed pixels (H, W) that show whether the object is nearer than `cut_m` metres.
@@ -267,6 +266,11 @@ class Touch:
 
     def _find_step(self, pixels: int) -> int:
         return max(1, round(max(self.geometry.shape) / pixels))
+
+
+@lru_cache(maxsize=32)  # several stages use the same few sizes of a touch
+def _thin(touch: Touch, step: int) -> tuple[SensorGeometry, ContactShape]:
+    return touch.geometry.subsample(step), touch.touching_shape.subsample(step)
 
 
 def cut_to_touching(shape: ContactShape, geometry: SensorGeometry) -> ContactShape:

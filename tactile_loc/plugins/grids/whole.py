@@ -54,7 +54,7 @@ class WholeGrid(GridSampler):
 
         spacing_mm: float = Field(default=3.0, gt=0, description="mean distance between neighbouring hypotheses, mm")
         directions: int = Field(default=4000, ge=100, le=100_000, description="directions over the whole sphere")
-        turns: int = Field(default=120, ge=8, le=720, description="yaws by which a touch is rotated")
+        turns: int = Field(default=48, ge=8, le=720, description="yaws by which a touch is rotated")
         apart_mm: float = Field(default=2.0, gt=0, description="distance between places along edges and faces, mm")
         near_mm: float = Field(default=3.0, gt=0, description="radius in which a place is the lowest point, mm")
         level_mm: float = Field(default=0.05, ge=0, description="height difference that counts as equally low, mm")

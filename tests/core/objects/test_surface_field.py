@@ -45,26 +45,33 @@ def test_no_point_is_found_beyond_the_reach():
     np.testing.assert_allclose(found[1], [0, 0, 0.008], atol=1e-4)
 
 
-def test_the_mean_gap_of_a_ball_equals_its_formula():
+def test_distances_from_a_ball_equal_their_formula():
     solid = SOLIDS["ball"]
     field = SurfaceField.of(TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)))
     points = np.array([[0.008, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.1]])
     turn = np.eye(4)
     turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     outwards = np.eye(4)
-    outwards[0, 3] = 1e-3  # the first point then has a gap of 1 mm, the second of hypot(1, 10) - 8 mm
-    expected = [2e-3 + 3e-3, 2e-3 + 3e-3, 1e-3 + np.hypot(1e-3, 1e-2) - 8e-3 + 3e-3]
-    gaps = field.measure_gaps(points, np.stack([np.eye(4), turn, outwards]), 3e-3)
-    np.testing.assert_allclose(gaps, np.array(expected) / 3, atol=3e-5)
-    assert field.measure_gaps(np.zeros((0, 3)), np.eye(4)[None], 3e-3).tolist() == [0.0]
+    outwards[0, 3] = 1e-3  # the first point is then 1 mm away, the second hypot(1, 10) - 8 mm
+    expected = [[0.0, 2e-3, np.inf], [0.0, 2e-3, np.inf], [1e-3, np.hypot(1e-3, 1e-2) - 8e-3, np.inf]]
+    found = field.measure_distances(points, np.stack([np.eye(4), turn, outwards]))
+    np.testing.assert_allclose(found, expected, atol=3e-5)
+    assert field.measure_distances(np.zeros((0, 3)), np.eye(4)[None]).shape == (1, 0)
 
 
-def test_exact_gaps_of_surface_points_are_smaller_than_those_of_the_cells():
+def test_estimated_gaps_differ_from_the_gaps_by_less_than_a_cell():
     solid = SOLIDS["ball"]
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
     field, points = SurfaceField.of(mesh), mesh.sample(500, np.random.default_rng(3))
-    roughly, exactly = (field.measure_gaps(points, np.eye(4)[None], 3e-3, exact)[0] for exact in (False, True))
-    assert exactly < 1e-6 < roughly
+    moves = np.tile(np.eye(4), (4, 1, 1))
+    moves[:, 2, 3] = [0.0, 1e-3, 3e-3, 0.1]
+    exact = np.minimum(field.measure_distances(points, moves), field.reach_m).mean(axis=1)
+    rough = field.estimate_gaps(points, moves)
+    assert exact[0] < 1e-9
+    assert exact[3] == pytest.approx(field.reach_m)
+    assert rough[3] == pytest.approx(field.reach_m)
+    np.testing.assert_allclose(rough, exact, atol=0.5 * np.sqrt(3) * 5e-4)
+    assert field.estimate_gaps(np.zeros((0, 3)), moves).tolist() == [0.0] * 4
 
 
 def test_the_closest_point_is_right_in_every_region_of_a_triangle():

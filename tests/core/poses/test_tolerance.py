@@ -9,7 +9,7 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.tolerance import REACH, Tolerance, measure_surface_distances
+from tactile_loc.core.poses.tolerance import Tolerance, measure_surface_distances
 
 SIZE_M = (0.04, 0.03, 0.02)
 
@@ -58,10 +58,27 @@ def test_the_surface_distance_is_the_mean_over_the_surface(make_box):
     assert found_m[1] == pytest.approx(nearest_m + beyond_m, rel=0.25)
 
 
-@pytest.mark.parametrize("most_m", [1e-3, 5e-3])
-def test_far_points_count_as_a_multiple_of_the_largest_distance(make_box, most_m):
-    far_m = measure_surface_distances(make_box(*SIZE_M).mesh, np.eye(4), make_translation([[1, 0, 0]]), most_m)
-    assert far_m == pytest.approx(max(4e-3, REACH * most_m))
+def test_points_far_from_the_surface_count_fully(make_box):
+    """A long box that is shifted along itself by half of its length: most of it is at the same place."""
+    x, y, z = 0.2, 0.01, 0.01
+    box, shift_m = make_box(x, y, z), np.array([0.05, 0.1, 1.0])
+    moved = make_translation(shift_m[:, None] * [1.0, 0, 0])
+    sides, ends = 4 * x * y, 2 * y * z
+    overhang_m = np.minimum(shift_m, x)  # its points are up to this far from the other box's end
+    on_sides_m = overhang_m / x * (shift_m - overhang_m / 2)  # the mean over a side
+    expected_m = (sides * on_sides_m + ends / 2 * shift_m) / (sides + ends)
+    found_m = measure_surface_distances(box.mesh, np.eye(4), moved)
+    assert found_m == pytest.approx(expected_m, rel=0.1)
+    assert not Tolerance.parse("5mm").find_within(box, np.eye(4), moved).any()
+
+
+def test_a_mean_above_the_largest_one_is_never_returned_as_smaller(make_box):
+    mesh, moved = make_box(0.2, 0.01, 0.01).mesh, make_translation([[0.002, 0, 0], [0.05, 0, 0], [1, 0, 0]])
+    right_m = measure_surface_distances(mesh, np.eye(4), moved)
+    for most_m in (1e-4, 1e-3, 5e-3):
+        found_m = measure_surface_distances(mesh, np.eye(4), moved, most_m)
+        assert found_m[right_m <= most_m] == pytest.approx(right_m[right_m <= most_m])
+        assert (found_m[right_m > most_m] > most_m).all()
 
 
 def test_poses_equal_by_symmetry_are_within_every_tolerance(make_box):
