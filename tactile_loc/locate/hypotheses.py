@@ -26,6 +26,7 @@ LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 MASK_SHARE = 0.5
 SHARPNESS = 30.0  # an error of a sensor pose that costs 1 nat lowers the imprint IoU by 1 / SHARPNESS
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
+EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
 Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
@@ -53,7 +54,12 @@ def find_hypotheses(
             )
             for mode, pose, each in zip(modes, refined, ious, strict=True)
         ]  # fmt: skip
-        log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
+        log_prior = None
+        if prior is not None:
+            log_prior = np.maximum(prior(np.stack([h.T_sensor_object for h in hypotheses])), EXCLUDED)
+            hypotheses = [
+                dataclasses.replace(h, prior_nats=float(nats)) for h, nats in zip(hypotheses, log_prior, strict=True)
+            ]
         counts = sum(1.0 if views[number].touch.has_depths else MASK_SHARE for number in trusted)
         nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), counts)
         return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
@@ -108,7 +114,7 @@ def weigh(
     coarse. `nats` (K,) are the log-weights given all touches; `log_prior` (K,) is added. The total probability of the
     given hypotheses is kept.
     """
-    known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
+    known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, EXCLUDED)
     worth = nats + known
     weights = np.exp(worth - worth.max())
     weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()

@@ -159,7 +159,7 @@ def test_a_folder_with_sensor_poses_gives_the_same_pose_as_the_recording(cli, sl
     said = json.loads(done.stdout)
     assert said["written"] == ["images-poses.csv", "images-poses.json"]
     recorded = json.loads(cli("replay", slide, *words, "--base-frame", "base").stdout)
-    np.testing.assert_allclose(said["rest"]["T_base_object"], recorded["rest"]["T_base_object"], atol=1e-5)
+    np.testing.assert_allclose(said["rest"]["T_base_object"], recorded["rest"]["T_base_object"], atol=3e-4)
     assert said["rest"]["verdict"] == recorded["rest"]["verdict"]
     rows = list(csv.DictReader(Path("images-poses.csv").read_text().splitlines()))
     assert [row["name"] for row in rows] == [f"{number:02d}.npz" for number in range(IMAGES)]

@@ -20,7 +20,8 @@ class Hypothesis:
     these poses is `T_sensor_object_grid` (4, 4), metres, with index `grid_index` in the grid. `refined` is the
     refiner's result for this pose. `imprint_iou`, 0 to 1, states how well the refined pose explains the touches in
     depth and outline (`Scene.imprint_ious`). For several touches, `imprint_ious` has one value per touch, and
-    `imprint_iou` is the mean of these values without outliers.
+    `imprint_iou` is the mean of these values without outliers. `prior_nats` is the log-weight of the prior at the
+    refined pose, nats; 0 without a prior.
 
     `T_base_sensor` (4, 4), metres, is the reported pose of the first touch's sensor; None if unknown. If it is known,
     the object's pose in the base frame is known, too.
@@ -34,6 +35,7 @@ class Hypothesis:
     imprint_iou: float
     imprint_ious: tuple[float, ...] = ()
     T_base_sensor: NDArray[np.float64] | None = None
+    prior_nats: float = 0.0
 
     @property
     def T_sensor_object(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name

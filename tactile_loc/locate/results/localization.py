@@ -25,7 +25,7 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_freedom, find_rivals
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
-from tactile_loc.locate.results.nearness import Nearness, calibrate, compute_share_within
+from tactile_loc.locate.results.nearness import PRIOR_NATS, Nearness, calibrate, compute_share_within
 from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, explain_verdict, judge, name_next_step
 from tactile_loc.store.files import lock_folder
 
@@ -200,11 +200,15 @@ class Localization:
         return Nearness(share, self.posterior.elsewhere, gap, undetermined)
 
     def _measure_gap(self, tolerance: Tolerance) -> float:
-        """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it."""
+        """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it.
+
+        A pose that the prior makes less probable counts as if it had less imprint IoU: see PRIOR_NATS.
+        """
         known = [*self.hypotheses, *self.unlisted]
         T = np.stack([h.T_sensor_object for h in known])
         rivals = ~tolerance.find_within(self.object, T[0], T)
-        ious = np.array([h.imprint_iou for h in known])
+        unlikely = np.maximum(0.0, known[0].prior_nats - np.array([h.prior_nats for h in known]))
+        ious = np.array([h.imprint_iou for h in known]) - unlikely / PRIOR_NATS
         return float(ious[0] - ious[rivals].max(initial=0.0))
 
     @cached_property

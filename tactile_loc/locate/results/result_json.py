@@ -82,6 +82,7 @@ class HypothesisRecord(Record):
     imprint_ious: list[float] = Field(
         default_factory=list, description="imprint IoU with each touch: `touch`, then `other_touches`"
     )
+    prior_nats: float = Field(default=0.0, description="log-weight of the prior at the answer, nats; 0 without a prior")
     contact_iou: float = Field(
         description="contact IoU from the refiner: how well the pose's contact area matches the observed one, 0 to 1"
     )
@@ -413,8 +414,9 @@ def _record_hypotheses(localization: Located, errors_m: NDArray[np.float64] | No
         HypothesisRecord(
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
             T_sensor_object_grid=h.T_sensor_object_grid.tolist(), T_sensor_object=h.T_sensor_object.tolist(),
-            imprint_iou=h.imprint_iou, imprint_ious=list(h.imprint_ious), contact_iou=h.refined.contact_iou,
-            covariance=_list_rows(h.covariance), quaternion_xyzw=_list_numbers(h.quaternion_xyzw),
+            imprint_iou=h.imprint_iou, imprint_ious=list(h.imprint_ious), prior_nats=h.prior_nats,
+            contact_iou=h.refined.contact_iou, covariance=_list_rows(h.covariance),
+            quaternion_xyzw=_list_numbers(h.quaternion_xyzw),
             T_base_object=_list_rows(h.T_base_object), base_quaternion_xyzw=_list_numbers(h.base_quaternion_xyzw),
             base_covariance=_list_rows(h.base_covariance),
             converged=h.refined.converged, iterations=h.refined.iterations,

@@ -73,7 +73,7 @@ def build_hypotheses(record: ResultRecord, posterior: PosePosterior) -> Iterator
     for h, T_grid, index in zip(record.hypotheses, proposed, posterior.grid.nearest(proposed)[1], strict=True):
         yield Hypothesis(
             h.probability, T_grid, _build_refined(h, T_base_sensor), int(index), h.grid_poses, h.imprint_iou,
-            tuple(h.imprint_ious), T_base_sensor,
+            tuple(h.imprint_ious), T_base_sensor, h.prior_nats,
         )  # fmt: skip
 
 

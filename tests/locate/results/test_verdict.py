@@ -100,6 +100,9 @@ def test_a_first_pose_with_a_rival_is_ambiguous_even_if_the_rival_is_not_listed(
     assert replace(one, unlisted=(rival,)).verdict is Verdict.AMBIGUOUS
     assert replace(one, unlisted=(replace(rival, imprint_iou=0.7),)).verdict is Verdict.CERTAIN
     assert replace(one, unlisted=(one.best,)).verdict is Verdict.CERTAIN
+    unlikely = replace(one, unlisted=(replace(rival, prior_nats=-20.0),))
+    assert unlikely.verdict is Verdict.CERTAIN, "the prior excludes the rival"
+    assert replace(one, unlisted=(replace(rival, prior_nats=20.0),)).verdict is Verdict.AMBIGUOUS
 
 
 @pytest.mark.parametrize(("std_m", "expected"), [(3e-4, Verdict.CERTAIN), (3e-3, Verdict.AMBIGUOUS)])
