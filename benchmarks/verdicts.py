@@ -4,8 +4,8 @@
 Touches are drawn as in reliability.py, with other seeds. A first pose is right if the mean distance of its surface from
 the true surface is below 1 mm. An example is determined if no listed pose with a wrong surface explains the touches as
 well as the true pose: to within 0.02 of its imprint IoU. The first table has the mean fitted probability, the share of
-right poses and the number of examples, by the probability. The second table counts verdicts. The four numbers of the
-fit come from touches of the eight objects of `FITTED`. Each example is appended to a file, from which the same command
+right poses and the number of examples, by the probability. The second table counts verdicts. The numbers of the fit
+come from other touches of the objects of `FITTED`. Each example is appended to a file, from which the same command
 continues.
 
 Meshes are given as FILE[:UNITS] or a demo object's name.
@@ -38,7 +38,10 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
-FITTED = ("hook", "pin", "head", "00062_plug", "00103_plug", "00345_plug", "00486_plug", "00703_plug")
+FITTED = (
+    "hook", "pin", "head", "cotter", "damping_pin", "elbow_pipe", "00062_plug", "00103_plug", "00345_plug",
+    "00486_plug", "00652_plug", "00703_plug",
+)  # fmt: skip
 THICKNESS_MM, POISSON = 4.0, 0.48  # of the layer
 GELS = {"rigid": RIGID, "layer": Gel(THICKNESS_MM / MM, POISSON)}
 

@@ -12,7 +12,7 @@ parser.add_argument("--picture", metavar="PATH", help="draw the result as PNG")
 picture = parser.parse_args().picture
 
 localizer = Localizer.create("hook", sensor="gelsight-mini")
-touch = localizer.simulate(seed=21)[0]
+touch = localizer.simulate(seed=13)[0]
 T_base_camera = np.array(
     [[0, -1, 0, 0.5], [-1, 0, 0, 0.0], [0, 0, -1, 0.6], [0, 0, 0, 1.0]]
 )  # your hand-eye calibration
