@@ -22,7 +22,6 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.drawing.pose_panel import build_sensor_mm
 from tactile_loc.io.meshes import simplify_mesh
-from tactile_loc.locate.results.freedom import LEAST_SHARE
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.reports.scene import trace_outlines_mm
 from tactile_loc.tasks.next_touch import RatedApproach
@@ -40,6 +39,7 @@ PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shado
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
 FROM = np.array([0.75, -1.0, 0.7])  # direction from which the object is seen at first
 PHONE_ASPECT, PHONE_AWAY, SHEET = 0.6, 1.5, 0.6  # on a narrow page, controls cover the lower part (a share) of the view
+LEAST_SHARE = 0.01  # less probable poses are not drawn
 COVERING = 1.01  # scale of the chosen hypothesis, which hides the object at rest if both poses are equal
 
 

@@ -16,8 +16,6 @@ from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 Float64 = NDArray[np.float64]
 
 AS_WELL = 0.02  # a pose explains the touches as well as another if its imprint IoU is lower by at most this
-LEAST_SHARE = 0.01  # a less probable pose is no rival, because no one would act on it
-LEAST_RATIO = 0.1  # of the first pose's probability, which may be small itself
 SMALL_TURN_RAD = np.radians(5.0)  # smaller turns are not mentioned
 WIDE = 2.0  # standard deviations: 95 % of the errors along one direction are smaller
 ALONG = np.cos(np.radians(15.0))  # directions nearer to an axis have its name
@@ -28,9 +26,9 @@ NOTHING = np.zeros(3)
 class Freedom:
     """What touches leave open about the first pose.
 
-    `others` is the number of other listed poses that explain the touches equally well: see `find_rivals`. `slide_m`
-    (3,) is the largest possible slide of the object, metres, and `turn_rad` (3,) the largest possible turn in place, as
-    a rotation vector, radians. Both are in the first touch's sensor frame, and 0 if small.
+    `others` is the number of other listed poses that explain the touches equally well. `slide_m` (3,) is the largest
+    possible slide of the object, metres, and `turn_rad` (3,) the largest possible turn in place, as a rotation vector,
+    radians. Both are in the first touch's sensor frame, and 0 if small.
     """
 
     others: int
@@ -60,28 +58,18 @@ def explain_as_well(imprint_ious: Float64, best: float) -> NDArray[np.bool_]:
     return imprint_ious >= best - AS_WELL
 
 
-def find_rivals(imprint_ious: Float64, probabilities: Float64, first: int = 0) -> NDArray[np.bool_]:
-    """Return which of K poses explain the touches as well as the pose `first`, and are probable enough to matter.
-
-    `imprint_ious` (K,) and `probabilities` (K,) are 0 to 1. The pose `first` is one of them.
-    """
-    probable = probabilities >= min(LEAST_SHARE, LEAST_RATIO * float(probabilities[first]))
-    return explain_as_well(imprint_ious, float(imprint_ious[first])) & probable
-
-
 def find_freedom(
-    T_sensor_object: Poses, imprint_ious: Float64, probabilities: Float64, covariance: Float64 | None,
-    contact_m: Float64, same: NDArray[np.bool_], tolerance: Tolerance = ONE_MILLIMETRE,
+    T_sensor_object: Poses, imprint_ious: Float64, covariance: Float64 | None, contact_m: Float64,
+    same: NDArray[np.bool_], tolerance: Tolerance = ONE_MILLIMETRE,
 ) -> Freedom:  # fmt: skip
     """Return what is open about the first of K poses (K, 4, 4), metres.
 
-    `imprint_ious` (K,), 0 to 1, state how well the poses explain the touches, and `probabilities` (K,) how probable
-    they are; see `find_rivals`. `covariance` (6, 6) is the first pose's; None if unknown. `contact_m` (3,), metres, is
-    the point of contact in the sensor frame. `same` (K,) marks poses within the tolerance of the first pose. Smaller
-    motions than the tolerance are not mentioned.
+    `imprint_ious` (K,), 0 to 1, state how well the poses explain the touches. `covariance` (6, 6) is the first pose's;
+    None if unknown. `contact_m` (3,), metres, is the point of contact in the sensor frame. `same` (K,) marks poses
+    within the tolerance of the first pose. Smaller motions than the tolerance are not mentioned.
     """
     least_m, least_rad = tolerance.distance_m or 1e-3, tolerance.rotation_rad or SMALL_TURN_RAD
-    others = T_sensor_object[find_rivals(imprint_ious, probabilities) & ~same] @ invert(T_sensor_object[0])
+    others = T_sensor_object[explain_as_well(imprint_ious, imprint_ious[0]) & ~same] @ invert(T_sensor_object[0])
     shifts = transform_points(others, contact_m[None])[:, 0] - contact_m
     turns = np.array([_find_rotation_vector(motion) for motion in others]).reshape(-1, 3)
     in_place, straight = np.linalg.norm(shifts, axis=1) < least_m, np.linalg.norm(turns, axis=1) < least_rad

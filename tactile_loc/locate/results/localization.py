@@ -22,7 +22,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_freedom, find_rivals
+from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_freedom
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.nearness import PRIOR_NATS, Nearness, calibrate, compute_share_within
@@ -191,7 +191,7 @@ class Localization:
         """Return what the result says about its first pose, from which `probability_within` is computed."""
         unrefined = np.diag([(0.5 * self.posterior.grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
-        p = self._probabilities
+        p = np.array([h.probability for h in self.hypotheses])
         covariances = [unrefined if h.covariance is None else h.covariance for h in self.hypotheses]
         share = compute_share_within(T, p, covariances, self.object, tolerance)
         own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
@@ -217,27 +217,15 @@ class Localization:
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
         same = self.tolerance.find_within(self.object, T[0], T)
         return find_freedom(
-            T, self._imprint_ious, self._probabilities, self.best.refined.covariance,
+            T, np.array([h.imprint_iou for h in self.hypotheses]), self.best.refined.covariance,
             self.touch.geometry.gel_middle_m, same, self.tolerance,
         )  # fmt: skip
 
     @property
     def equal_explanations(self) -> tuple[Hypothesis, ...]:
-        """The hypotheses that explain the touches as well as the one that explains them best, which is one of them.
-
-        Improbable ones do not count: see `find_rivals`.
-        """
-        ious = self._imprint_ious
-        rivals = find_rivals(ious, self._probabilities, int(ious.argmax()))
-        return tuple(self.hypotheses[k] for k in np.flatnonzero(rivals))
-
-    @property
-    def _imprint_ious(self) -> NDArray[np.float64]:
-        return np.array([h.imprint_iou for h in self.hypotheses])
-
-    @property
-    def _probabilities(self) -> NDArray[np.float64]:
-        return np.array([h.probability for h in self.hypotheses])
+        """The hypotheses that explain the touches as well as the one that explains them best, which is one of them."""
+        ious = np.array([h.imprint_iou for h in self.hypotheses])
+        return tuple(self.hypotheses[k] for k in np.flatnonzero(explain_as_well(ious, ious.max())))
 
     def count_explanations(self) -> str:
         """State in words how many of the listed poses explain the touches equally well."""
