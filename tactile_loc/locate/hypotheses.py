@@ -19,12 +19,12 @@ from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.results.localization import Hypothesis
+from tactile_loc.locate.results.nearness import NATS_PER_IOU
 
 # A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
 # temperature is 1 / (N SHARPNESS_OF_ONE).
 LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 MASK_SHARE = 0.5
-SHARPNESS = 30.0  # an error of a sensor pose that costs 1 nat lowers the imprint IoU by 1 / SHARPNESS
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
@@ -54,12 +54,7 @@ def find_hypotheses(
             )
             for mode, pose, each in zip(modes, refined, ious, strict=True)
         ]  # fmt: skip
-        log_prior = None
-        if prior is not None:
-            log_prior = np.maximum(prior(np.stack([h.T_sensor_object for h in hypotheses])), EXCLUDED)
-            hypotheses = [
-                dataclasses.replace(h, prior_nats=float(nats)) for h, nats in zip(hypotheses, log_prior, strict=True)
-            ]
+        log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
         counts = sum(1.0 if views[number].touch.has_depths else MASK_SHARE for number in trusted)
         nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), counts)
         return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
@@ -111,15 +106,17 @@ def weigh(
     """Return hypotheses with probabilities from the log-weights of their refined poses, the most probable first.
 
     Refined poses distinguish explanations better than the grid, whose poses are all slightly wrong and whose shapes are
-    coarse. `nats` (K,) are the log-weights given all touches; `log_prior` (K,) is added. The total probability of the
-    given hypotheses is kept.
+    coarse. `nats` (K,) are the log-weights given all touches; `log_prior` (K,) is added, and becomes their
+    `prior_nats`. The total probability of the given hypotheses is kept.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, EXCLUDED)
     worth = nats + known
     weights = np.exp(worth - worth.max())
     weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()
     order = np.lexsort((np.arange(len(hypotheses)), -worth))
-    return tuple(dataclasses.replace(hypotheses[i], probability=float(weights[i])) for i in order)
+    return tuple(
+        dataclasses.replace(hypotheses[i], probability=float(weights[i]), prior_nats=float(known[i])) for i in order
+    )
 
 
 def compute_imprint_ious(
@@ -139,8 +136,8 @@ def compare_where_seen(
     """Return imprint IoUs (K, N) and evidence (K, N), nats, of poses (K, 4, 4), metres, for each of N touches.
 
     `seen` (K, N, 4, 4), metres, are poses of the object in each sensor's frame that allow for an error of the sensor's
-    reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / SHARPNESS of imprint
-    IoU. For each touch, the greater of the values with and without the error is returned.
+    reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / NATS_PER_IOU
+    of imprint IoU. For each touch, the greater of the values with and without the error is returned.
     """
     here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
@@ -151,7 +148,7 @@ def compare_where_seen(
             view, views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
         )
         there = view.scene.compare_imprints(seen[:, number], view.touch)
-        ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / SHARPNESS)
+        ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / NATS_PER_IOU)
         evidence[:, number] = np.maximum(evidence[:, number], there.evidence - nats)
     return ious, evidence
 

@@ -15,7 +15,6 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.hypotheses import (
-    SHARPNESS,
     choose_best_apart,
     compare_where_seen,
     compute_nats,
@@ -25,6 +24,7 @@ from tactile_loc.locate.hypotheses import (
     weigh,
 )
 from tactile_loc.locate.results.localization import Hypothesis
+from tactile_loc.locate.results.nearness import NATS_PER_IOU
 from tactile_loc.testing.problems import make_box
 
 
@@ -131,7 +131,7 @@ def test_a_touch_is_compared_at_other_sensor_poses_at_a_cost(make_box, make_scen
         seen = np.stack([beside, true], axis=1)
         ious, evidence = (found[:, 1] for found in compare_where_seen([first, view], beside, seen))
         costs = 1e-6 / (std_m**2 + first_m**2) / 2
-        there = exact.imprint_ious[0] - costs / SHARPNESS
+        there = exact.imprint_ious[0] - costs / NATS_PER_IOU
         assert ious == pytest.approx(max(nominal.imprint_ious[0], there), abs=1e-9)
         assert evidence == pytest.approx(max(nominal.evidence[0], exact.evidence[0] - costs), abs=1e-6)
         for same in (compare_where_seen([view], beside, beside[:, None]), compare_where_seen([view], beside)):

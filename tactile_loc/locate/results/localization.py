@@ -22,10 +22,10 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_freedom
+from tactile_loc.locate.results.freedom import AS_WELL, Freedom, explain_as_well, find_freedom
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
-from tactile_loc.locate.results.nearness import PRIOR_NATS, Nearness, calibrate, compute_share_within
+from tactile_loc.locate.results.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within
 from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, explain_verdict, judge, name_next_step
 from tactile_loc.store.files import lock_folder
 
@@ -196,19 +196,18 @@ class Localization:
         share = compute_share_within(T, p, covariances, self.object, tolerance)
         own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
         gap = self._measure_gap(tolerance)
-        undetermined = own < LEAST_OWN or bool(explain_as_well(np.array(0.0), gap))
-        return Nearness(share, self.posterior.elsewhere, gap, undetermined)
+        return Nearness(share, self.posterior.elsewhere, gap, own < LEAST_OWN or gap <= AS_WELL)
 
     def _measure_gap(self, tolerance: Tolerance) -> float:
         """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it.
 
-        A pose that the prior makes less probable counts as if it had less imprint IoU: see PRIOR_NATS.
+        A pose that the prior makes less probable counts as if it had less imprint IoU: see NATS_PER_IOU.
         """
         known = [*self.hypotheses, *self.unlisted]
         T = np.stack([h.T_sensor_object for h in known])
         rivals = ~tolerance.find_within(self.object, T[0], T)
         unlikely = np.maximum(0.0, known[0].prior_nats - np.array([h.prior_nats for h in known]))
-        ious = np.array([h.imprint_iou for h in known]) - unlikely / PRIOR_NATS
+        ious = np.array([h.imprint_iou for h in known]) - unlikely / NATS_PER_IOU
         return float(ious[0] - ious[rivals].max(initial=0.0))
 
     @cached_property

@@ -29,7 +29,7 @@ NEGLIGIBLE = 1e-3  # less probable hypotheses draw nothing
 # log odds of the share, below and above even odds; FOUND times the log odds that the search found the true pose; and
 # GAP times the logarithm of the rivals' gap, to which LEAST_GAP is added.
 BASE, LOW, HIGH, FOUND, GAP, LEAST_GAP = 4.07, 0.64, 0.86, 0.18, 1.24, 0.03
-PRIOR_NATS = 30.0  # nats of the prior that count as much as an imprint IoU of 1
+NATS_PER_IOU = 30.0  # nats of a prior, or of an error of a sensor pose, that count as much as an imprint IoU of 1
 MOST_UNDETERMINED = 0.89  # largest probability of an undetermined pose, and of a share of at most a half: not certain
 LEAST = 2e-3  # shares and probabilities are clipped to the range from LEAST to 1 - LEAST
 
