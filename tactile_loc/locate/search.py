@@ -305,9 +305,7 @@ def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, 
     return float(ious.mean(axis=1).max())
 
 
-def _keep_nearest(
-    views: Sequence[View], search: PlaceSearch, poses: Poses, count: int
-) -> Poses:  # fmt: skip
+def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
     """Return the `count` poses whose surface is nearest to the touches, none near a better one.
 
     `poses` (K, 4, 4), metres, are in the first touch's sensor frame.

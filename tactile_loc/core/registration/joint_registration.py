@@ -93,12 +93,12 @@ class JointRegistration:
         Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before. With
         `kept`, only this many poses are returned: those that explain the touches best after the first EARLY steps.
         """
-        scales_mm = self.list_scales_mm(self.options.iterations)
+        problem, scales_mm = self._pose_problem(views), self.list_scales_mm(self.options.iterations)
         if kept is not None and kept < len(T_first_object):
-            early = self._register(views, T_first_object, scales_mm[:EARLY])
+            early = self._solve(problem, T_first_object, scales_mm[:EARLY])
             T_first_object = early.T_first_object[np.argsort(early.registered.misfit, kind="stable")[:kept]]
             scales_mm = scales_mm[EARLY:]
-        return self._register(views, T_first_object, scales_mm).T_first_object
+        return self._solve(problem, T_first_object, scales_mm).T_first_object
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.
@@ -139,10 +139,12 @@ class JointRegistration:
         start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
-    def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int = 0) -> _Found:
+    def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> _Found:
         """Register poses (K, 4, 4), metres, to touches. The last `finely` steps use all points."""
-        problem = self._pose_problem(views)
-        return _Found(views[0], problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride))
+        return self._solve(self._pose_problem(views), T, scales_mm, finely)
+
+    def _solve(self, problem: Registration, T: Poses, scales_mm: Floats, finely: int = 0) -> _Found:
+        return _Found(problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride))
 
     def _pose_problem(self, views: Sequence[View]) -> Registration:
         from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
@@ -166,26 +168,25 @@ class JointRegistration:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Poses of the object registered to touches; `view` is that of the first touch."""
+    """Poses of the object registered to touches."""
 
-    view: View
     problem: Registration
     registered: Registered
 
     @cached_property
-    def T_first_object(self) -> Poses:  # noqa: N802
+    def T_first_object(self) -> Poses:  # noqa: N802 - the field's name
         """The poses (K, 4, 4), metres, in the first sensor's frame."""
         return _scale(self.registered.T, 1 / MILLI)
 
     def compute_covariances(self, some: Any = slice(None), T: Poses | None = None) -> tuple[Covariances, Covariances]:
-        """Return the covariances of `some` poses, and those of their reported poses: see `_to_covariances`.
+        """Return the covariances of `some` poses, and those of their reported poses: see `_convert_to_covariances`.
 
         With T (K, 4, 4), metres, they belong to these poses instead, from which the last step began.
         """
         found, at = self.registered, (self.T_first_object if T is None else T)[some]
-        levers_m = at[:, :3, :3] @ self.view.scene.object.mesh.centroid_m
+        levers_m = at[:, :3, :3] @ (self.problem.middle / MILLI)
         own, reported = self.problem.inform(found.T_reported[some], found.parts[some])
-        return _to_covariances(own, levers_m), _to_covariances(reported, levers_m)
+        return _convert_to_covariances(own, levers_m), _convert_to_covariances(reported, levers_m)
 
     def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.int64]) -> list[RefinedPose]:
         """Return the refined poses; those with the numbers `good` get covariances and poses in other frames."""
@@ -223,7 +224,7 @@ def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:
     return np.asarray(np.mean(each, axis=0))
 
 
-def _to_covariances(information: Floats, levers_m: Floats) -> Covariances:
+def _convert_to_covariances(information: Floats, levers_m: Floats) -> Covariances:
     """Convert information (K, 6, 6), rotations (rad), then mm, to covariances (6, 6), x, y, z (m), then rotations.
 
     The information refers to rotations about the object's centroid, which is at `levers_m` (K, 3) from the origin of

@@ -87,7 +87,7 @@ def step_to_all(T, T_each, A, b, centres, T_sensor_first, middle, spread, parts)
     """
     count = len(T_each)
     Ad, left, M = np.empty((count, 6, 6)), np.empty((count, 6, 7)), np.empty((6, 6))
-    e, H, g, nominal = np.empty(6), np.zeros((6, 6)), np.zeros((6, 1)), np.empty((4, 4))
+    e, s, H, g, nominal = np.empty(6), np.empty(6), np.zeros((6, 6)), np.zeros((6, 1)), np.empty((4, 4))
     parts[:] = 0.0
     for i in range(count):
         multiply_transforms(T_sensor_first[i], T, nominal)
@@ -112,7 +112,7 @@ def step_to_all(T, T_each, A, b, centres, T_sensor_first, middle, spread, parts)
     move_object(T, x, middle)
     for i in range(count):
         # the touch's new error s, given the object's twist: S (1 + A S)^-1 (b + A e - A Ad x)
-        for m in range(6):
+        for m in range(6):  # e is now the twist of the touch's pose by x
             e[m] = 0.0
             for n in range(6):
                 e[m] += Ad[i, m, n] * x[n]
@@ -120,9 +120,9 @@ def step_to_all(T, T_each, A, b, centres, T_sensor_first, middle, spread, parts)
             own = left[i, m, 6]
             for n in range(6):
                 own -= left[i, m, n] * e[n]
-            M[0, m] = spread[i, m] * own
+            s[m] = spread[i, m] * own
         multiply_transforms(T_sensor_first[i], T, T_each[i])
-        move(T_each[i], M[0], centres[i, 0], centres[i, 1], centres[i, 2])
+        move(T_each[i], s, centres[i, 0], centres[i, 1], centres[i, 2])
     return far
 
 
