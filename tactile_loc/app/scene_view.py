@@ -36,10 +36,10 @@ NEXT, EXPECTED = (43, 138, 62), (214, 170, 40)
 LARGEST_M = 2e-3  # half axis of a drawn ellipsoid, at most; a small ellipsoid is magnified by a power of ten
 SIGMAS = 2.0
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shadows slow down a view without a GPU
+LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
 FROM = np.array([0.75, -1.0, 0.7])  # direction from which the object is seen at first
 PHONE_ASPECT, PHONE_AWAY, SHEET = 0.6, 1.5, 0.6  # on a narrow page, controls cover the lower part (a share) of the view
-LEAST_SHARE = 0.01  # less probable poses are not drawn
 COVERING = 1.01  # scale of the chosen hypothesis, which hides the object at rest if both poses are equal
 
 
@@ -173,7 +173,7 @@ class SceneView:
         self._object.visible = all(touch.T_sensor_object is not None for touch in found.touches)
         most = max(h.probability for h in found.hypotheses)
         for number, (T, hypothesis) in enumerate(zip(list_poses(found), found.hypotheses, strict=True)):
-            if self._mesh is not None and (number == chosen or hypothesis.probability >= LEAST_SHARE):
+            if self._mesh is not None and (number == chosen or hypothesis.probability >= LEAST_SHOWN):
                 colour = colour_probability(hypothesis.probability, most)
                 look = {"scale": COVERING} if number == chosen else {"opacity": 0.12}
                 self._add_mesh(f"/poses/{number}", self._mesh, colour, **look, **to_view(T))

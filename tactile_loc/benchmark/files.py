@@ -10,7 +10,7 @@ from tactile_loc.benchmark.bop_scenes import make_scenes
 from tactile_loc.benchmark.job import Row
 from tactile_loc.benchmark.leaderboard import record_leaderboard
 from tactile_loc.benchmark.results import Results, UsedMethod, UsedSource
-from tactile_loc.benchmark.suite import Suite
+from tactile_loc.benchmark.suite import Entry, Suite
 from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import format_mm
@@ -75,19 +75,17 @@ def read_benchmark(path: Path) -> tuple[Results, list[Mapping[str, Any]]]:
     """
     document = read_document(path)
     with name_damage(path):
-        suite, left_out = Suite.model_validate(document["plan"]), document["left_out"]
-        sources = [
-            UsedSource(one.label, **document["sources"].get(one.label, {"name": one.name}),
-                       problem=left_out.get(one.label, ""))
-            for one in suite.source
-        ]  # fmt: skip
-        methods = [
-            UsedMethod(one.label, **document["methods"].get(one.label, {"name": one.name}),
-                       problem=left_out.get(one.label, ""))
-            for one in suite.method
-        ]  # fmt: skip
+        suite = Suite.model_validate(document["plan"])
+        sources = [UsedSource(**_read_used(document, "sources", one)) for one in suite.source]
+        methods = [UsedMethod(**_read_used(document, "methods", one)) for one in suite.method]
         rows, about = _read_rows(path.with_name(ROWS)), (document["versions"], document["created"])
         return Results(suite, sources, methods, rows, document["failed"], *about), document["pictures"]
+
+
+def _read_used(document: Mapping[str, Any], kind: str, entry: Entry) -> dict[str, Any]:
+    """Return what the document states about an entry of the suite; only its name, if it was left out."""
+    described = document[kind].get(entry.label, {"name": entry.name})
+    return {"label": entry.label, **described, "problem": document["left_out"].get(entry.label, "")}
 
 
 def make_table(results: Results) -> Any:
