@@ -16,6 +16,7 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import IOU_PX, View
+from tactile_loc.core.turns import pause
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.results.localization import Hypothesis
@@ -127,6 +128,7 @@ def compute_imprint_ious(
     `T_first_object` (K, 4, 4), metres, is in the first sensor's frame. `pixels` and `freedom_m` are as for
     `Scene.compare_imprints`.
     """
+    pause()
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
@@ -139,6 +141,7 @@ def compare_where_seen(
     reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / NATS_PER_IOU
     of imprint IoU. For each touch, the greater of the values with and without the error is returned.
     """
+    pause()
     here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
     if seen is None:

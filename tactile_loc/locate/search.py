@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from tactile_loc.core.slots.common_poses import compute_prior_weights
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.core.turns import pause
 from tactile_loc.io.options import SearchOptions
 from tactile_loc.locate.hypotheses import compute_imprint_ious, keep_apart
 from tactile_loc.locate.probabilities import TemperatureScaling
@@ -69,6 +71,8 @@ class PlaceSearch:
         # the least distance between starts, and the largest distance at which the true pose counts as found
         self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
+        # poses proposed for touches that still exist; more touches are often located together with earlier ones
+        self._alike: WeakKeyDictionary[Touch, dict[int, tuple[Poses, NDArray[np.float64]]]] = WeakKeyDictionary()
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
         self._mask_banks = GridScores(encoder, new_matcher, mask_bank, HIGHEST_M, follow=True)
 
@@ -83,6 +87,7 @@ class PlaceSearch:
             groups = self.propose(touch, options.candidates, prior)
         with times.stage("register"):
             poses = np.concatenate([self._register_group(view, *group, len(groups)) for group in groups])
+            pause()
             ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
             kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
@@ -109,8 +114,8 @@ class PlaceSearch:
         group has poses (K, 4, 4), metres, and values (K,); poses with greater values are better.
         """
         if prior is None:
-            return [self.alike(touch, count)]
-        poses, scores = self.alike(touch, self.options.pool)
+            return [self._remember_alike(touch, count)]
+        poses, scores = self._remember_alike(touch, self.options.pool)
         order = np.argsort(-scores, kind="stable")
         poses, scores = poses[order], scores[order]
         weights = compute_prior_weights(prior, PoseGrid(poses, self.metric))
@@ -118,6 +123,14 @@ class PlaceSearch:
         likeliest = likeliest[weights[likeliest] > -np.inf]
         alike = poses[:count], scores[:count]
         return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
+
+    def _remember_alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
+        """Return what `alike` returns, computed once for each touch."""
+        known = self._alike.setdefault(touch, {})
+        if count not in known:
+            pause()
+            known[count] = self.alike(touch, count)
+        return known[count]
 
     def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
@@ -278,12 +291,11 @@ def search_together(
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
     with times.stage("match"):
-        poses = np.concatenate([
-            invert(view.T_sensor_first) @ some
-            for view, one, from_here in zip(views, searches, seen, strict=True)
-            for some, _ in one.propose(view.touch, one.options.candidates_together, from_here)
-        ])  # fmt: skip
-        poses = _keep_nearest(views, search, poses, options.registered_widely)
+        proposed = []
+        for view, one, from_here in zip(views, searches, seen, strict=True):
+            groups = one.propose(view.touch, one.options.candidates_together, from_here)
+            proposed += [invert(view.T_sensor_first) @ some for some, _ in groups]
+        poses = _keep_nearest(views, search, np.concatenate(proposed), options.registered_widely)
     with times.stage("register"):
         first, others = np.split(poses, [options.moved_together])
         registered, ious = _register(views, search, first, options.registered_together)
@@ -330,6 +342,7 @@ def _estimate_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
 
     field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))
+    pause()
     for view in views:
         points_m = _list_gap_points(view.touch)
         gaps += field.estimate_gaps(points_m, seen_from @ invert(view.T_sensor_first))

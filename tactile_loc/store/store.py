@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.core.formatting import format_bytes
+from tactile_loc.core.turns import without_pauses
 from tactile_loc.core.user_cache import find_user_cache
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.files import delete, sync_folder
@@ -83,7 +84,7 @@ class StageStore:
         """
         artifact = self.get(key)
         if artifact is None:
-            with self._lock(key):
+            with self._lock(key), without_pauses():
                 artifact = self._open_or_remove(key) or self._make(key, make)
         else:
             logger.debug("stage %s is in the store already", key)

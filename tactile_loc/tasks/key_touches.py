@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,17 @@ def choose_key_touches(touches: Iterable[Touch], most: int, apart_m: float, leve
         apart_m *= WIDER
         kept = _thin(kept, apart_m, lever_m)
     return kept
+
+
+def drop_nearest(touches: Sequence[Touch], lever_m: float) -> list[Touch]:
+    """Return touches without one of the two whose sensor poses are nearest to each other: the one with less contact."""
+    gel_m, poses = touches[0].geometry.gel_middle_m, [np.asarray(touch.T_base_sensor) for touch in touches]
+    nearest = min(
+        itertools.combinations(range(len(touches)), 2),
+        key=lambda pair: measure_motion_m(poses[pair[0]], poses[pair[1]], gel_m, lever_m),
+    )
+    less = min(nearest, key=lambda number: _measure_contact(touches[number]))
+    return [touch for number, touch in enumerate(touches) if number != less]
 
 
 def _thin(touches: list[Touch], apart_m: float, lever_m: float) -> list[Touch]:

@@ -13,6 +13,7 @@ and Johansen, 1965). Where a touch does not determine the pose, the filter keeps
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,25 +97,50 @@ class PoseFilter:
         `share`, 0 to 1, is the share of the common errors of touches and sensor poses that is new since the previous
         touch.
         """
-        kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
-        P = kept[:, None] * self.covariance * kept
-        fresh = 1 - (1 - share) ** 2
-        P[SENSOR, SENSOR] += fresh * _to_unit(seen.sensor)
-        errors = (1 - share) * self.errors
-        T = invert(seen.T_base_sensor) @ self.T_base_object
-        H = _propagate_errors(seen.T_base_sensor, T, seen.at_m)
-        e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
-        known = H @ P @ H.T
-        S = known + fresh * _to_unit(seen.common) + _to_unit(seen.own)
+        expected = self._expect(seen, share)
+        P, H, e, fresh = expected.covariance, expected.H, expected.error, 1 - (1 - share) ** 2
         # Student's t has heavy tails, which allow for registrations that end in a wrong local minimum
-        doubt = max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
+        doubt = max(1.0, (FREEDOM + expected.surprise) / (FREEDOM + 6))
         P[TOUCH, TOUCH] += doubt * fresh * _to_unit(seen.common)
         own = doubt * _to_unit(seen.own)
         S = H @ P @ H.T + own
         K = np.linalg.solve(S, H @ P).T
         kept_back = np.eye(18) - K @ H
         P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form keeps the covariance positive definite
-        return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
+        errors = (1 - share) * self.errors + K[6:] @ e
+        return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors, (P + P.T) / 2)
+
+    def measure_surprise(self, seen: SeenPose, share: float) -> float:
+        """Return the squared error of the predicted pose of a touch, in standard deviations; 6 on average.
+
+        `share` is as for `update`.
+        """
+        return self._expect(seen, share).surprise
+
+    def _expect(self, seen: SeenPose, share: float) -> _Expected:
+        kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
+        P = kept[:, None] * self.covariance * kept
+        fresh = 1 - (1 - share) ** 2
+        P[SENSOR, SENSOR] += fresh * _to_unit(seen.sensor)
+        T = invert(seen.T_base_sensor) @ self.T_base_object
+        H = _propagate_errors(seen.T_base_sensor, T, seen.at_m)
+        e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - (1 - share) * (H[:, 6:] @ self.errors)
+        S = H @ P @ H.T + fresh * _to_unit(seen.common) + _to_unit(seen.own)
+        return _Expected(P, H, e, float(e @ np.linalg.solve(S, e)))
+
+
+class _Expected(NamedTuple):
+    """What a filter expects of a touch.
+
+    H (6, 18) is the matrix from the filter's errors, with their `covariance` (18, 18), to the touch's pose. `error`
+    (6,) is the difference of the touch's pose from the predicted pose. `surprise` is its square, in standard
+    deviations.
+    """
+
+    covariance: Floats
+    H: Floats
+    error: Floats
+    surprise: float
 
 
 def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.locate.results.verdict import Verdict, judge
+from tactile_loc.locate.results.verdict import Verdict
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +30,7 @@ class TrackedPose:
 
     `verdict` is as in a run, with the tracker's thresholds (`tracker.certain`, `tracker.least_iou`). Without contact,
     poses are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
+    `slipped` is true at the frame whose touch shows that the object has moved.
     """
 
     time_s: float
@@ -39,6 +40,7 @@ class TrackedPose:
     probabilities: Floats
     imprint_iou: float
     searched: bool
+    slipped: bool = False
 
     @property
     def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
@@ -62,45 +64,57 @@ class TrackedPose:
 class TrackTrust:
     """How far to trust the first mode of a track.
 
-    `usual_iou`, 0 to 1, is the imprint IoU with which the pose has explained the touches. A touch that it explains far
-    worse does not change this value. `limit` is the most favourable verdict: "certain" after `Tracker.start`, and after
-    a search, the verdict on the touches of the search. After a slip, it is "ambiguous", and the pose is `nearby`.
-    `keyframes` counts the keyframes that the pose has explained as well as usual since then.
+    `probability`, 0 to 1, is that of a pose within the tolerance, as the search states it. `usual_iou`, 0 to 1, is the
+    imprint IoU with which the pose has explained the touches. A touch that it explains far worse does not change this
+    value. `limit` is the most favourable verdict: "certain" after `Tracker.start`, and after a search, the verdict on
+    the touches of the search. The trust is `settled` after `Tracker.start`, and after a search of enough key touches
+    that is certain. Until then, each new key touch starts a search.
     """
 
     options: TrackerOptions
+    probability: float = 1.0
     usual_iou: float = 0.0
     limit: Verdict = Verdict.CERTAIN
-    nearby: bool = False
-    keyframes: int = 0
+    settled: bool = True
 
-    @property
-    def needs_search(self) -> bool:
-        """Whether enough keyframes have come to search with them, in order to confirm a pose that is not certain."""
-        return self.limit is not Verdict.CERTAIN and self.keyframes >= self.options.confirming
+    def restart(self, limit: Verdict, probability: float, imprint_iou: float, keys: int = 0) -> TrackTrust:
+        """Return the trust in a pose after a search of `keys` key touches, or after a slip."""
+        settled = limit is Verdict.CERTAIN and keys >= self.options.confirming
+        return TrackTrust(self.options, probability, imprint_iou, limit, settled)
 
-    def restart(self, limit: Verdict, imprint_iou: float, nearby: bool = False) -> TrackTrust:
-        """Return the trust in a new pose, or in a pose that a search has confirmed."""
-        return TrackTrust(self.options, imprint_iou, limit, nearby)
-
-    def add_touch(self, imprint_iou: float, is_keyframe: bool) -> TrackTrust:
+    def add_touch(self, imprint_iou: float) -> TrackTrust:
         """Return the trust after a touch that the same pose explains with an imprint IoU, 0 to 1."""
         if self._contradicts(imprint_iou):
-            return replace(self, keyframes=0)
-        keyframes, habit = self.keyframes + is_keyframe, self.options.habit
-        usual_iou = max(imprint_iou, (1 - habit) * self.usual_iou + habit * imprint_iou)
-        settled = self.nearby and keyframes >= self.options.confirming
-        return replace(self, usual_iou=usual_iou, keyframes=keyframes, limit=Verdict.CERTAIN if settled else self.limit)
+            return self
+        habit = self.options.habit
+        return replace(self, usual_iou=max(imprint_iou, (1 - habit) * self.usual_iou + habit * imprint_iou))
 
-    def judge(self, probability: float | None, imprint_iou: float, elsewhere: float, touched: bool) -> Verdict:
-        """Return the verdict on a frame; the arguments are those of `verdict.judge`."""
-        options = self.options
-        verdict = judge(
-            probability, imprint_iou, elsewhere, touched=touched, certain=options.certain, least_iou=options.least_iou
-        )
-        if verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS) and self._contradicts(imprint_iou):
+    def doubts(self, imprint_iou: float) -> bool:
+        """Return whether a pose with this imprint IoU, 0 to 1, explains a touch clearly worse than usual."""
+        return imprint_iou < self.usual_iou - min(self.options.fall_iou, self.usual_iou / 2)
+
+    def judge(self, found: bool, imprint_iou: float, touched: bool) -> Verdict:
+        """Return the verdict on a frame.
+
+        `found` states whether there is a pose, and `touched` whether there is a touch. `imprint_iou`, 0 to 1,
+        states how well the first pose explains the touch.
+        """
+        if not touched:
+            return Verdict.NO_CONTACT
+        if not found:
+            return Verdict.NOT_FOUND
+        if imprint_iou < self.options.least_iou or self._contradicts(imprint_iou):
             return Verdict.POOR_FIT
-        return self.limit if verdict is Verdict.CERTAIN else verdict
+        return self.limit
+
+    def share(self, weights: Floats) -> Floats:
+        """Return the probabilities (K,) of modes with relative `weights` (K,), the first mode's first.
+
+        The first mode has the stated probability. The others share the rest, but none is more probable than the first.
+        """
+        others = weights[1:].sum()
+        rest = np.minimum(self.probability, (1 - self.probability) * weights[1:] / max(others, 1e-300))
+        return np.concatenate([[self.probability], rest])
 
     def _contradicts(self, imprint_iou: float) -> bool:
         return imprint_iou < self.usual_iou - min(self.options.lost_iou, self.usual_iou / 2)

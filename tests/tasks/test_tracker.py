@@ -93,8 +93,15 @@ def test_motions_give_the_same_track_as_poses(pin, slide):
     assert off_mm(pin, found.T_sensor_object, slide[-1].T_sensor_object) < 0.5
 
 
+def at_once(localizer: Localizer) -> Localizer:
+    """Return a localizer whose trackers finish each search within one frame."""
+    options = localizer.config.tracker.model_copy(update={"turns": 0})
+    config = localizer.config.model_copy(update={"tracker": options})
+    return Localizer(config, localizer.object, localizer.store)
+
+
 def test_the_first_touch_is_searched_and_found_up_to_symmetry(pin, sure):
-    tracker = Tracker(pin)
+    tracker = Tracker(at_once(pin))
     found = tracker.update(0.0, sure[0], np.eye(4))
     assert found.searched
     assert off_mm(pin, found.T_sensor_object, sure[0].T_sensor_object) < 1.0
@@ -104,16 +111,32 @@ def test_the_first_touch_is_searched_and_found_up_to_symmetry(pin, sure):
     assert not again.searched
 
 
-def test_an_object_that_jumps_is_found_again_at_once(pin, sure):
+def test_a_search_is_spread_over_frames_and_ends_like_one_at_once(pin, sure):
+    """At first there is no pose; the pose comes after some frames, with the verdict of the touches located together."""
+    spread, whole = Tracker(pin), Tracker(at_once(pin))
+    each = [spread.update(0.01 * k, sure[0], np.eye(4)) for k in range(30)]
+    found = whole.update(0.0, sure[0], np.eye(4))
+    assert each[0].T_sensor_object is None
+    assert each[0].verdict is Verdict.NOT_FOUND
+    first = next(k for k, one in enumerate(each) if one.T_sensor_object is not None)
+    assert first > 1
+    assert all(one.searched for one in each[: first + 1])
+    assert not each[-1].searched
+    assert each[first].verdict is found.verdict is pin.localize(sure[0]).verdict
+    assert off_mm(pin, each[first].T_sensor_object, found.T_sensor_object) < 0.1
+    assert each[first].probabilities[0] == pytest.approx(found.probabilities[0])
+
+
+def test_an_object_that_jumps_is_found_again(pin, sure):
     before, after = sure
-    tracker = Tracker(pin)
+    tracker = Tracker(at_once(pin))
     for k in range(3):
         found = tracker.update(0.01 * k, before, np.eye(4))
     assert not found.searched
-    found = tracker.update(0.03, after, np.eye(4))
-    assert found.searched
-    assert off_mm(pin, found.T_sensor_object, after.T_sensor_object) < 1.0
-    assert not tracker.update(0.04, after, np.eye(4)).searched
+    later = [tracker.update(0.03 + 0.01 * k, after, np.eye(4)) for k in range(3)]
+    assert any(one.searched for one in later)
+    assert off_mm(pin, later[-1].T_sensor_object, after.T_sensor_object) < 1.0
+    assert not tracker.update(0.06, after, np.eye(4)).searched
 
 
 def test_a_pose_that_stops_explaining_the_touches_is_a_poor_fit(pin, sure, slide):
@@ -123,10 +146,11 @@ def test_a_pose_that_stops_explaining_the_touches_is_a_poor_fit(pin, sure, slide
         held = tracker.update(0.01 * k, slide[k].touch, slide[k].T_base_sensor)
     assert held.verdict is Verdict.CERTAIN
     trust = tracker._trust
-    assert trust.judge(1.0, trust.usual_iou - 0.31, 0.0, True) is Verdict.POOR_FIT
-    assert trust.add_touch(0.1, True).usual_iou == trust.usual_iou
-    assert trust.judge(1.0, trust.usual_iou - 0.1, 0.0, True) is Verdict.CERTAIN
-    assert trust.judge(None, np.nan, 0.0, False) is Verdict.NO_CONTACT
+    assert trust.judge(True, trust.usual_iou - 0.31, True) is Verdict.POOR_FIT
+    assert trust.add_touch(0.1).usual_iou == trust.usual_iou
+    assert trust.judge(True, trust.usual_iou - 0.1, True) is Verdict.CERTAIN
+    assert trust.judge(False, np.nan, True) is Verdict.NOT_FOUND
+    assert trust.judge(True, np.nan, False) is Verdict.NO_CONTACT
 
 
 def test_touches_of_another_object_are_not_called_certain(pin, store, slide):
@@ -148,16 +172,22 @@ def test_touches_of_another_object_are_not_called_certain(pin, store, slide):
     assert Verdict.CERTAIN not in {one.verdict for one in found}
 
 
-def test_a_pose_from_few_touches_is_confirmed_by_keyframes():
-    trust = TrackTrust(TrackerOptions(confirming=2)).restart(Verdict.AMBIGUOUS, 0.8)
-    assert trust.judge(0.99, 0.8, 0.0, True) is Verdict.AMBIGUOUS
-    assert not trust.add_touch(0.8, False).add_touch(0.8, True).needs_search
-    assert trust.add_touch(0.8, True).add_touch(0.8, True).needs_search
-    assert not trust.add_touch(0.8, True).add_touch(0.1, True).add_touch(0.8, True).needs_search
-    assert trust.restart(Verdict.NOT_FOUND, 0.8).judge(0.99, 0.8, 0.0, True) is Verdict.NOT_FOUND
-    slipped = trust.restart(Verdict.AMBIGUOUS, 0.8, nearby=True)
-    assert slipped.add_touch(0.8, True).limit is Verdict.AMBIGUOUS
-    assert slipped.add_touch(0.8, True).add_touch(0.8, True).limit is Verdict.CERTAIN
+def test_a_pose_is_only_as_certain_as_its_search():
+    trust = TrackTrust(TrackerOptions(confirming=2))
+    assert trust.settled
+    assert trust.judge(True, 0.8, True) is Verdict.CERTAIN
+    found = trust.restart(Verdict.AMBIGUOUS, 0.4, 0.8, keys=3)
+    assert not found.settled
+    assert found.judge(True, 0.8, True) is Verdict.AMBIGUOUS
+    assert not trust.restart(Verdict.CERTAIN, 0.95, 0.8, keys=1).settled
+    assert trust.restart(Verdict.CERTAIN, 0.95, 0.8, keys=2).settled
+
+
+def test_modes_share_the_probability_that_the_search_states():
+    trust = TrackTrust(TrackerOptions(), probability=0.4)
+    p = trust.share(np.array([1.0, 0.5, 0.25]))
+    assert p == pytest.approx([0.4, 0.4, 0.2])
+    assert TrackTrust(TrackerOptions(), probability=0.9).share(np.array([1.0])) == pytest.approx([0.9])
 
 
 def test_an_object_that_slips_is_found_nearby(pin, slide):
@@ -169,7 +199,8 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     slipped = make_translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
     touch = source.draw_touch(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
     found = tracker.update(0.03, touch, frame.T_base_sensor)
-    assert found.searched
+    assert found.slipped
+    assert found.verdict is not Verdict.CERTAIN
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
 
 

@@ -17,8 +17,10 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
+from tactile_loc.core.turns import pause
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
+AT_ONCE = 1500  # steps of single poses with single touches in one turn, a few milliseconds
 Floats = NDArray[np.float64]
 
 
@@ -72,11 +74,14 @@ class Registration:
         T, count = np.array(T), len(T)
         T_each = self.T_sensor_first @ T[:, None]
         parts, moved, misfit = np.zeros((count, 2, 6, 6)), np.full(count, np.inf), np.full(count, np.inf)
-        run_in_threads(
-            register_poses, count, T, T_each, parts, moved, misfit, self.observed, self.triangles, self.samples,
-            self.middle, self.T_sensor_first, self.sensor + self.press, self.noise, scales, finely, stride,
-            SETTLED_MM,
-        )  # fmt: skip
+        at_once = max(1, AT_ONCE // (len(scales) * len(self.T_sensor_first)))
+        for some in (slice(first, first + at_once) for first in range(0, count, at_once)):
+            pause()
+            run_in_threads(
+                register_poses, len(T[some]), T[some], T_each[some], parts[some], moved[some], misfit[some],
+                self.observed, self.triangles, self.samples, self.middle, self.T_sensor_first,
+                self.sensor + self.press, self.noise, scales, finely, stride, SETTLED_MM,
+            )  # fmt: skip
         return Registered(self._view_from_first(T, T_each[:, 0]), T_each, T, moved, misfit, parts)
 
     def inform(self, T: Floats, parts: Floats) -> tuple[Floats, Floats]:

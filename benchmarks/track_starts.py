@@ -1,0 +1,217 @@
+#!/usr/bin/env python3
+"""Tracks from an unknown start: how often they end right, and whether their verdicts are right.
+
+Each slide is drawn by ray casting, as in sequences.py: clean, with mild noise, or on an elastic gel whose surface
+ContactMechanics computes. The tracker is not told where the object is. Elastic slides have 25 frames a second, all
+others 100. A pose is right if the mean distance of its surface from the true surface is below 1 mm.
+
+The key touches of a frame are all touches so far, thinned to at most KEYS sensor poses at least APART_MM apart. They
+are also located together, without the tracker. They determine the pose if no listed pose with a wrong surface explains
+them as well as the true pose: to within 0.02 of its imprint IoU.
+
+*Certain and wrong* is the share of all frames that are called certain although the first pose is wrong. *Certain, of
+determined* is the share of frames called certain, of all frames whose key touches determine the pose. *Ends right*
+counts slides whose last pose is right: by the tracker, and by the key touches located together. *Searching* and
+*tracking* are the times of frames with and without a search: the median and the 99th percentile. Each slide is appended
+to a file, from which the same command continues. Meshes are given as FILE[:UNITS] or a demo object's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from elastic_gel import SIZES_PX, press_elastic, view_as
+from reliability import add_noise
+
+from tactile_loc.benchmark.suite import read_split
+from tactile_loc.core.errors import TactileLocError, TouchError
+from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.evaluation.recall.evaluation import is_determined
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.sequences import Frame, SlidingTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.key_touches import choose_key_touches
+from tactile_loc.tasks.tracker import Tracker
+
+MM = 1e3
+RIGHT_MM = 1.0
+KEYS, APART_MM, LEVER_M = 5, 2.0, 0.01
+LISTED = 30  # poses among which a rival of the true pose is sought
+SENSOR = "gelsight-mini"
+SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
+DURATION_S, RATE_HZ, ELASTIC_RATE_HZ = 2.0, 100.0, 25.0
+LAYER = Gel(4e-3, 0.48)
+CLEAN, NOISY, ELASTIC = CONDITIONS = ("clean", "noisy", "elastic")
+
+
+@dataclass(frozen=True)
+class Slide:
+    """One slide: a row of lists for its F frames.
+
+    `off_mm` is the surface distance of the tracker's first pose, infinite without a pose, and `batch_mm` that of the
+    key touches located together. `determined` states whether these touches determine the pose.
+    """
+
+    object: str
+    condition: str
+    number: int
+    verdicts: list[str]
+    off_mm: list[float]
+    searched: list[bool]
+    ms: list[float]
+    batch_mm: list[float]
+    batch_certain: list[bool]
+    determined: list[bool]
+
+
+def make_localizer(mesh: str, condition: str, store: StageStore) -> Localizer:
+    """Return the localizer of FILE[:UNITS] for slides of a condition."""
+    path, _, units = mesh.partition(":")
+    sensor: dict[str, object] = {"name": SENSOR, "image_size_px": SIZES_PX[SENSOR]}
+    if condition == ELASTIC:
+        sensor |= {"gel": "layer", "gel_thickness_mm": MM * LAYER.thickness_m, "poisson": LAYER.poisson}
+    return Localizer.create(path, units=units or "auto", store=store, sensor=sensor)
+
+
+def draw_slide(localizer: Localizer, condition: str, rng: np.random.Generator) -> list[Frame]:
+    """Return the frames of one slide."""
+    geometry = dataclasses.replace(localizer.scene.geometry, gel=RIGID)
+    source = RobotTouches(
+        localizer.object, geometry, registry().create("renderer", "raycast", {}),
+        noise=NOISE["mild" if condition == NOISY else "none"], sensor_std_m=SENSOR_STD_M, sensor_std_rad=SENSOR_STD_RAD,
+    )  # fmt: skip
+    rate_hz = ELASTIC_RATE_HZ if condition == ELASTIC else RATE_HZ
+    frames = SlidingTouches(source, rate_hz).draw_example(round(DURATION_S * rate_hz), rng)
+    return [soften(frame, source, localizer, rng) for frame in frames] if condition == ELASTIC else frames
+
+
+def soften(frame: Frame, source: RobotTouches, localizer: Localizer, rng: np.random.Generator) -> Frame:
+    """Return the frame on an elastic gel, with mild noise."""
+    if frame.touch is None:
+        return frame
+    elastic = view_as(press_elastic(frame.touch, source, LAYER), localizer.scene.geometry.gel)
+    try:
+        return dataclasses.replace(frame, touch=add_noise(elastic, source, NOISE["mild"], rng))
+    except TouchError:  # noise has hidden the contact
+        return dataclasses.replace(frame, touch=None)
+
+
+def locate_keys(localizer: Localizer, touches: Sequence[Touch]) -> tuple[float, bool, bool]:
+    """Return the surface error, mm, of touches located together, if it is certain, and if they determine the pose."""
+    observations = [(localizer, touch) for touch in touches]
+    try:
+        found = localize_together(observations, top=LISTED)
+    except TactileLocError:
+        return np.inf, False, False
+    poses = np.stack([h.T_sensor_object for h in found.hypotheses])
+    off_m = measure_surface_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
+    determined = is_determined(observations, found.hypotheses, off_m, RIGHT_MM / MM)
+    return MM * float(off_m[0]), found.verdict is Verdict.CERTAIN, determined
+
+
+def track(localizer: Localizer, condition: str, number: int, seed: int) -> Slide:
+    """Return one slide, tracked, and located by its key touches."""
+    rng = np.random.default_rng([seed, CONDITIONS.index(condition), number])
+    frames = draw_slide(localizer, condition, rng)
+    slide = Slide(localizer.object.name, condition, number, [], [], [], [], [], [], [])
+    tracker, keys, batch = Tracker(localizer), [], (np.inf, False, False)
+    for k, frame in enumerate(frames):
+        start = time.perf_counter()
+        found = tracker.update(frame.time_s, frame.touch, frame.T_base_sensor)
+        slide.ms.append(1e3 * (time.perf_counter() - start))
+        slide.verdicts.append(str(found.verdict))
+        slide.searched.append(found.searched)
+        off_m = np.inf
+        if found.T_sensor_object is not None:
+            (off_m,) = measure_surface_distances(
+                localizer.object.mesh, found.T_sensor_object[None], frame.T_sensor_object
+            )
+        slide.off_mm.append(MM * float(off_m))
+        some = [one.touch for one in frames[: k + 1] if one.touch is not None]
+        chosen = choose_key_touches(some, KEYS, APART_MM / MM, LEVER_M)
+        if {touch.name for touch in chosen} != set(keys):
+            keys, batch = [touch.name for touch in chosen], locate_keys(localizer, chosen)
+        for values, value in zip((slide.batch_mm, slide.batch_certain, slide.determined), batch, strict=True):
+            values.append(value)  # type: ignore[attr-defined]
+    return slide
+
+
+def write_times(ms: np.ndarray) -> str:
+    """Return the median and the 99th percentile of times."""
+    return f"{np.median(ms):.0f} ({np.quantile(ms, 0.99):.0f})" if len(ms) else "-"
+
+
+def write_row(name: str, slides: Sequence[Slide]) -> str:
+    """Return one row of the table."""
+    certain = np.concatenate([[one == "certain" for one in slide.verdicts] for slide in slides])
+    right, determined, searched, ms, alike = (
+        np.concatenate([getattr(slide, key) for slide in slides])
+        for key in ("off_mm", "determined", "searched", "ms", "batch_certain")
+    )
+    right, searched, determined = right < RIGHT_MM, searched.astype(bool), determined.astype(bool)
+    ends = sum(slide.off_mm[-1] < RIGHT_MM for slide in slides)
+    batch = sum(slide.batch_mm[-1] < RIGHT_MM for slide in slides)
+    share = f"{certain[determined].mean():.0%}, {alike[determined].mean():.0%}" if determined.any() else "-"
+    return (
+        f"| {name} | {len(slides)} | {ends}, {batch} | {certain.mean():.0%} | {(certain & ~right).mean():.1%} | "
+        f"{determined.mean():.0%} | {share} | {write_times(ms[searched])} | {write_times(ms[~searched])} |"
+    )
+
+
+HEAD = (
+    "| slides | number | end right: tracker, key touches | certain | certain and wrong | determined | certain, of "
+    "determined: tracker, key touches | searching, ms | tracking, ms |\n" + "|---" * 9 + "|"
+)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
+    parser.add_argument("--slides", type=int, default=2, help="slides of each object and condition")
+    parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=CONDITIONS)
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--store", type=Path)
+    parser.add_argument("--out", type=Path, help="JSON lines of slides")
+    arguments = parser.parse_args()
+    store = StageStore(arguments.store)
+    with tempfile.TemporaryDirectory() as folder:
+        out = arguments.out or Path(folder) / "slides.jsonl"
+        slides = [Slide(**json.loads(line)) for line in out.read_text().splitlines()] if out.exists() else []
+        known = {(slide.object, slide.condition, slide.number) for slide in slides}
+        for mesh in arguments.meshes:
+            for condition in arguments.conditions:
+                name = Path(mesh.partition(":")[0]).stem
+                missing = [n for n in range(arguments.slides) if (name, condition, n) not in known]
+                localizer = make_localizer(mesh, condition, store) if missing else None
+                for number in missing:
+                    assert localizer is not None
+                    slides.append(track(localizer, condition, number, arguments.seed))
+                    with out.open("a") as file:
+                        file.write(json.dumps(dataclasses.asdict(slides[-1])) + "\n")
+                    print(f"{name} {condition} {number}: {slides[-1].off_mm[-1]:.2f} mm", file=sys.stderr, flush=True)
+    print(HEAD)
+    for condition in arguments.conditions:
+        some = [slide for slide in slides if slide.condition == condition]
+        if some:
+            print(write_row(condition, some))
+    print(write_row("all", slides))
+
+
+if __name__ == "__main__":
+    main()

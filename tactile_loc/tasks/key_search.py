@@ -1,0 +1,83 @@
+"""The search of a track: its key touches are located together, one turn of the search at each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.poses.priors import PosePrior
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.turns import Turns
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.results.localization import Localization
+from tactile_loc.tasks.key_touches import drop_nearest, measure_motion_m
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """A finished search of `keys`; `found` is None if no pose fits them."""
+
+    keys: tuple[Touch, ...]
+    found: Localization | None
+
+
+@dataclass(frozen=True, eq=False)
+class KeySearch:
+    """The key touches of a track, at sensor poses far apart, and the search that is under way.
+
+    `begun` are the key touches of the latest search. The `prior`, if any, is over T_base_object.
+    """
+
+    localizer: Localizer
+    keys: tuple[Touch, ...] = ()
+    prior: PosePrior | None = None
+    begun: tuple[Touch, ...] = ()
+    turns: Turns[Localization | None] | None = None
+
+    def is_new_place(self, touch: Touch) -> bool:
+        """Return whether a touch's sensor pose is far from that of each key touch."""
+        options, T = self.localizer.config.tracker, np.asarray(touch.T_base_sensor)
+        gel_m, lever_m = touch.geometry.gel_middle_m, 1e-3 * options.lever_mm
+        return all(
+            measure_motion_m(np.asarray(key.T_base_sensor), T, gel_m, lever_m) > 1e-3 * options.keyframe_mm
+            for key in self.keys
+        )
+
+    def add(self, touch: Touch) -> KeySearch:
+        """Return the search with one more key touch; if these are too many, one of the two nearest is dropped."""
+        options, keys = self.localizer.config.tracker, [*self.keys, touch]
+        if len(keys) > options.keyframes:
+            keys = drop_nearest(keys, 1e-3 * options.lever_mm)
+        return replace(self, keys=tuple(keys))
+
+    def restart(self, touch: Touch, prior: PosePrior | None = None) -> KeySearch:
+        """Return a search whose only key touch is `touch`; a search that is under way is given up."""
+        return KeySearch(self.localizer, (touch,), prior)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether no search is under way and the key touches have changed since the last one."""
+        return self.turns is None and bool(self.keys) and self.begun != self.keys
+
+    def begin(self) -> KeySearch:
+        """Return the search of the present key touches, before its first turn."""
+        localizer, keys, prior = self.localizer, self.keys, self.prior
+        return replace(self, begun=keys, turns=Turns(lambda: locate_keys(localizer, keys, prior)))
+
+    def take_turn(self) -> tuple[KeySearch, Searched | None]:
+        """Take one turn; return the search and, if it has finished, its result."""
+        if self.turns is None or not self.turns.take():
+            return self, None
+        return replace(self, turns=None), Searched(self.begun, self.turns.result)
+
+
+def locate_keys(localizer: Localizer, keys: Sequence[Touch], prior: PosePrior | None = None) -> Localization | None:
+    """Return the result of touches located together, with a prior over T_base_object; None if no pose fits them."""
+    seen = None if prior is None else prior.view_from(np.asarray(keys[0].T_base_sensor))
+    try:
+        return localize_together([(localizer, key) for key in keys], seen)
+    except GridError:
+        return None
