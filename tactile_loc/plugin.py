@@ -98,6 +98,10 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.places import PATCH_PX as PATCH_PX, PITCH_M as PITCH_M, Places as Places
     from tactile_loc.core.sensing.places import make_patches as make_patches
 
+    # for encoders
+    from tactile_loc.core.sensing.patch_averages import average_patches as average_patches
+    from tactile_loc.core.sensing.places import cut_patches as cut_patches
+
     # for encoders that learn
     from tactile_loc.core.simulation.contact_poses import make_contact_grid as make_contact_grid
     from tactile_loc.core.simulation.contact_poses import draw_contact_poses as draw_contact_poses

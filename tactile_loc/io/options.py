@@ -28,7 +28,7 @@ class SearchOptions(_Options):
     registered: int = Field(default=150, ge=1, description="poses in coarse registration to one touch")
     moved_together: int = Field(default=100, ge=1, description="poses moved by two steps to several touches")
     registered_together: int = Field(default=60, ge=1, description="poses in coarse registration to several touches")
-    registered_widely: int = Field(default=400, ge=1, description="the same, if the first ones fit the touches badly")
+    registered_widely: int = Field(default=400, ge=1, description="most poses moved, if the first ones fit badly")
     wide_below_iou: float = Field(default=0.8, ge=0, le=1, description="mean imprint IoU below which a fit is bad")
     points: int = Field(default=300, ge=20, description="points of a touch in coarse registration")
     stride: int = Field(default=4, ge=1, description="each step of coarse registration uses one point out of this many")

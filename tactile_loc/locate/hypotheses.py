@@ -40,14 +40,15 @@ def find_hypotheses(
     """Refine modes in the first touch's sensor frame, weigh them, and merge those within `radius_m` metres.
 
     `weigh` computes the probabilities of the refined poses from their imprint IoUs (`compute_nats`). Views whose
-    numbers are in `outliers` affect neither the refinement nor the probabilities.
+    numbers are in `outliers` affect neither the refinement nor the probabilities. Their imprint IoUs are NaN:
+    `compare_outliers` computes them.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
         refined = refine([views[number] for number in trusted], candidates)
     with times.stage("choose"):
-        ious = _compare(views, refined, refine, trusted)
+        ious = _compare(views, refined, trusted)
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -61,15 +62,36 @@ def find_hypotheses(
         return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
 
 
-def _compare(
-    views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
-) -> NDArray[np.float64]:
-    """Return the imprint IoUs (K, N), 0 to 1, of refined poses with each of N touches."""
+def _compare(views: Sequence[View], refined: Sequence[RefinedPose], trusted: Sequence[int]) -> NDArray[np.float64]:
+    """Return the imprint IoUs (K, N), 0 to 1, of refined poses with each of N touches; NaN if it is not trusted."""
     if len(views) == 1 and all(pose.imprint_iou is not None for pose in refined):
         return np.array([[pose.imprint_iou] for pose in refined])  # the refiner has drawn the poses already
     T = np.stack([pose.T_sensor_object for pose in refined])
-    seen = None if len(views) == 1 else _find_seen_poses(views, refined, refine, trusted)
-    return compare_where_seen(views, T, seen)[0]
+    some = [views[number] for number in trusted]
+    seen = None if len(views) == 1 else _find_seen_poses(some, refined)
+    ious = np.full((len(T), len(views)), np.nan)
+    ious[:, trusted] = compare_where_seen(some, T, seen, views[0])[0]
+    return ious
+
+
+def compare_outliers(
+    views: Sequence[View], hypotheses: Sequence[Hypothesis], refine: Refine, outliers: Sequence[int]
+) -> tuple[Hypothesis, ...]:
+    """Return hypotheses with their imprint IoUs with outliers, given by the numbers of their views.
+
+    An outlier's sensor pose may have an error, so each pose is also refined against the outlier alone.
+    """
+    T = np.stack([h.T_sensor_object for h in hypotheses])
+    ious = np.array([h.imprint_ious for h in hypotheses])
+    for number in outliers:
+        view = views[number]
+        here = [Candidate(pose, -1, 0.0) for pose in view.T_sensor_first @ T]
+        fitted = refine([View(view.touch, view.scene)], here)
+        seen = np.stack([pose.T_sensor_object for pose in fitted])[:, None]
+        ious[:, number] = compare_where_seen([view], T, seen, views[0])[0][:, 0]
+    return tuple(
+        dataclasses.replace(h, imprint_ious=tuple(each.tolist())) for h, each in zip(hypotheses, ious, strict=True)
+    )
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -133,13 +155,14 @@ def compute_imprint_ious(
 
 
 def compare_where_seen(
-    views: Sequence[View], T_first_object: Poses, seen: Poses | None = None
+    views: Sequence[View], T_first_object: Poses, seen: Poses | None = None, first: View | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return imprint IoUs (K, N) and evidence (K, N), nats, of poses (K, 4, 4), metres, for each of N touches.
 
     `seen` (K, N, 4, 4), metres, are poses of the object in each sensor's frame that allow for an error of the sensor's
     reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / NATS_PER_IOU
-    of imprint IoU. For each touch, the greater of the values with and without the error is returned.
+    of imprint IoU. For each touch, the greater of the values with and without the error is returned. `first` is the
+    first touch's view, by default the first of the views.
     """
     pause()
     here = [view.compare_imprints(T_first_object) for view in views]
@@ -148,7 +171,7 @@ def compare_where_seen(
         return ious, evidence
     for number, view in enumerate(views):
         nats = _compute_sensor_error_nats(
-            view, views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
+            view, first or views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
         )
         there = view.scene.compare_imprints(seen[:, number], view.touch)
         ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / NATS_PER_IOU)
@@ -158,32 +181,23 @@ def compare_where_seen(
 
 def keep_likeliest(
     modes: Sequence[Mode], views: Sequence[View], freedom_m: float, options: HypothesisOptions
-) -> list[Mode]:
-    """Return the modes with the greatest mean imprint IoU in coarse renders, the greatest first.
+) -> tuple[list[Mode], NDArray[np.float64]]:
+    """Return the modes with the greatest mean imprint IoU in coarse renders, the greatest first, and these IoUs (K,).
 
     Poses may move `freedom_m` metres farther along z than the error of the measured press.
     """
     poses = np.stack([mode.T_sensor_object for mode in modes])
     ious = compute_imprint_ious(views, poses, options.image_px, freedom_m).mean(axis=1)
-    return [modes[k] for k in np.argsort(-ious, kind="stable")[: options.refined_again]]
+    best = np.argsort(-ious, kind="stable")[: options.refined_again]
+    return [modes[k] for k in best], ious[best]
 
 
-def _find_seen_poses(
-    views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
-) -> NDArray[np.float64]:
-    """Return the refined poses in each sensor's frame, (K, N, 4, 4), metres.
-
-    For a trusted touch, this is the refiner's pose. For any other touch, the pose is refined again against this touch
-    alone.
-    """
+def _find_seen_poses(views: Sequence[View], refined: Sequence[RefinedPose]) -> NDArray[np.float64]:
+    """Return the refined poses in the frame of each sensor, (K, N, 4, 4), metres, as the refiner gives them."""
     seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
     for k, pose in enumerate(refined):
         if pose.T_sensors_object is not None:
-            seen[k, trusted] = pose.T_sensors_object
-    for number in set(range(len(views))) - set(trusted):
-        alone = View(views[number].touch, views[number].scene)
-        fitted = refine([alone], [Candidate(T, -1, 0.0) for T in seen[:, number]])
-        seen[:, number] = [pose.T_sensor_object for pose in fitted]
+            seen[k] = pose.T_sensors_object
     return seen
 
 

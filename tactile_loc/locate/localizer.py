@@ -16,7 +16,7 @@ from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.progress import Progress, StageTimes
@@ -34,11 +34,10 @@ from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate.agreement import explain_alone, find_agreement, require_within_reach
+from tactile_loc.locate.agreement import PoseTrials, find_agreement, require_within_reach
 from tactile_loc.locate.conformal import ConformalSets, PoseSet
 from tactile_loc.locate.conformal_fit import LISTED, RIGHT_M, ConformalFit, rank
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
-from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
 from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.refinement import Refinement
@@ -46,7 +45,7 @@ from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis, JudgedH
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import judge
 from tactile_loc.locate.scoring import NewMatcher
-from tactile_loc.locate.search import PlaceSearch, search_together
+from tactile_loc.locate.search import Matched, PlaceSearch, search_together
 from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
 from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.locate.stored_places import build_places
@@ -282,7 +281,7 @@ class Localizer:
         times = StageTimes()
         alone = self.posteriors(touches, times)
         return [
-            _Query.of([(self, touch)], None, top, None, times.shared_among(len(touches))).answer([posterior])
+            _Query.of([(self, touch)], None, top, None, times.shared_among(len(touches))).answer(_Scored([posterior]))
             for touch, posterior in zip(touches, alone, strict=True)
         ]
 
@@ -363,12 +362,12 @@ def localize_together(
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
     query = _Query.of(observations, prior, top, coverage, StageTimes())
     while True:
-        alone = query.score_each()
+        scored = query.score_each()
         try:
-            found = query.answer(alone)
+            found = query.answer(scored)
             outliers = found.agreement.outliers
         except GridError as error:
-            outliers = query.find_excluding(alone)
+            outliers = query.find_excluding(scored.alone)
             if not outliers:
                 raise
             if not query.first.config.drop_outliers:
@@ -389,7 +388,15 @@ def compute_posterior_together(
     """
     _require_one_object(observations)
     query = _Query.of(observations, prior, None, None, times or StageTimes())
-    return query.fuse(query.score_each())
+    return query.fuse(query.score_each().alone)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """Each touch's own posterior and, after a search with all touches, the places that match it."""
+
+    alone: Sequence[PosePosterior]
+    matched: Sequence[Matched] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,14 +444,16 @@ class _Query:
     def start_radius_m(self) -> float:
         return self.first.config.hypotheses.start_radius * self.first.mode_radius_m
 
-    def score_each(self) -> list[PosePosterior]:
-        """Return each touch's posterior, and add stage durations to `times`.
+    def score_each(self) -> _Scored:
+        """Score poses for each touch, and add stage durations to `times`.
 
         The posterior is over the localizer's grid, or over the poses found by a search with all touches.
         """
         searches = [localizer.search for localizer, _ in self.observations]
         if len(searches) == 1 or not any(searches):
-            return [localizer.posteriors([touch], self.times, self.prior)[0] for localizer, touch in self.observations]
+            return _Scored(
+                [localizer.posteriors([touch], self.times, self.prior)[0] for localizer, touch in self.observations]
+            )
         together = [search for search in searches if search is not None]
         if len(together) < len(searches):
             raise ConfigError("some localizers search the whole object and others a grid of listed poses; give all of "
@@ -452,7 +461,7 @@ class _Query:
         found = search_together(self.views, together, self.times, self.prior)
         scalings = [localizer.probabilities.temperature_scaling for localizer, _ in self.observations]
         elsewhere = self.first.probabilities.fused_scaling.elsewhere(found.best, len(self.views))
-        return found.posteriors(self.views, scalings, elsewhere)
+        return _Scored(found.posteriors(self.views, scalings, elsewhere), found.matched)
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
         """Fuse the touches' posteriors and the prior over the first touch's grid.
@@ -470,16 +479,17 @@ class _Query:
                 raise error.name_touch([touch.name for touch in self.touches]) from error
         return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
-    def answer(self, alone: Sequence[PosePosterior]) -> Localization:
+    def answer(self, scored: _Scored) -> Localization:
         """Make the result from each touch's own posterior: fuse the posteriors, then propose, refine and weigh modes.
 
         Adds stage durations to `times`.
         """
+        alone = scored.alone
         posterior = self.fuse(alone)
         with self.times.stage("modes"):
             top = self.top if self.coverage is None else max(self.top, LISTED)
             modes = self.first.source.propose(self.views, alone, posterior, top)
-        hypotheses, agreement = self._refine(modes, alone, posterior)
+        hypotheses, agreement = self._refine(modes, scored, posterior)
         touch, *others = self.touches
         found = Localization(
             touch, posterior, hypotheses, self.times.seconds, tuple(others), None, agreement, config=self.first.config
@@ -508,32 +518,27 @@ class _Query:
         return PoseSet.of(rank(found), self.first.conformal_sets, self.coverage, contradictory)
 
     def _refine(
-        self, modes: Sequence[Mode], alone: Sequence[PosePosterior], posterior: PosePosterior
+        self, modes: Sequence[Mode], scored: _Scored, posterior: PosePosterior
     ) -> tuple[tuple[Hypothesis, ...], Agreement]:
-        find = partial(self._find_hypotheses, modes, posterior.grid.metric)
-        return (find(()), Agreement()) if len(self.views) == 1 else find_agreement(find, partial(self._explain, alone))
+        first, search = self.first, self.first.search
+        improves = search is not None and first.refinement.refiner.capabilities.refines
+        trials = PoseTrials(
+            self.views, modes, partial(self._start_alone, scored), search.registration if search and improves else None,
+            first.refinement.refine, posterior.grid.metric, self.known, first.config.hypotheses, self.start_radius_m,
+            first.merge_radius_m, self.times,
+        )  # fmt: skip
+        return (trials.find(()), Agreement()) if len(self.views) == 1 else find_agreement(trials)
 
-    def _find_hypotheses(
-        self, modes: Sequence[Mode], metric: PoseMetric, outliers: tuple[int, ...]
-    ) -> tuple[Hypothesis, ...]:
-        """Refine modes against all touches except outliers."""
-        first = self.first
-        if outliers:
-            trusted = [view for k, view in enumerate(self.views) if k not in outliers]
-            modes = keep_likeliest(modes, trusted, self.start_radius_m, first.config.hypotheses)
-        return find_hypotheses(
-            self.views, modes, first.refinement.refine, metric, first.merge_radius_m, self.known, self.times, outliers
-        )
-
-    def _explain(self, alone: Sequence[PosePosterior]) -> NDArray[np.float64]:
-        """Return each touch's best imprint IoU (N,) with any pose refined against this touch alone."""
-        first = self.first
-        if first.source.searched:
-            alone = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
-        with self.times.stage("refine"):
-            ious = [explain_alone(view, p, first.refinement.refine, self.start_radius_m, first.config.hypotheses)
-                    for view, p in zip(self.views, alone, strict=True)]  # fmt: skip
-        return np.array(ious)
+    def _start_alone(self, scored: _Scored, number: int) -> tuple[PoseGrid, NDArray[np.float64]]:
+        """Return poses to refine against one touch alone, and their scores (K,)."""
+        search = self.observations[number][0].search
+        if search is None:
+            posterior = scored.alone[number]
+            listed = posterior.top(self.first.config.hypotheses.listed)
+            return PoseGrid(posterior.grid.T_sensor_object[listed], posterior.grid.metric), posterior.log_p[listed]
+        with self.times.stage("register"):
+            view = self.views[number]
+            return search.find_starts_alone(View(view.touch, view.scene), scored.matched[number])
 
     def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
         """Return the number of the touch that excludes all poses of the other touches, as a tuple.

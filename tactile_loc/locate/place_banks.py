@@ -78,7 +78,8 @@ class PlaceBanks:
         return np.concatenate(list(map(encode, starts) if one_by_one else map_in_threads(encode, starts)))
 
     def _encode_some(self, press_depth_m: float, flat: bool, start: int) -> Scores:
-        depths_m, press = self.places.depths(press_depth_m, slice(start, start + ENCODED)), np.float32(press_depth_m)
-        if flat:
-            depths_m = np.where(depths_m < press, np.float32(0), press)
-        return self.encoder.encode(depths_m, press_depth_m, CAMERA)
+        some, press = slice(start, start + ENCODED), np.float32(press_depth_m)
+        if not flat:
+            return self.encoder.encode_patches(self.places.patches[some], press_depth_m)
+        touching = self.places.depths(press_depth_m, some) < press
+        return self.encoder.encode(np.where(touching, np.float32(0), press), press_depth_m, CAMERA)

@@ -18,7 +18,8 @@ from tactile_loc.core.slots.matcher import Matcher
 Scores = NDArray[np.float32]
 NewMatcher = Callable[[], Matcher]
 
-MOST_MATCHERS = 8  # matchers kept in memory: the most recently used
+# The FEWEST_MATCHERS matchers used last are kept in memory, and more as long as their banks need at most KEPT_BYTES.
+FEWEST_MATCHERS, KEPT_BYTES = 8, 128 * 2**20
 
 
 class GridScores:
@@ -34,7 +35,7 @@ class GridScores:
     ) -> None:  # fmt: skip
         self.follow = follow or encoder.capabilities.follows_press_depth
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
-        self._matchers: dict[float, Matcher] = {}
+        self._matchers: dict[float, tuple[Matcher, int]] = {}  # with the size of the bank, bytes
         self._choosing = Lock()
 
     def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
@@ -59,11 +60,14 @@ class GridScores:
         """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
         with self._choosing:
-            matcher = self._matchers.pop(press_m, None) or self._index(press_m)
-            self._matchers[press_m] = matcher  # the last used comes last
-            while len(self._matchers) > MOST_MATCHERS:
+            kept = self._matchers.pop(press_m, None) or self._index(press_m)
+            self._matchers[press_m] = kept  # the last used comes last
+            while len(self._matchers) > FEWEST_MATCHERS and self._count_bytes() > KEPT_BYTES:
                 del self._matchers[next(iter(self._matchers))]
-        return matcher
+        return kept[0]
+
+    def _count_bytes(self) -> int:
+        return sum(size for _, size in self._matchers.values())
 
     def bank_press_m(self, press_depth_m: float) -> float:
         """Return the press depth, metres, at which a touch and the bank are compared.
@@ -74,10 +78,10 @@ class GridScores:
             return self.max_depth_m
         return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
 
-    def _index(self, press_m: float) -> Matcher:
-        matcher = self.new_matcher()
-        matcher.index(self.bank(press_m))
-        return matcher
+    def _index(self, press_m: float) -> tuple[Matcher, int]:
+        matcher, bank = self.new_matcher(), self.bank(press_m)
+        matcher.index(bank)
+        return matcher, bank.nbytes
 
     def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
         """Return the embedding (1, D) of a touch, compared with a bank for presses of `press_depth_m` metres."""

@@ -37,13 +37,17 @@ from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
 
-SEARCH_VERSION = 7
+SEARCH_VERSION = 8
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 GAP_POINTS, GAP_PX = 30, 60  # points per touch, and long side of their image, pixels
+MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
+WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
+
+Matched = tuple[Poses, NDArray[np.float64]]  # rotated places similar to a touch, and their scores (K,)
 
 
 class PlaceSearch:
@@ -72,7 +76,7 @@ class PlaceSearch:
         self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         # poses proposed for touches that still exist; more touches are often located together with earlier ones
-        self._alike: WeakKeyDictionary[Touch, dict[int, tuple[Poses, NDArray[np.float64]]]] = WeakKeyDictionary()
+        self._alike: WeakKeyDictionary[Touch, dict[int, Matched]] = WeakKeyDictionary()
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
         self._mask_banks = GridScores(encoder, new_matcher, mask_bank, HIGHEST_M, follow=True)
 
@@ -92,6 +96,17 @@ class PlaceSearch:
             kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
+    def find_starts_alone(self, view: View, matched: Matched) -> tuple[PoseGrid, NDArray[np.float64]]:
+        """Return poses that explain one touch well, and their imprint IoUs (K,) in coarse renders.
+
+        `matched` are the touch's most similar rotated places. Fewer of them are registered than by `score`, so the true
+        pose may be missing.
+        """
+        poses, scores = matched
+        apart = keep_apart(poses, scores, self.metric, self.radius_m, MOVED_ALONE)
+        poses = self.registration.register_coarsely([view], poses[apart], REGISTERED_ALONE)
+        return PoseGrid(poses, self.metric), view.imprint_ious(poses, self.options.image_px)
+
     def _register_group(self, view: View, poses: Poses, values: NDArray[np.float64], groups: int) -> Poses:
         """Return the registered poses of one of several groups: see `propose`. All groups have equally many."""
         apart = keep_apart(poses, values, self.metric, self.radius_m, self.options.moved // groups)
@@ -107,7 +122,7 @@ class PlaceSearch:
             "renderer": self.scene.renderer.describe(), "drawing": self.scene.drawing,
         }  # fmt: skip
 
-    def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
+    def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[Matched]:
         """Return groups of poses: the `count` most similar rotated places and, with a prior, a second group.
 
         The second group has the `count` poses with the greatest prior weights in a larger pool of similar places. A
@@ -124,7 +139,7 @@ class PlaceSearch:
         alike = poses[:count], scores[:count]
         return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
 
-    def _remember_alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
+    def _remember_alike(self, touch: Touch, count: int) -> Matched:
         """Return what `alike` returns, computed once for each touch."""
         known = self._alike.setdefault(touch, {})
         if count not in known:
@@ -132,7 +147,7 @@ class PlaceSearch:
             known[count] = self.alike(touch, count)
         return known[count]
 
-    def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
+    def alike(self, touch: Touch, count: int) -> Matched:
         """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
         if not touch.has_depths:
             return self._match_mask(touch, count)
@@ -150,7 +165,7 @@ class PlaceSearch:
             yaw, number, scores = yaw[best], number[best], -excess[best]
         return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores.astype(float)
 
-    def _match_mask(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
+    def _match_mask(self, touch: Touch, count: int) -> Matched:
         """Return what `alike` returns, for a contact mask, whose deepest point and press are unknown.
 
         Points spread over the mask are tried as the deepest point, with several presses that the mask allows.
@@ -251,12 +266,14 @@ class FoundTogether:
     """The likeliest poses given N touches.
 
     `T_first_object` (K, 4, 4), metres, is in the first touch's sensor frame. `ious` (K, N), 0 to 1, are the poses'
-    imprint IoUs with the touches.
+    imprint IoUs with the touches. `matched` are the rotated places most similar to each touch, as poses in the frame of
+    its own sensor.
     """
 
     T_first_object: Poses
     ious: NDArray[np.float64]
     metric: PoseMetric
+    matched: Sequence[Matched]
 
     @property
     def best(self) -> float:
@@ -285,27 +302,46 @@ def search_together(
     The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
     moved by a few steps of registration. A wrong pose may be as near as a pose beside the true one, but stays as far
     from the touches then. So the poses that are nearest now are registered further, rendered, and compared with each
-    touch. No returned pose is near a better one. If none of the first poses explains the touches well, more are
-    registered. A `prior` is over poses in the first touch's sensor frame.
+    touch. No returned pose is near a better one. If none of the first poses explains the touches well, further batches
+    are registered, until one of them brings no better pose. A `prior` is over poses in the first touch's sensor frame.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
     with times.stage("match"):
-        proposed = []
-        for view, one, from_here in zip(views, searches, seen, strict=True):
-            groups = one.propose(view.touch, one.options.candidates_together, from_here)
-            proposed += [invert(view.T_sensor_first) @ some for some, _ in groups]
-        poses = _keep_nearest(views, search, np.concatenate(proposed), options.registered_widely)
+        proposed = [
+            one.propose(view.touch, one.options.candidates_together, from_here)
+            for view, one, from_here in zip(views, searches, seen, strict=True)
+        ]
+        poses = np.concatenate([
+            invert(view.T_sensor_first) @ some
+            for view, groups in zip(views, proposed, strict=True) for some, _ in groups
+        ])  # fmt: skip
+        poses = _keep_nearest(views, search, poses, options.registered_widely)
     with times.stage("register"):
-        first, others = np.split(poses, [options.moved_together])
-        registered, ious = _register(views, search, first, options.registered_together)
-        if ious.mean(axis=1).max() < options.wide_below_iou:
-            more, more_ious = _register(views, search, others)
-            registered, ious = np.concatenate([registered, more]), np.concatenate([ious, more_ious])
+        registered, ious = _register_in_batches(views, search, poses)
         kept = keep_apart(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
         )
-    return FoundTogether(registered[kept], ious[kept], search.metric)
+    return FoundTogether(registered[kept], ious[kept], search.metric, [groups[0] for groups in proposed])
+
+
+def _register_in_batches(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
+    """Register poses (K, 4, 4), metres, until one explains the touches well, and return what `_register` returns.
+
+    The most promising poses come first. If a batch brings nothing better, the others are not registered.
+    """
+    options = search.options
+    registered, ious = _register(views, search, poses[: options.moved_together], options.registered_together)
+    more = max(1, round(WIDE_SHARE * options.registered_together))
+    for start in range(options.moved_together, len(poses), options.moved_together):
+        best = ious.mean(axis=1).max()
+        if best >= options.wide_below_iou:
+            break
+        others, other_ious = _register(views, search, poses[start : start + options.moved_together], more)
+        registered, ious = np.concatenate([registered, others]), np.concatenate([ious, other_ious])
+        if other_ious.mean(axis=1).max() <= best:
+            break
+    return registered, ious
 
 
 def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.places import CAMERA as PATCH_CAMERA
+from tactile_loc.core.sensing.places import PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.core.slots.component import Capabilities, Float32
@@ -35,7 +37,7 @@ def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for an encoder of these capabilities. Train the encoder first if it needs training."""
     chosen: list[Check] = [check_output, check_batch_is_singles, check_shapes_untouched, check_distances_order_poses,
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
-                           check_image_size, check_ignores_masked_pixels, check_unseen_pixels,
+                           check_image_size, check_patches, check_ignores_masked_pixels, check_unseen_pixels,
                            check_seen_output, check_seen_part_finds_its_pose]  # fmt: skip
     if capabilities.deterministic:
         chosen.append(check_deterministic)
@@ -116,6 +118,16 @@ def check_image_size(encoder: Encoder) -> None:
     same = queries.shape == bank.shape
     require(same, f"D must not depend on the image size, but shapes are {queries.shape} and {bank.shape}")
     _require_found(queries, bank, "an image of twice the size must find its pose in the bank")
+
+
+def check_patches(encoder: Encoder) -> None:
+    """`encode_patches` gives the embeddings that `encode` gives for the contact depths of places' patches."""
+    patches = np.random.default_rng(0).integers(0, 256, (6, PATCH_PX, PATCH_PX)).astype(np.uint8)
+    for press_m in (LIGHT_M, PRESS_M):
+        expected = encoder.encode(cut_patches(patches, press_m), press_m, PATCH_CAMERA)
+        found = encoder.encode_patches(patches.copy(), press_m)
+        require_array(found, expected.shape, np.float32, "encode_patches")
+        require_close(found, expected, 1e-4 * _spread(expected), "encode_patches must agree with encode")
 
 
 def check_ignores_masked_pixels(encoder: Encoder) -> None:

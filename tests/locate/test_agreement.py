@@ -26,19 +26,32 @@ class Search:
     def __init__(self, found: dict[tuple[int, ...], tuple[float, ...]], alone: float = 0.9) -> None:
         self.found, self.alone = found, alone
         self.asked: list[tuple[int, ...]] = []
+        self.asked_alone: list[int] = []
 
     def find(self, outliers: tuple[int, ...]) -> tuple[Hypothesis, ...]:
         self.asked.append(outliers)
-        ious = self.found.get(tuple(sorted(outliers)), (0.0,) * len(self.found[()]))
-        mean = float(np.mean([iou for number, iou in enumerate(ious) if number not in outliers]))
-        refined = RefinedPose(np.eye(4), 1.0, True, 3)
-        return (Hypothesis(1.0, np.eye(4), refined, grid_index=0, grid_poses=1, imprint_iou=mean, imprint_ious=ious),)
+        ious = self.look_up(outliers)
+        trusted = [iou for number, iou in enumerate(ious) if number not in outliers]
+        known = tuple(np.nan if number in outliers else iou for number, iou in enumerate(ious))
+        return (hypothesis(float(np.mean(trusted)), known),)
 
-    def best_alone(self) -> np.ndarray:
-        return np.full(len(self.found[()]), self.alone)
+    def look_up(self, outliers: tuple[int, ...]) -> tuple[float, ...]:
+        return self.found.get(tuple(sorted(outliers)), (0.0,) * len(self.found[()]))
+
+    def compare_outliers(self, hypotheses, outliers: tuple[int, ...]) -> tuple[Hypothesis, ...]:
+        return tuple(dataclasses.replace(h, imprint_ious=self.look_up(outliers)) for h in hypotheses)
+
+    def explain_alone(self, number: int) -> float:
+        self.asked_alone.append(number)
+        return self.alone
 
     def agree(self):
-        return find_agreement(self.find, self.best_alone)
+        return find_agreement(self)
+
+
+def hypothesis(imprint_iou: float, imprint_ious: tuple[float, ...]) -> Hypothesis:
+    refined = RefinedPose(np.eye(4), 1.0, True, 3)
+    return Hypothesis(1.0, np.eye(4), refined, 0, 1, imprint_iou, imprint_ious)
 
 
 def test_touches_that_one_pose_explains_agree_without_another_search():
@@ -47,6 +60,7 @@ def test_touches_that_one_pose_explains_agree_without_another_search():
     assert (agreement.outliers, agreement.contradictory) == ((), False)
     assert agreement.best_ious == found[0].imprint_ious == (0.9, 0.8, 0.7)
     assert search.asked == [()]
+    assert search.asked_alone == []
 
 
 def test_an_outlier_is_named_and_does_not_affect_the_pose():
@@ -55,7 +69,8 @@ def test_an_outlier_is_named_and_does_not_affect_the_pose():
     assert (agreement.outliers, agreement.contradictory) == ((1,), True)
     assert found[0].imprint_ious == (0.9, 0.0, 0.9, 0.8)
     assert found[0].imprint_iou == pytest.approx(np.mean([0.9, 0.9, 0.8]))
-    assert agreement.best_ious == (0.9, 0.9, 0.9, 0.9)
+    assert agreement.best_ious == (0.9, 0.9, 0.9, 0.8)
+    assert search.asked_alone == [1]  # the other touches are explained well enough by the poses tried
 
 
 def test_a_touch_that_no_pose_explains_better_is_no_contradiction():

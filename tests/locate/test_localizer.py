@@ -16,10 +16,11 @@ from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch
+from tactile_loc.locate import scoring
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, judge
-from tactile_loc.locate.scoring import MOST_MATCHERS
+from tactile_loc.locate.scoring import FEWEST_MATCHERS
 from tactile_loc.store.store import StageStore
 
 SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100], "gel": "rigid"}}
@@ -352,12 +353,33 @@ def test_a_hotter_temperature_is_less_certain(store, coarse):
     assert entropies[0] < entropies[-1]
 
 
-def test_only_the_most_recent_matchers_stay_in_memory(coarse):
+def test_only_the_most_recent_matchers_stay_in_memory(coarse, monkeypatch):
+    monkeypatch.setattr(scoring, "KEPT_BYTES", 0)
     kept = coarse.listed.matcher(0.002)
-    for step in range(1, MOST_MATCHERS + 3):
+    for step in range(1, FEWEST_MATCHERS + 3):
         coarse.listed.matcher(step * 1e-4)
         assert coarse.listed.matcher(0.002) is kept
-    assert len(coarse.listed.banks._matchers) == MOST_MATCHERS
+    assert len(coarse.listed.banks._matchers) == FEWEST_MATCHERS
+
+
+def test_small_banks_of_all_presses_stay_in_memory(coarse):
+    presses_m = [step * 1e-4 for step in range(1, FEWEST_MATCHERS + 6)]
+    first = [coarse.listed.matcher(press_m) for press_m in presses_m]
+    assert all(coarse.listed.matcher(press_m) is one for press_m, one in zip(presses_m, first, strict=True))
+
+
+def test_a_press_that_is_not_in_memory_gives_the_same_poses(store, monkeypatch):
+    monkeypatch.setattr(scoring, "KEPT_BYTES", 0)
+    monkeypatch.setattr(scoring, "FEWEST_MATCHERS", 1)
+    localizer = Localizer.create("pin", store=store, sensor={"name": "gelsight-mini", "gel": "rigid"})
+    (touch,), (other,) = localizer.simulate(1, 3, 8e-4), localizer.simulate(1, 3, 5e-4)
+    found = []
+    for some in (touch, other, touch):
+        poses, scores = localizer.search.alike(some, 200)
+        found.append((poses, scores))
+    np.testing.assert_array_equal(found[0][0], found[2][0])
+    np.testing.assert_array_equal(found[0][1], found[2][1])
+    assert len(localizer.search._banks._matchers) == 1
 
 
 def test_a_refined_pose_has_a_covariance(pin, touches):

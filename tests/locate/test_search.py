@@ -21,6 +21,8 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig, SlotConfig
+from tactile_loc.locate import agreement
+from tactile_loc.locate import search as search_module
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.search import PlaceSearch, find_highest, search_together
@@ -154,6 +156,56 @@ def test_poses_that_start_beside_the_true_pose_are_found_if_they_are_moved_first
         nearest = [off_mm(localizer, search_pair(localizer, search, pair), pair[0]).min() for pair in pairs]
         found.append(np.mean(np.array(nearest) < 1.0))
     assert found[1] > found[0] + 0.1
+
+
+def misplace(touches: list[Touch], number: int) -> list[Touch]:
+    """Return touches of which one has a wrong sensor pose, so that no pose explains all of them."""
+    wrong = make_transform(rotation_about([0, 0, 1], np.radians(10)), [5e-3, 0, 0])
+    moved = dataclasses.replace(touches[number], T_base_sensor=np.asarray(touches[number].T_base_sensor) @ wrong)
+    return [*touches[:number], moved, *touches[number + 1 :]]
+
+
+def test_batches_find_what_registering_all_poses_at_once_finds(localizer, examples, store):
+    at_once = {"moved_together": 400, "registered_together": 400, "registered_widely": 400}
+    full = Localizer.create("pin", store=store, search=at_once, **WHOLE).search
+    for some in examples[:2]:
+        views = [make_view(some[0], localizer, touch) for touch in misplace(some, 2)]
+        batches, everything = (search_together(views, [one] * 3, StageTimes()) for one in (localizer.search, full))
+        assert len(batches.T_first_object) < len(everything.T_first_object)
+        assert batches.best > everything.best - 0.03
+
+
+def test_no_further_batch_follows_one_without_a_better_pose(localizer, examples, monkeypatch):
+    some = misplace(examples[0], 2)
+    views, given = [make_view(some[0], localizer, touch) for touch in some], []
+    register = search_module._register
+
+    def note(views, search, poses, kept=None):
+        found = register(views, search, poses, kept)
+        given.append((len(poses), found[1].mean(axis=1).max()))
+        return found
+
+    monkeypatch.setattr(search_module, "_register", note)
+    search_together(views, [localizer.search] * 3, StageTimes())
+    counts, best = zip(*given, strict=True)
+    assert set(counts) == {localizer.config.search.moved_together}
+    assert len(counts) < localizer.config.search.registered_widely / localizer.config.search.moved_together
+    assert best[-1] <= max(best[:-1])
+    assert all(later > max(best[:number]) for number, later in enumerate(best[1:-1], 1))
+
+
+@pytest.mark.parametrize("wrong", [0, 2])
+def test_trials_that_end_early_change_no_result(localizer, examples, monkeypatch, wrong):
+    found = []
+    for unpromising in (0.0, agreement.UNPROMISING):
+        monkeypatch.setattr(agreement, "UNPROMISING", unpromising)
+        some = [misplace(one, wrong) for one in examples[:2]]
+        found.append([localize_together([(localizer, touch) for touch in touches]) for touches in some])
+    for slow, fast in zip(*found, strict=True):
+        assert fast.agreement.outliers == slow.agreement.outliers
+        np.testing.assert_array_equal(fast.best.T_sensor_object, slow.best.T_sensor_object)
+    named = [one.agreement.outliers == (wrong,) for one in found[1]]
+    assert all(named)
 
 
 def search_pair(localizer: Localizer, search: PlaceSearch, pair: list[Touch]) -> np.ndarray:

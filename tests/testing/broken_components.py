@@ -217,6 +217,7 @@ ENCODER = [
     (encoders.check_press_depth_marks_no_contact, made(PixelEncoder, encode=fixed_threshold)),
     (encoders.check_light_press_finds_its_pose, made(PixelEncoder, encode=fixed_threshold, capabilities=DEFAULT)),
     (encoders.check_image_size, made(PixelEncoder, encode=raw_pixels)),
+    (encoders.check_patches, then(PixelEncoder, "encode_patches", lambda e, *_: 2 * e)),
     (encoders.check_ignores_masked_pixels, made(PixelEncoder, encode=unmasked)),
     (encoders.check_unseen_pixels, made(PixelEncoder, encode_seen=unmasked_pixels)),
     (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, *_: pair[0])),

@@ -47,10 +47,10 @@ class Registration:
     """A registration problem: `observed`, the observations of N touches, and the touched object.
 
     The object has `triangles`, `samples` of its surface and a centre `middle` (3,). `T_sensor_first` (N, 4, 4) converts
-    from the first sensor's frame to each sensor's frame. Each of these transforms has an unknown error, a twist about
-    the touch's centre. The variances of this twist are the sum of `sensor` (N, 6), from the sensor's pose, and `press`
-    (N, 6), from the press depth. `noise` is the least standard deviation of a point. The weights in `observed` assume
-    this noise.
+    from the first sensor's frame to each sensor's frame. The touch of the first sensor itself can be left out. Each of
+    these transforms has an unknown error, a twist about the touch's centre. The variances of this twist are the sum of
+    `sensor` (N, 6), from the sensor's pose, and `press` (N, 6), from the press depth. `noise` is the least standard
+    deviation of a point. The weights in `observed` assume this noise.
     """
 
     observed: Observed
@@ -103,7 +103,9 @@ class Registration:
         by the others with the error of the first sensor's pose. The object's pose relative to the reported pose of the
         first sensor is seen by the first touch with both errors, and by the others with none of them.
         """
-        to_centre = adjoint(np.eye(3), T[:, :3, :3] @ self.middle + T[:, :3, 3] - self.observed.centres[0])[:, None]
+        back = invert(self.T_sensor_first[0])
+        touched = back[:3, :3] @ self.observed.centres[0] + back[:3, 3]
+        to_centre = adjoint(back[:3, :3], T[:, :3, :3] @ self.middle + T[:, :3, 3] - touched)[:, None]
         allowed = np.stack([own, others])[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
         total = np.linalg.solve(np.eye(6) + parts @ allowed, parts).sum(axis=1)
         return np.asarray((total + total.swapaxes(1, 2)) / 2)
@@ -111,10 +113,13 @@ class Registration:
     def _view_from_first(self, T: Floats, seen: Floats) -> Floats:
         """Correct poses T (K, 4, 4) by the error of the first sensor's pose, but not by the error of its press depth.
 
-        T is relative to the reported pose of the first sensor. `seen` (K, 4, 4) are the poses that its touch shows. The
-        difference is the sum of both errors, and is divided between them in proportion to their variances.
+        T is relative to the reported pose of the first sensor. `seen` (K, 4, 4) are the poses that the first touch
+        shows, in the frame of its sensor. The difference is the sum of both errors, and is divided between them in
+        proportion to their variances. If the touch of the first sensor is left out, the first other touch counts.
         """
         allowed = self.sensor[0] + self.press[0]
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
-        centre = self.observed.centres[0]
-        return exponential(share * logarithm(seen @ invert(T), centre), centre) @ T
+        centre, here = self.observed.centres[0], self.T_sensor_first[0]
+        reported = here @ T
+        corrected = exponential(share * logarithm(seen @ invert(reported), centre), centre) @ reported
+        return np.asarray(invert(here) @ corrected)

@@ -47,19 +47,24 @@ class Places:
 
     def depths(self, press_depth_m: float, some: slice = slice(None)) -> Float32:
         """Return the contact depths (K, PATCH_PX, PATCH_PX), metres, of the places `some`, cut at the press depth."""
-        patches, press = self.patches[some], np.float32(press_depth_m)
-        depths_m = patches.astype(np.float32)
-        depths_m -= BELOW
-        depths_m *= np.float32(STEP_M)
-        np.clip(depths_m, 0.0, press, out=depths_m)
-        if (FAR - BELOW) * np.float32(STEP_M) < press:
-            depths_m[patches == FAR] = press
-        return depths_m
+        return cut_patches(self.patches[some], press_depth_m)
 
     def poses(self, numbers: NDArray[np.int64], yaw_rad: NDArray[np.float64]) -> Poses:
         """Return poses (K, 4, 4), metres, that bring the places `numbers` (K,) to the origin, rotated by yaws (K,)."""
         R = rotation_about([0.0, 0.0, 1.0], yaw_rad)
         return np.asarray(make_transform(R, np.zeros(3)) @ self.T_place_object[numbers])
+
+
+def cut_patches(patches: NDArray[np.uint8], press_depth_m: float) -> Float32:
+    """Return the contact depths (...), metres, of values (...) of `Places.patches`, cut at the press depth."""
+    press = np.float32(press_depth_m)
+    depths_m = patches.astype(np.float32)
+    depths_m -= BELOW
+    depths_m *= np.float32(STEP_M)
+    np.clip(depths_m, 0.0, press, out=depths_m)
+    if (FAR - BELOW) * np.float32(STEP_M) < press:
+        depths_m[patches == FAR] = press
+    return depths_m
 
 
 def make_patches(rise_m: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:

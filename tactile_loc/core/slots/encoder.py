@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import CAMERA, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.component import Component, Float32
@@ -140,3 +141,11 @@ class Encoder(Component):
         """
         embeddings = self.encode(np.where(seen, depth_m, np.float32(press_depth_m)), press_depth_m, geometry)
         return embeddings, np.ones_like(embeddings)
+
+    def encode_patches(self, patches: NDArray[np.uint8], press_depth_m: float) -> Float32:
+        """Return the embeddings (N, D) of places' patches (N, PATCH_PX, PATCH_PX), cut at a press depth in metres.
+
+        By default, this is `encode` of the patches' contact depths, as the camera of `Places` sees them. All places are
+        encoded again at each press depth. Override the method if the encoder can do this faster, with equal results.
+        """
+        return self.encode(cut_patches(patches, press_depth_m), press_depth_m, CAMERA)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 
@@ -131,3 +132,17 @@ def test_the_same_view_at_another_resolution_gives_a_similar_vector():
 def test_the_bank_follows_the_press_depth():
     assert PixelEncoder.capabilities.follows_press_depth
     assert not PixelEncoder.capabilities.needs_training
+
+
+@pytest.mark.parametrize("signal", ["binary", "depth"])
+@pytest.mark.parametrize("cells", [4, 16, 20, PATCH_PX, PATCH_PX + 9])
+def test_patches_of_places_are_encoded_like_their_depths(signal, cells):
+    patches = np.random.default_rng(1).integers(0, 256, (6, PATCH_PX, PATCH_PX)).astype(np.uint8)
+    patches[1] = 255
+    encoder = pixel(cells, signal)
+    for press_m in (1e-4, 7e-4, HIGHEST_M, 1.5 * HIGHEST_M):
+        expected = encoder.encode(cut_patches(patches, press_m), press_m, CAMERA)
+        found = encoder.encode_patches(patches, press_m)
+        assert found.dtype == np.float32
+        assert found == pytest.approx(expected, abs=1e-6)
+        assert not found[1].any()
