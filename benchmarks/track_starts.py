@@ -88,15 +88,20 @@ def make_localizer(mesh: str, condition: str, store: StageStore) -> Localizer:
     return Localizer.create(path, units=units or "auto", store=store, sensor=sensor)
 
 
-def draw_slide(localizer: Localizer, condition: str, rng: np.random.Generator) -> list[Frame]:
-    """Return the frames of one slide."""
+def make_sliding(localizer: Localizer, condition: str) -> tuple[RobotTouches, SlidingTouches]:
+    """Return the source of single touches on a rigid gel, and that of the slides of a condition."""
     geometry = dataclasses.replace(localizer.scene.geometry, gel=RIGID)
     source = RobotTouches(
         localizer.object, geometry, registry().create("renderer", "raycast", {}),
         noise=NOISE["mild" if condition == NOISY else "none"], sensor_std_m=SENSOR_STD_M, sensor_std_rad=SENSOR_STD_RAD,
     )  # fmt: skip
-    rate_hz = ELASTIC_RATE_HZ if condition == ELASTIC else RATE_HZ
-    frames = SlidingTouches(source, rate_hz).draw_example(round(DURATION_S * rate_hz), rng)
+    return source, SlidingTouches(source, ELASTIC_RATE_HZ if condition == ELASTIC else RATE_HZ)
+
+
+def draw_slide(localizer: Localizer, condition: str, rng: np.random.Generator) -> list[Frame]:
+    """Return the frames of one slide."""
+    source, sliding = make_sliding(localizer, condition)
+    frames = sliding.draw_example(round(DURATION_S * sliding.rate_hz), rng)
     return [soften(frame, source, localizer, rng) for frame in frames] if condition == ELASTIC else frames
 
 
@@ -129,7 +134,8 @@ def track(localizer: Localizer, condition: str, number: int, seed: int) -> Slide
     rng = np.random.default_rng([seed, CONDITIONS.index(condition), number])
     frames = draw_slide(localizer, condition, rng)
     slide = Slide(localizer.object.name, condition, number, [], [], [], [], [], [], [])
-    tracker, keys, batch = Tracker(localizer), [], (np.inf, False, False)
+    tracker, batch = Tracker(localizer), (np.inf, False, False)
+    keys: list[str] = []
     for k, frame in enumerate(frames):
         start = time.perf_counter()
         found = tracker.update(frame.time_s, frame.touch, frame.T_base_sensor)
@@ -144,7 +150,7 @@ def track(localizer: Localizer, condition: str, number: int, seed: int) -> Slide
         slide.off_mm.append(MM * float(off_m))
         some = [one.touch for one in frames[: k + 1] if one.touch is not None]
         chosen = choose_key_touches(some, KEYS, APART_MM / MM, LEVER_M)
-        if {touch.name for touch in chosen} != set(keys):
+        if [touch.name for touch in chosen] != keys:
             keys, batch = [touch.name for touch in chosen], locate_keys(localizer, chosen)
         for values, value in zip((slide.batch_mm, slide.batch_certain, slide.determined), batch, strict=True):
             values.append(value)  # type: ignore[attr-defined]

@@ -28,6 +28,7 @@ LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 MASK_SHARE = 0.5
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
+AT_ONCE = 64  # poses drawn for several touches in one turn; more poses take one turn for each touch
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
 Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
@@ -150,8 +151,12 @@ def compute_imprint_ious(
     `T_first_object` (K, 4, 4), metres, is in the first sensor's frame. `pixels` and `freedom_m` are as for
     `Scene.compare_imprints`.
     """
-    pause()
-    return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
+    ious: list[NDArray[np.float64]] = []
+    for view in views:
+        if len(T_first_object) > AT_ONCE or not ious:
+            pause()
+        ious.append(view.imprint_ious(T_first_object, pixels, freedom_m))
+    return np.stack(ious, axis=1)
 
 
 def compare_where_seen(

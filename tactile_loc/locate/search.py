@@ -153,6 +153,7 @@ class PlaceSearch:
             return self._match_mask(touch, count)
         compared_m = touch.geometry.gel.find_compared_m(touch.press_depth_m)
         matcher = self._banks.matcher(compared_m)
+        pause()
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.encoder, cut_m, self.yaws_rad)
         similar = matcher.scores(*codes)

@@ -148,7 +148,9 @@ class ModeFilter:
             if surprise > self.options.slip_surprise:
                 creep = estimate_motion_errors(np.diag(self._slip_std**2), T_base_gel, known.T_base_object)
                 slipped.append(Mode(known.predict(creep).update(seen, 1.0), T, covariance, surprise=surprise))
-        ious = self.explain(slipped, [touch]) if slipped else []
+        if not slipped:
+            return []
+        ious = self.explain(slipped, [touch])
         nats = compute_nats(np.array(ious), 1)
         return self.keep_distinct(
             [
@@ -239,7 +241,7 @@ class ModeFilter:
         """Return a pose (4, 4), metres, registered to a touch with a covariance (6, 6), in the filter's form."""
         std_m, std_rad = (0.0, 0.0) if self.relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
-        common = self.options.common
+        common, covariance = self.options.common, self.options.touch_noise * covariance
         return SeenPose(
             np.asarray(touch.T_base_sensor), T_sensor_object, common * covariance, (1 - common) * covariance, sensor,
             self.gel_m,

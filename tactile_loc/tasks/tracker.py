@@ -32,6 +32,7 @@ from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 Floats = NDArray[np.float64]
 
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
+LEAST_FOLLOWED = 5  # touches that a track must have followed before it can show a slip
 EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
 
 
@@ -87,6 +88,7 @@ class Tracker:
         self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
         # the search before a touch that no mode explains; the search under way then looks for another pose
         self._undoubted: KeySearch | None = None
+        self._followed = 0  # touches since the start
         self._doubts = 0  # consecutive touches that the likeliest mode explains far worse than before
 
     def update(
@@ -118,9 +120,13 @@ class Tracker:
         """Follow the modes to a touch, look for a slip, and search on."""
         before, alike = self._modes, self._alike
         self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
-        doubted = bool(self._modes) and self._trust.doubts(self._modes[0].predicted_iou)
-        self._doubts = self._doubts + 1 if doubted else 0
-        slipped = self._suspects_slip(doubted) and self._slip(before, touch, alike)
+        self._followed += 1
+        clear = measure_contact_percent(touch) >= self.options.clear_percent
+        doubted = clear and bool(self._modes) and self._trust.doubts(self._modes[0].predicted_iou)
+        self._doubts = self._doubts + doubted if doubted or not clear else 0
+        slipped = clear and self._suspects_slip(doubted) and self._slip(before, touch, alike)
+        if clear and not doubted and self._undoubted is not None:
+            self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad
         if not slipped and self._doubts == MOST_DOUBTS and self._undoubted is None:
             self._search, self._undoubted = self._search.restart(touch), self._search
         elif not slipped and self._search.is_new_place(touch):
@@ -148,14 +154,18 @@ class Tracker:
 
     def _suspects_slip(self, doubted: bool) -> bool:
         """Return whether a certain mode's registration to the touch leads surprisingly far."""
-        surprise = self._modes[0].surprise if self._modes and self._trust.limit is Verdict.CERTAIN else 0.0
+        if self._trust.limit is not Verdict.CERTAIN or self._followed < LEAST_FOLLOWED:
+            return False
+        surprise = self._modes[0].surprise
         return surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE)
 
     def _slip(self, before: Sequence[Mode], touch: Touch, alike: float) -> bool:
         """Look for poses to which the modes may have slipped since `before`; return whether one was accepted."""
-        slipped = self._filter.find_slipped(before, touch, alike)
-        if not slipped or slipped[0].imprint_iou < self._modes[0].predicted_iou + self.options.slip_iou:
+        slipped, tracked = self._filter.find_slipped(before, touch, alike), self._modes[0]
+        if not slipped or slipped[0].imprint_iou < tracked.predicted_iou + self.options.slip_iou:
             return False
+        if tracked.surprise < self.options.slip_surprise and self._trust.doubts(slipped[0].imprint_iou):
+            return False  # the touch is bad: no pose explains it as well as usual
         prior = self._filter.make_slip_prior(before[0], np.asarray(touch.T_base_sensor))
         self._modes, self._search, self._undoubted = slipped, self._search.restart(touch, prior), None
         self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.0, slipped[0].imprint_iou)
@@ -166,17 +176,17 @@ class Tracker:
 
         If the modes were doubted, and the search found no pose that explains its touches clearly better, they stay.
         """
-        found, keys, undoubted = finished.found, finished.keys, self._undoubted
-        self._undoubted = None
+        found, keys = finished.found, finished.keys
         if found is None:
             if not self._modes:
                 self._trust = self._trust.restart(Verdict.NOT_FOUND, 0.0, 0.0)
             return
         new = self._filter.find_all(found, keys[0])
         iou, *tracked = self._filter.explain([new[0], *self._modes], keys)
-        if undoubted and iou < max(tracked) + self.options.fall_iou:
-            self._search = undoubted  # the touches are bad, and the track is right
-            return
+        if self._undoubted is not None:
+            if (iou - max(tracked)) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
+                return  # a few bad touches do not end a track
+            self._undoubted = None
         self._modes = self._filter.view_from(self._filter.renew(self._modes, new), np.asarray(self._T_base_sensor))
         self._trust = self._trust.restart(found.verdict, found.probability_within(), iou, len(keys))
         if self._trust.settled:
@@ -223,3 +233,9 @@ class Tracker:
             p = self._trust.share(np.exp([mode.nats - self._modes[0].nats for mode in self._modes]))
         verdict = self._trust.judge(bool(self._modes), imprint_iou, touched)
         return TrackedPose(self._time_s, verdict, T, covariances, p, imprint_iou, searched, slipped)
+
+
+def measure_contact_percent(touch: Touch) -> float:
+    """Return the share of the observed pixels that are in contact, percent."""
+    observed = touch.geometry.observed_mask
+    return float(100 * (touch.contact_shape.contact & observed).sum() / observed.sum())

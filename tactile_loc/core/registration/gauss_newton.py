@@ -20,7 +20,7 @@ from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
 from tactile_loc.core.turns import pause
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
-AT_ONCE = 1500  # steps of single poses with single touches in one turn, a few milliseconds
+AT_ONCE = 750  # steps of single poses with single touches in one turn, a few milliseconds
 Floats = NDArray[np.float64]
 
 
