@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-
-from insertion import is_seated, measure_depth_m
+from insertion import is_inserted, measure_depth_m
 from methods import METHODS, Bench, Started
+from numpy.typing import NDArray
 from robot import Robot
 from scene import build_model
 from shapes import PARTS, TIP_Z_M, Part
-from tactile_loc import StageStore, TactileLocError
-from tactile_loc.plugin import invert, make_translation
 from touching import Gels, make_localizer
 from trials import Trial
+
+from tactile_loc import StageStore, TactileLocError
+from tactile_loc.plugin import invert, make_translation
 
 Pose = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Record:
     outcome: str
     time_s: float
     touches: int
-    grasps: int
+    placements: list[str]
     peak_force_n: float
     depth_mm: float
     errors: dict[str, float]
@@ -95,15 +95,15 @@ class Experiment:
 def make_record(name: str, trial: Trial, bench: Bench, time_s: float, error: str) -> Record:
     """Return the record of a finished method; `error` is the message that ended it, or ""."""
     robot, part, started = bench.robot, bench.part, bench.started
-    success = started is not None and not error and is_seated(robot, part)
-    outcome = error or ("inserted" if success else "stopped" if started is None else "not seated")
+    success = started is not None and not error and is_inserted(robot, part)
+    outcome = error or ("inserted" if success else "stopped" if started is None else "not inserted")
     slip_m = 0.0
     if started is not None:
         now = invert(robot.T_world_gripper) @ robot.T_world_part
         slip_m = float(np.linalg.norm((now - started.T_true) @ [0, 0, TIP_Z_M, 1]))
     return Record(
         trial.number, trial.part, trial.clearance_mm, trial.seed, name, success, outcome, round(time_s, 3),
-        len(bench.touches), bench.grasps, round(robot.peak_force_n, 2), round(1e3 * measure_depth_m(robot), 3),
+        len(bench.touches), bench.placements, round(robot.peak_force_n, 2), round(1e3 * measure_depth_m(robot), 3),
         measure_errors(started, part), round(1e3 * slip_m, 3), [found.verdict.value for found in bench.log],
     )  # fmt: skip
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-
 from robot import Robot
 from shapes import SEAT_Z_M, TIP_Z_M, Part
+
 from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about, rotation_angle
 
 Pose = NDArray[np.float64]
 
 ABOVE_M, OVERSHOOT_M = 5e-3, 5e-4  # where the tip starts above the plate; how far beyond its seat the part is moved
-LOWERING_M_S = 0.02
-STOP_N = 40.0  # the arm stops at this force between part and plate
+LOWERING_M_S, SEARCH_M_S = 0.02, 0.03
+STOP_N = 40.0  # the arm stops at this force between part and plate, which counts as damage
 SEATED_M = 1e-3  # a part is inserted if at most this much of its depth is missing
-CONTACT_N, SEARCH_N = 5.0, 8.0  # of the blind search: force at first contact, force while it searches
+CONTACT_N, SEARCH_N, PUSH_N = 5.0, 8.0, 25.0  # of the blind search: at first contact, while it slides, at the end
 PITCH_M, SEARCH_RADIUS_M, FALL_M = 1e-3, 10e-3, 1.5e-3
 
 
@@ -46,12 +46,12 @@ def search_blindly(robot: Robot, T_gripper_part: Pose, part: Part) -> None:
     for angle_rad in angles_rad:
         radius_m = PITCH_M * angle_rad / (2 * np.pi)
         shift_m = [radius_m * np.cos(angle_rad), radius_m * np.sin(angle_rad), 0]
-        if not robot.move(make_translation(shift_m) @ pushed, LOWERING_M_S, STOP_N, fell):
+        if not robot.move(make_translation(shift_m) @ pushed, SEARCH_M_S, STOP_N, fell):
             break
     if fell(robot):
         seat = robot.T_world_gripper
         seat[2, 3] = touched[2, 3] - part.depth_m - ABOVE_M
-        robot.move(seat, LOWERING_M_S, STOP_N)
+        robot.move(seat, LOWERING_M_S, PUSH_N)
     robot.wait(0.1)
 
 
@@ -73,6 +73,6 @@ def measure_depth_m(robot: Robot) -> float:
     return float(max(0.0, -tip_m[2])) if np.hypot(*tip_m[:2]) < 2e-3 else 0.0
 
 
-def is_seated(robot: Robot, part: Part) -> bool:
-    """Return whether the part is inserted as deep as it has to be."""
-    return measure_depth_m(robot) >= part.depth_m - SEATED_M
+def is_inserted(robot: Robot, part: Part) -> bool:
+    """Return whether the part is as deep as it has to be, and the arm never had to stop."""
+    return robot.peak_force_n < STOP_N and measure_depth_m(robot) >= part.depth_m - SEATED_M

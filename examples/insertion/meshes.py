@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import trimesh
-
 from shapes import Part
+
+from tactile_loc.store.files import write_atomically
 
 
 def build_surface(part: Part) -> trimesh.Trimesh:
@@ -17,9 +17,8 @@ def build_surface(part: Part) -> trimesh.Trimesh:
 
 
 def write_mesh(part: Part, folder: Path) -> Path:
-    """Write a part's surface as a PLY file in metres, unless it is there, and return the file's path."""
+    """Write a part's surface as a PLY file in metres, and return the file's path."""
     path = folder / f"{part.name}.ply"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        build_surface(part).export(path)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, lambda temporary: temporary.write_bytes(build_surface(part).export(file_type="ply")))
     return path

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
-
-from controller import Action, choose_placement, decide, list_placements, measure_tip_std_m
+from controller import Action, Placement, TipEstimate, choose_placement, decide, list_placements
 from insertion import insert, search_blindly
+from numpy.typing import NDArray
 from robot import Robot
 from shapes import Part
+from touching import Gels
+
 from tactile_loc import GaussianPrior, Localization, Touch, localize_together
 from tactile_loc.plugin import Prior, invert
-from touching import Gels
 
 Pose = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Bench:
     rng: np.random.Generator
     log: list[Localization] = field(default_factory=list)
     touches: list[Touch] = field(default_factory=list)
-    grasps: int = 1
+    placements: list[str] = field(default_factory=lambda: ["nominal"])
     started: Started | None = None
 
     def insert(self, T_gripper_part: Pose, how: Callable[[Robot, Pose, Part], None] = insert) -> None:
@@ -55,13 +55,13 @@ class Bench:
         """Add the touches that the gels measure now."""
         self.touches += self.gels.touch(self.robot, self.rng)
 
-    def regrasp(self, T_world_gripper: Pose) -> None:
-        """Clamp the part, and grasp it at another placement (4, 4), metres, with a soft arm."""
+    def regrasp(self, placement: Placement) -> None:
+        """Clamp the part, and grasp it at another placement, with a soft arm."""
         self.robot.clamp()
         self.robot.open()
-        self.robot.move(T_world_gripper)
+        self.robot.move(placement.T_world_gripper)
         self.robot.grasp(soft_arm=True)
-        self.grasps += 1
+        self.placements.append(placement.name)
 
     def locate(self, prior: Prior) -> Localization:
         """Locate the part from all touches. The prior is over poses in the world."""
@@ -90,16 +90,16 @@ def insert_after_first_touch(bench: Bench) -> None:
 
 
 def insert_when_certain(bench: Bench) -> None:
-    """(c) Touch until the verdict is certain and the tip's standard deviation is small; then insert."""
+    """(c) Touch until the verdict is certain and the tip is known well enough; then insert."""
     robot, prior = bench.robot, bench.expect_nominal()
     bench.touch()
     while True:
         found = bench.locate(prior)
-        action = decide(found.verdict, measure_tip_std_m(found), bench.grasps)
+        action = decide(found.verdict, TipEstimate.of(found), len(bench.placements))
         if action is not Action.TOUCH:
             break
-        placement = choose_placement(found, list_placements(found.best.T_base_object, bench.part))
-        bench.regrasp(placement.T_world_gripper)
+        placements = list_placements(found.best.T_base_object, bench.part)
+        bench.regrasp(choose_placement(found, placements, bench.placements))
         bench.touch()
     if action is Action.INSERT:
         T_gripper_part = invert(robot.T_world_gripper) @ found.best.T_base_object

@@ -7,15 +7,15 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scene import ARM_DAMPING, ARM_STIFFNESS, AXES, OPEN_M, TIMESTEP_S
 from scipy.spatial.transform import Rotation, Slerp
 
-from scene import ARM_DAMPING, ARM_STIFFNESS, AXES, OPEN_M, TIMESTEP_S
 from tactile_loc.plugin import make_transform
 
 Pose = NDArray[np.float64]
 
 TICK_STEPS = 5  # steps of the engine between two targets, and between two readings of the force
-GRIP_N, OPENING_N = 20.0, -6.0  # force of each finger
+GRIP_N, OPENING_N = 20.0, -2.0  # force of each finger
 SOFT = 0.02  # share of the arm's stiffness while the gripper closes on a clamped part
 SPEED_M_S, TURN_RAD_S = 0.15, 1.5
 CLAMPS = {"soft": (0.05, 1.0), "hard": (0.002, 1.0)}  # time constant and damping ratio of the clamp
@@ -126,9 +126,13 @@ class Robot:
             Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).magnitude() / TURN_RAD_S,
         )
         ticks = max(1, round(duration_s / (TICK_STEPS * TIMESTEP_S)))
-        for share in np.arange(1, ticks + 1) / ticks:
-            self._target = make_transform(turn(share).as_matrix(), (1 - share) * start[:3, 3] + share * end[:3, 3])
-            self.data.ctrl[:6] = find_joints(self._target)
+        share = np.arange(1, ticks + 1)[:, None] / ticks
+        positions_m = (1 - share) * start[:3, 3] + share * end[:3, 3]
+        rotations = turn(share[:, 0])
+        angles_rad = rotations.as_euler("ZYX")
+        for k in range(ticks):
+            self._target = make_transform(rotations[k].as_matrix(), positions_m[k])
+            self.data.ctrl[:6] = [*positions_m[k], *angles_rad[k]]
             if self._tick() > stop_n or (until is not None and until(self)):
                 return False
         return True

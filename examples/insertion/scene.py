@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-
 from shapes import Part, Points, make_hole
 
 GEL_X_M, GEL_Z_M, GEL_THICK_M = 15.2e-3, 20.3e-3, 4e-3
@@ -16,8 +15,8 @@ CELLS_X, CELLS_Z = 2, 2  # the gel is a grid of boxes, so that an area touches i
 OPEN_M = 16e-3  # from the gripper's middle to a gel of the open gripper
 TIMESTEP_S = 1e-3
 DENSITY = 1500.0  # of parts, kg/m^3
-ARM_STIFFNESS = (2000.0, 2000.0, 3000.0, 20.0, 20.0, 20.0)  # N/m along x, y, z; N m/rad about z, y, x
-ARM_DAMPING = (90.0, 90.0, 110.0, 0.4, 0.4, 0.4)
+ARM_STIFFNESS = (2000.0, 2000.0, 3000.0, 5.0, 5.0, 5.0)  # N/m along x, y, z; N m/rad about z, y, x
+ARM_DAMPING = (90.0, 90.0, 110.0, 0.2, 0.2, 0.2)
 AXES = ("x", "y", "z", "yaw", "pitch", "roll")
 GEL_CONTACT = 'solref="0.005 1" solimp="0.5 0.95 0.0006" friction="1.2 0.005 0.0001"'
 HOLE_CONTACT = 'solref="0.002 1" solimp="0.95 0.99 0.0001" friction="0.25 0.005 0.0001"'

@@ -14,7 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 Points = NDArray[np.float64]
 
 SIDES = 64  # of the polygons that stand for circles
-TIP_Z_M, SEAT_Z_M = -44e-3, -26e-3  # the shank's tip; the height at which the plate's surface is when the part is seated
+TIP_Z_M, SEAT_Z_M = (
+    -44e-3,
+    -26e-3,
+)  # the shank's tip; the height at which the plate's surface is when the part is seated
 TIP_CHAMFER_M, MOUTH_CHAMFER_M = 5e-4, 5e-4
 WALL_M, SPARE_DEPTH_M, BOTTOM_M = 25e-3, 2e-3, 3e-3
 
@@ -49,7 +52,9 @@ def make_peg() -> Part:
     handle = tuple(extrude(clip(disc, normal, limit_m), *z) for normal, limit_m in cuts)
     shank = make_rectangle(9e-3, 9e-3)
     yaws_deg = (0.0, 30.0, 60.0, 90.0, -30.0, -60.0)
-    return Part("peg", (*handle, make_shank(shank, z[0])), shank, yaws_deg, make_shifts((0,), (-6e-3, 0, 8e-3, 16e-3)), 4)
+    return Part(
+        "peg", (*handle, make_shank(shank, z[0])), shank, yaws_deg, make_shifts((0,), (-6e-3, 0, 8e-3, 16e-3)), 4
+    )
 
 
 def make_plug() -> Part:
@@ -63,11 +68,11 @@ def make_plug() -> Part:
 
 
 def make_bolt() -> Part:
-    """Return a bolt with a hexagonal head and a round shank."""
+    """Return a bolt with a long hexagonal head and a round shank."""
     head, shank = make_circle(7e-3 / np.cos(np.pi / 6), 6), make_circle(4e-3)
-    z = (-6e-3, 9e-3)
+    z = (-16e-3, 20e-3)
     yaws_deg = (0.0, 60.0, -60.0, 30.0, 90.0, -30.0)
-    shifts_m = make_shifts((0,), (-4e-3, 0, 5e-3))
+    shifts_m = make_shifts((0,), (-6e-3, 0, 8e-3, 14e-3))
     return Part("bolt", (extrude(head, *z), make_shank(shank, z[0])), shank, yaws_deg, shifts_m, 12)
 
 
@@ -91,8 +96,7 @@ def make_hole(shank: Points, clearance_m: float) -> tuple[Points, ...]:
     depth_m = SEAT_Z_M - TIP_Z_M + SPARE_DEPTH_M
     rings = [(wall, -depth_m), (wall, -MOUTH_CHAMFER_M), (mouth, 0.0), (outer, 0.0), (outer, -depth_m)]
     sides = tuple(
-        np.concatenate([place(ring[[k, (k + 1) % len(shank)]], z_m) for ring, z_m in rings])
-        for k in range(len(shank))
+        np.concatenate([place(ring[[k, (k + 1) % len(shank)]], z_m) for ring, z_m in rings]) for k in range(len(shank))
     )
     return (*sides, extrude(outer, -depth_m - BOTTOM_M, -depth_m))
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
 from shapes import PARTS
+
 from tactile_loc.plugin import make_transform
 
 Pose = NDArray[np.float64]
