@@ -25,7 +25,10 @@ def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespac
     parser.add_argument("--figure", type=Path, metavar="PNG", help="draw success rates and forces")
     parser.add_argument("--video", type=Path, metavar="FILE", help="write a video (webm or gif) of one trial, and stop")
     parser.add_argument("--video-trial", type=int, default=0, help="number of the trial in the video (default 0)")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.trials < 1 or min(options.first_seed, options.video_trial) < 0:
+        parser.error("--trials needs a number above 0; --first-seed and --video-trial need 0 or more")
+    return options
 
 
 def run(options: argparse.Namespace) -> None:
@@ -44,6 +47,8 @@ def run(options: argparse.Namespace) -> None:
     path = options.out / NAME
     trials = trials[: options.trials]
     finished = read_records(path, trials)
+    if len(finished) < len(trials):
+        show_progress(f"{len(finished)} of {len(trials)} trials are finished; the first one of each part takes longer")
     for trial in trials:
         if trial.number in finished:
             continue

@@ -20,6 +20,25 @@ ARM_DAMPING = (90.0, 90.0, 110.0, 0.2, 0.2, 0.2)
 AXES = ("x", "y", "z", "yaw", "pitch", "roll")
 GEL_CONTACT = 'solref="0.005 1" solimp="0.5 0.95 0.0006" friction="1.2 0.005 0.0001"'
 HOLE_CONTACT = 'solref="0.002 1" solimp="0.95 0.99 0.0001" friction="0.25 0.005 0.0001"'
+OPTIONS = (
+    f'<option timestep="{TIMESTEP_S}" integrator="implicitfast" cone="elliptic" impratio="10" noslip_iterations="2"/>'
+)
+LOOK = (
+    '<visual><headlight ambient=".45 .45 .45" diffuse=".5 .5 .5" specular=".1 .1 .1"/>'
+    '<global offwidth="960" offheight="720"/> <map znear="0.01"/></visual>'
+)
+SKY = '<texture name="sky" type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="8" height="8"/>'
+LIGHT = '<light pos="-0.2 -0.4 0.6" dir="0.3 0.6 -1" diffuse=".4 .4 .4"/>'
+CLAMP = '<geom name="clamp" type="box" size=".004 .004 .002" contype="0" conaffinity="0" rgba="0 0 0 0"/>'
+PALM = (
+    '<inertial pos="0 0 .05" mass="0.8" diaginertia="2e-3 2e-3 2e-3"/>'
+    '<geom type="box" pos="0 0 .062" size=".012 .034 .008" contype="0" conaffinity="0" rgba=".25 .28 .33 1"/>'
+    '<geom type="cylinder" pos="0 0 .09" size=".014 .02" contype="0" conaffinity="0" rgba=".25 .28 .33 1"/>'
+)
+EQUALITIES = (
+    '<weld name="clamp" body1="clamp" body2="part" relpose="0 0 0 1 0 0 0" active="false"/>'
+    '<joint joint1="left" joint2="right" solref="0.002 1" solimp=".99 .999 .001"/>'
+)
 
 
 def build_model(part: Part, clearance_m: float) -> mujoco.MjModel:
@@ -49,37 +68,19 @@ def write_xml(part: Part, clearance_m: float) -> str:
         f'<position joint="{name}" kp="{kp}" kv="{kv}"/>'
         for name, kp, kv in zip(AXES, ARM_STIFFNESS, ARM_DAMPING, strict=True)
     )
-    return f"""
-<mujoco>
-  <compiler angle="radian"/>
-  <option timestep="{TIMESTEP_S}" integrator="implicitfast" cone="elliptic" impratio="10" noslip_iterations="2"/>
-  <visual>
-    <headlight ambient=".45 .45 .45" diffuse=".5 .5 .5" specular=".1 .1 .1"/>
-    <global offwidth="960" offheight="720"/> <map znear="0.01"/>
-  </visual>
-  <asset>{assets}
-    <texture name="sky" type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="8" height="8"/>
-  </asset>
-  <worldbody>
-    <light pos="-0.2 -0.4 0.6" dir="0.3 0.6 -1" diffuse=".4 .4 .4"/>
-    <body name="plate">{walls}</body>
-    <body name="clamp" mocap="true">
-      <geom name="clamp" type="box" size=".004 .004 .002" contype="0" conaffinity="0" rgba="0 0 0 0"/>
-    </body>
-    <body name="part"><freejoint/>{pieces}</body>
-    <body name="gripper" gravcomp="1">{joints}
-      <inertial pos="0 0 .05" mass="0.8" diaginertia="2e-3 2e-3 2e-3"/>
-      <geom type="box" pos="0 0 .062" size=".012 .034 .008" contype="0" conaffinity="0" rgba=".25 .28 .33 1"/>
-      <geom type="cylinder" pos="0 0 .09" size=".014 .02" contype="0" conaffinity="0" rgba=".25 .28 .33 1"/>
-      {_write_finger("left", -1)}{_write_finger("right", 1)}
-    </body>
-  </worldbody>
-  <equality>
-    <weld name="clamp" body1="clamp" body2="part" relpose="0 0 0 1 0 0 0" active="false"/>
-    <joint joint1="left" joint2="right" solref="0.002 1" solimp=".99 .999 .001"/>
-  </equality>
-  <actuator>{motors}<motor name="left" joint="left"/><motor name="right" joint="right"/></actuator>
-</mujoco>"""
+    fingers = _write_finger("left", -1) + _write_finger("right", 1)
+    return "\n".join([
+        "<mujoco>", '<compiler angle="radian"/>', OPTIONS, LOOK,
+        f"<asset>{assets}{SKY}</asset>",
+        "<worldbody>", LIGHT,
+        f'<body name="plate">{walls}</body>',
+        f'<body name="clamp" mocap="true">{CLAMP}</body>',
+        f'<body name="part"><freejoint/>{pieces}</body>',
+        f'<body name="gripper" gravcomp="1">{joints}{PALM}{fingers}</body>',
+        "</worldbody>", f"<equality>{EQUALITIES}</equality>",
+        f'<actuator>{motors}<motor name="left" joint="left"/><motor name="right" joint="right"/></actuator>',
+        "</mujoco>",
+    ])  # fmt: skip
 
 
 def _write_finger(name: str, side: int) -> str:

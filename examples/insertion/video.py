@@ -76,9 +76,9 @@ class Camera:
 
     def _draw_scene(self, robot: Robot) -> Image8:
         view = mujoco.MjvCamera()
-        middle_m = 0.5 * robot.T_world_gripper[:3, 3]
-        view.lookat[:] = [middle_m[0], 0, max(0.02, middle_m[2])]
-        view.distance, view.azimuth, view.elevation = 0.36, 118, -16
+        middle_m = robot.T_world_gripper[:3, 3]
+        view.lookat[:] = [0.55 * middle_m[0], 0, 0.6 * middle_m[2]]
+        view.distance, view.azimuth, view.elevation = 0.3, 112, -14
         self.renderer.update_scene(robot.data, view)
         return self.renderer.render()
 
@@ -86,7 +86,11 @@ class Camera:
         bench, large, small = self.bench, ImageFont.load_default(20), ImageFont.load_default(14)
         verdict = bench.log[-1].verdict.value if bench.log else "no verdict yet"
         pen.text((x, y), verdict, fill=VERDICT_COLOURS.get(verdict, "black"), font=large)
-        lines = [bench.log[-1].count_explanations() if bench.log else ""]
+        lines = [
+            f"within {bench.log[-1].tolerance.describe()}: {bench.log[-1].probability_within():.0%}"
+            if bench.log
+            else ""
+        ]
         lines += [f"grasp {len(bench.placements)}: {bench.placements[-1]}", f"touches: {len(bench.touches)}"]
         lines.append("inserting" if bench.started is not None else "locating")
         lines.append(f"{self.trial.part}, clearance {self.trial.clearance_mm} mm")

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
 
 from experiment import HOME, Experiment, measure_errors
-from insertion import choose_goal, is_inserted, measure_depth_m
+from insertion import STOP_N, choose_goal, insert, is_inserted, measure_depth_m
 from meshes import build_surface
 from methods import Started
 from robot import Robot, find_joints
@@ -30,13 +30,20 @@ def experiment(tmp_path, store):
 
 @pytest.mark.parametrize("name", PARTS)
 def test_the_engine_collides_the_surface_that_the_gels_feel(name):
-    part = PARTS[name]()
-    model = build_model(part, 3e-4)
-    mass = model.body_mass[model.body("part").id]
-    hulls = sum(m.volume for m in [build_surface(part)])
-    assert mass > 0
-    assert np.ptp(build_surface(part).vertices, axis=0).max() > 0.04
-    assert hulls > 0
+    """The corners of the engine's pieces, in the part's frame, reach exactly as far as the surface along each axis."""
+    model = build_model(PARTS[name](), 3e-4)
+    robot = Robot(model)
+    robot.place(HOME, np.eye(4))
+    corners = []
+    for geom in np.flatnonzero(model.geom_bodyid == model.body("part").id):
+        mesh = model.geom_dataid[geom]
+        start = model.mesh_vertadr[mesh]
+        vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
+        corners.append(vertices @ robot.data.geom_xmat[geom].reshape(3, 3).T + robot.data.geom_xpos[geom])
+    corners = np.concatenate(corners)
+    np.testing.assert_allclose(
+        [corners.min(axis=0), corners.max(axis=0)], build_surface(PARTS[name]()).bounds, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -45,16 +52,12 @@ def test_an_exactly_known_part_is_inserted(name, experiment):
     robot, start = experiment.start(trial)
     robot.restore(start)
     part = PARTS[name]()
-    from insertion import insert
-
     insert(robot, invert(robot.T_world_gripper) @ robot.T_world_part, part)
     assert is_inserted(robot, part)
     assert measure_depth_m(robot) > part.depth_m - 1e-3
 
 
 def test_a_part_beside_the_hole_is_not_inserted_and_the_arm_stops(experiment):
-    from insertion import STOP_N, insert
-
     robot, start = experiment.start(BY_PART["peg"])
     robot.restore(start)
     believed = make_translation([0, 3e-3, 0]) @ invert(robot.T_world_gripper) @ robot.T_world_part
