@@ -14,7 +14,7 @@ from shapes import Part
 from touching import Gels
 
 from tactile_loc import GaussianPrior, Localization, Touch, localize_together
-from tactile_loc.plugin import Prior, invert
+from tactile_loc.plugin import TouchError, invert
 
 Pose = NDArray[np.float64]
 
@@ -52,8 +52,10 @@ class Bench:
         how(self.robot, T_gripper_part, self.part)
 
     def touch(self) -> None:
-        """Add the touches that the gels measure now."""
+        """Add the touches that the gels measure now. Raises TouchError if no gel has felt the part so far."""
         self.touches += self.gels.touch(self.robot, self.rng)
+        if not self.touches:
+            raise TouchError("neither gel feels the part; grasp it nearer to its middle")
 
     def regrasp(self, placement: Placement) -> None:
         """Clamp the part, and grasp it at another placement, with a soft arm."""
@@ -63,7 +65,7 @@ class Bench:
         self.robot.grasp(soft_arm=True)
         self.placements.append(placement.name)
 
-    def locate(self, prior: Prior) -> Localization:
+    def locate(self, prior: GaussianPrior) -> Localization:
         """Locate the part from all touches. The prior is over poses in the world."""
         localizer, first = self.gels.localizer, self.touches[0]
         observations = [(localizer, touch) for touch in self.touches]

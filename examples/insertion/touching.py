@@ -77,7 +77,7 @@ class Gels:
             press_m = float(contact[0, 2, 3] - T_sensor_part[2, 3])
             if not touching[0] or press_m < LEAST_PRESS_M:
                 continue
-            press_m = min(press_m, geometry.max_depth_m)
+            press_m = min(press_m, geometry.max_depth_m)  # a deeper press saturates
             drawn = self.robot_touches.draw_touch(T_sensor_part, press_m, f"{side}-{robot.time_s:.1f}s", rng)
             if isinstance(drawn, Touch):  # its base frame is the part's; the world is known to the robot
                 touches.append(replace(drawn, T_base_sensor=robot.T_world_part @ drawn.T_base_sensor))

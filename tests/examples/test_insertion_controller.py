@@ -1,4 +1,4 @@
-"""examples/insertion: decisions, the estimate of the tip, placements and trials; without the engine."""
+"""examples/insertion: decisions, the estimate of the tip, placements and trials, with fake results."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
+pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
+
+import controller
 from controller import (
     MOST_GRASPS,
     MOST_STD_M,
@@ -79,6 +83,37 @@ def test_all_placements_hold_the_upright_part(name):
         gripper = invert(T) @ placement.T_world_gripper
         assert gripper[2, 2] == pytest.approx(1.0)
         assert -10e-3 < gripper[2, 3] < 20e-3
+
+
+def rate(monkeypatch, gains, blocked=()):
+    """Let `choose_next_touch` return these gains of single gels, and these approaches out of reach, by placement."""
+    ranked = [SimpleNamespace(approach=SimpleNamespace(name=str(k)), information=gain) for k, gain in gains]
+    outside = [(SimpleNamespace(name=str(k)), "would start inside") for k in blocked]
+    monkeypatch.setattr(controller, "spread_modes", lambda found: found)
+    monkeypatch.setattr(
+        controller, "choose_next_touch", lambda found, approaches: SimpleNamespace(ranked=ranked, out_of_reach=outside)
+    )
+    return SimpleNamespace(touch=SimpleNamespace(geometry=SimpleNamespace(surface_m=0.01)))
+
+
+def test_the_placement_whose_two_gels_tell_most_is_chosen(monkeypatch):
+    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
+    found = rate(monkeypatch, [(0, 0.9), (1, 0.6), (1, 0.5), (2, 0.8)])
+    assert controller.choose_placement(found, placements) is placements[1]
+
+
+def test_a_placement_with_a_gel_that_cannot_start_is_left_out(monkeypatch):
+    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
+    found = rate(monkeypatch, [(0, 0.9), (1, 2.0), (2, 0.8)], blocked=[1])
+    assert controller.choose_placement(found, placements) is placements[0]
+
+
+def test_a_used_placement_is_the_last_resort(monkeypatch):
+    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
+    found = rate(monkeypatch, [(0, 0.9), (1, 0.1)])
+    assert controller.choose_placement(found, placements, [placements[0].name]) is placements[1]
+    used = [placement.name for placement in placements]
+    assert controller.choose_placement(found, placements, used) is placements[0]
 
 
 def test_a_pose_moves_by_an_error_in_the_world():
