@@ -26,7 +26,7 @@ def draw_comparison(records: Sequence[Record], path: Path) -> None:
         share, (low, high) = won / len(some), compute_interval(won, len(some))
         rates.bar(k, 100 * share, color=COLOURS[name], width=0.65)
         rates.errorbar(k, 100 * share, [[100 * (share - low)], [100 * (high - share)]], color="0.1", capsize=4)
-        rates.text(k, 3, f"{won} of {len(some)}", ha="center", color="white", fontsize=8)
+        rates.text(k, 100 * high + 2, f"{won} of {len(some)}", ha="center", fontsize=8)
         for success, marker in ((True, "o"), (False, "x")):
             these = [record.peak_force_n for record in some if record.success == success]
             forces.scatter(
@@ -34,7 +34,7 @@ def draw_comparison(records: Sequence[Record], path: Path) -> None:
             )
     forces.axhline(STOP_N, color="0.4", ls="--", lw=1)
     forces.annotate("the arm stops", (-0.4, STOP_N + 0.8), fontsize=8, color="0.3")
-    rates.set(ylabel="inserted, %", ylim=(0, 105), xticks=range(len(names)))
+    rates.set(ylabel="inserted, %", ylim=(0, 110), xticks=range(len(names)))
     forces.set(ylabel="peak force, N (cross: not inserted)", xticks=range(len(names)))
     for axes in (rates, forces):
         axes.set_xticklabels(names)
