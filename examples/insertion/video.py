@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import mujoco
@@ -43,8 +44,9 @@ class Camera:
         try:
             self.renderer = mujoco.Renderer(bench.robot.model, height, width)
         except (ImportError, RuntimeError, AttributeError) as error:
+            backend = os.environ.get("MUJOCO_GL", "")
             raise VideoError(
-                f"MuJoCo cannot draw: {error}; install libegl1, or libosmesa6 and set MUJOCO_GL"
+                f"MuJoCo cannot draw with {backend!r}; install libegl1, or libosmesa6 for OSMesa"
             ) from error
         self.frames: list[Image8] = []
         self.rng = np.random.default_rng(0)
