@@ -53,6 +53,7 @@ ELSEWHERE = {
     "notebooks.md": "test_notebooks.py",
     "app.md": "test_app_command.py",
     "benchmark.md": "test_docs_benchmark.py",
+    "story-insertion.md": "test_insertion_page.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

@@ -1,0 +1,127 @@
+"""The controller's decisions: insert, touch again at another placement of the gripper, or stop."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scene import OPEN_M
+from scipy.spatial.transform import Rotation
+from shapes import TIP_Z_M, Part
+from touching import open_gels
+
+from tactile_loc import Approach, Localization, PoseModes, Verdict, choose_next_touch
+from tactile_loc.plugin import cross_matrix, make_transform, make_translation, rotation_about
+
+Pose = NDArray[np.float64]
+
+MOST_GRASPS = 6
+MOST_STD_M = 3e-4  # of the tip, in the worst direction: the chamfers catch three times as much
+NEAR_M, LEAST_NEAR = 1e-3, 0.9  # the tip has to be within this distance, with this probability
+PRESS_M = 4e-4  # about the press of a grasp
+SPREAD = 2.0  # standard deviations, by which the first pose is moved to find a touch that measures it better
+OPEN_DIRECTIONS = 2  # the directions of the covariance in which it is moved
+
+
+class Action(StrEnum):
+    """The next action of the controller."""
+
+    INSERT = "insert"
+    TOUCH = "touch again"
+    STOP = "stop"
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A pose of the gripper (4, 4), metres, in which it can grasp the part, with its name."""
+
+    T_world_gripper: Pose
+    name: str
+
+
+@dataclass(frozen=True)
+class TipEstimate:
+    """How well the tip is known: its standard deviation in the worst direction, metres, and `near`, 0 to 1.
+
+    `near` is the probability of the listed poses whose tip is within NEAR_M of that of the first pose. The verdict
+    does not state this: it counts the mean distance between surfaces, and a long part may slide along itself.
+    """
+
+    std_m: float
+    near: float
+
+    @classmethod
+    def of(cls, found: Localization) -> TipEstimate:
+        """Estimate the tip of the first pose."""
+        covariance, T = found.best.covariance, np.stack([h.T_sensor_object for h in found.hypotheses])
+        p = np.array([h.probability for h in found.hypotheses])
+        tips_m = T[:, :3, 3] + T[:, :3, :3] @ [0, 0, TIP_Z_M]
+        near = np.linalg.norm(tips_m - tips_m[0], axis=1) <= NEAR_M
+        if covariance is None:
+            return cls(np.inf, float(p[near].sum() / p.sum()))
+        lever = np.hstack([np.eye(3), -cross_matrix(T[0, :3, :3] @ [0, 0, TIP_Z_M])])
+        variance = np.linalg.eigvalsh(lever @ covariance @ lever.T).max()
+        return cls(float(np.sqrt(variance)), float(p[near].sum() / p.sum()))
+
+
+def decide(verdict: Verdict, tip: TipEstimate, grasps: int) -> Action:
+    """Return the next action, given the verdict on all touches, the estimate of the tip, and the past grasps."""
+    if verdict is Verdict.CERTAIN and tip.std_m <= MOST_STD_M and tip.near >= LEAST_NEAR:
+        return Action.INSERT
+    return Action.TOUCH if grasps < MOST_GRASPS else Action.STOP
+
+
+def spread_modes(found: Localization) -> PoseModes:
+    """Return the possible poses in the world: the hypotheses, and the first one moved along its open directions."""
+    modes, best = PoseModes.of(found), found.best
+    if best.base_covariance is None:
+        return modes
+    values, vectors = np.linalg.eigh(best.base_covariance)
+    steps = SPREAD * np.sqrt(values[-OPEN_DIRECTIONS:]) * vectors[:, -OPEN_DIRECTIONS:]
+    moved = np.stack([move(best.T_base_object, sign * step) for step in steps.T for sign in (-1, 1)])
+    share = modes.probabilities[0] / (2 * len(moved))
+    probabilities = np.concatenate([modes.probabilities, np.full(len(moved), share)])
+    probabilities[0] /= 2
+    return replace(modes, T_base_object=np.concatenate([modes.T_base_object, moved]), probabilities=probabilities)
+
+
+def move(T: Pose, error: NDArray[np.float64]) -> Pose:
+    """Return a pose (4, 4), metres, moved by an error (6,): a shift, metres, and a rotation vector, radians."""
+    turn = Rotation.from_rotvec(error[3:]).as_matrix()
+    return make_transform(turn @ T[:3, :3], T[:3, 3] + error[:3])
+
+
+def list_placements(T_world_part: Pose, part: Part) -> list[Placement]:
+    """Return the placements in which the gripper can reach the clamped part, believed to be at (4, 4), metres."""
+    placements = []
+    for yaw_deg in part.yaws_deg:
+        turn = make_transform(rotation_about([0, 0, 1], np.radians(yaw_deg)), np.zeros(3))
+        for x_m, z_m in part.shifts_m:
+            name = f"yaw {yaw_deg:.0f} deg, x {1e3 * x_m:.0f} mm, z {1e3 * z_m:.0f} mm"
+            placements.append(Placement(T_world_part @ turn @ make_translation([x_m, 0, z_m]), name))
+    return placements
+
+
+def choose_placement(found: Localization, placements: Sequence[Placement], used: Collection[str] = ()) -> Placement:
+    """Return the placement whose two touches together have the greatest expected information gain.
+
+    The gain of a placement is the sum over its gels. Placements with a gel that cannot start are left out. Placements
+    whose names are in `used` are chosen only if nothing else is left.
+    """
+    surface_m = found.touch.geometry.surface_m
+    approaches = [
+        Approach(placement.T_world_gripper @ gel, PRESS_M, OPEN_M, name=str(number))
+        for number, placement in enumerate(placements)
+        for gel in open_gels(surface_m)
+    ]
+    chosen = choose_next_touch(spread_modes(found), approaches)
+    gains: dict[int, float] = defaultdict(float)
+    for rated in chosen.ranked:
+        gains[int(rated.approach.name)] += rated.information
+    for approach, _ in chosen.out_of_reach:
+        gains.pop(int(approach.name), None)
+    return placements[max(gains, key=lambda number: (placements[number].name not in used, gains[number]))]

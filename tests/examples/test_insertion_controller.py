@@ -1,0 +1,136 @@
+"""examples/insertion: decisions, the estimate of the tip, placements and trials, with fake results."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
+
+import controller
+from controller import (
+    MOST_GRASPS,
+    MOST_STD_M,
+    NEAR_M,
+    Action,
+    TipEstimate,
+    decide,
+    list_placements,
+    move,
+)
+from shapes import PARTS, TIP_Z_M
+from trials import CLEARANCES_MM, MOST_OFF_M, MOST_OFF_RAD, list_trials
+
+from tactile_loc import Verdict
+from tactile_loc.plugin import invert, make_translation, rotation_angle
+
+KNOWN = TipEstimate(std_m=0.5 * MOST_STD_M, near=0.99)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "tip", "grasps", "action"),
+    [
+        (Verdict.CERTAIN, KNOWN, 1, Action.INSERT),
+        (Verdict.CERTAIN, KNOWN, MOST_GRASPS, Action.INSERT),
+        (Verdict.AMBIGUOUS, KNOWN, 1, Action.TOUCH),
+        (Verdict.POOR_FIT, KNOWN, 2, Action.TOUCH),
+        (Verdict.NOT_FOUND, KNOWN, MOST_GRASPS, Action.STOP),
+        (Verdict.CERTAIN, TipEstimate(2 * MOST_STD_M, 0.99), 1, Action.TOUCH),
+        (Verdict.CERTAIN, TipEstimate(0.5 * MOST_STD_M, 0.5), 1, Action.TOUCH),
+        (Verdict.CERTAIN, TipEstimate(2 * MOST_STD_M, 0.99), MOST_GRASPS, Action.STOP),
+    ],
+)
+def test_the_controller_inserts_only_if_pose_and_tip_are_known(verdict, tip, grasps, action):
+    assert decide(verdict, tip, grasps) is action
+
+
+def fake_result(shifts_m, probabilities, covariance):
+    hypotheses = [
+        SimpleNamespace(T_sensor_object=make_translation(shift), probability=p, covariance=covariance)
+        for shift, p in zip(shifts_m, probabilities, strict=True)
+    ]
+    return SimpleNamespace(hypotheses=hypotheses, best=hypotheses[0])
+
+
+def test_the_tip_moves_with_the_rotation_of_the_part():
+    """A tilt by 1 degree moves the tip by its distance from the origin times 1 degree."""
+    tilt_rad = np.radians(1.0)
+    covariance = np.diag([1e-12] * 3 + [tilt_rad**2, 1e-12, 1e-12])
+    found = TipEstimate.of(fake_result([[0, 0, 0]], [1.0], covariance))
+    assert found.std_m == pytest.approx(-TIP_Z_M * tilt_rad, rel=1e-3)
+    assert found.near == 1.0
+
+
+def test_a_pose_with_another_tip_counts_against_the_first_one():
+    shifts = [[0, 0, 0], [0, 0, 0.5 * NEAR_M], [0, 0, 5 * NEAR_M]]
+    found = TipEstimate.of(fake_result(shifts, [0.4, 0.2, 0.2], 1e-8 * np.eye(6)))
+    assert found.near == pytest.approx(0.75)
+
+
+def test_an_unknown_covariance_is_never_small_enough():
+    assert TipEstimate.of(fake_result([[0, 0, 0]], [1.0], None)).std_m == np.inf
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_all_placements_hold_the_upright_part(name):
+    part = PARTS[name]()
+    T = make_translation([0.1, 0.2, 0.3])
+    placements = list_placements(T, part)
+    assert len({placement.name for placement in placements}) == len(part.yaws_deg) * len(part.shifts_m)
+    for placement in placements:
+        gripper = invert(T) @ placement.T_world_gripper
+        assert gripper[2, 2] == pytest.approx(1.0)
+        assert -10e-3 < gripper[2, 3] < 20e-3
+
+
+def rate(monkeypatch, gains, blocked=()):
+    """Let `choose_next_touch` return these gains of single gels, and these approaches out of reach, by placement."""
+    ranked = [SimpleNamespace(approach=SimpleNamespace(name=str(k)), information=gain) for k, gain in gains]
+    outside = [(SimpleNamespace(name=str(k)), "would start inside") for k in blocked]
+    monkeypatch.setattr(controller, "spread_modes", lambda found: found)
+    monkeypatch.setattr(
+        controller, "choose_next_touch", lambda found, approaches: SimpleNamespace(ranked=ranked, out_of_reach=outside)
+    )
+    return SimpleNamespace(touch=SimpleNamespace(geometry=SimpleNamespace(surface_m=0.01)))
+
+
+def test_the_placement_whose_two_gels_tell_most_is_chosen(monkeypatch):
+    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
+    found = rate(monkeypatch, [(0, 0.9), (1, 0.6), (1, 0.5), (2, 0.8)])
+    assert controller.choose_placement(found, placements) is placements[1]
+
+
+def test_a_placement_with_a_gel_that_cannot_start_is_left_out(monkeypatch):
+    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
+    found = rate(monkeypatch, [(0, 0.9), (1, 2.0), (2, 0.8)], blocked=[1])
+    assert controller.choose_placement(found, placements) is placements[0]
+
+
+def test_a_used_placement_is_the_last_resort(monkeypatch):
+    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
+    found = rate(monkeypatch, [(0, 0.9), (1, 0.1)])
+    assert controller.choose_placement(found, placements, [placements[0].name]) is placements[1]
+    used = [placement.name for placement in placements]
+    assert controller.choose_placement(found, placements, used) is placements[0]
+
+
+def test_a_pose_moves_by_an_error_in_the_world():
+    moved = move(make_translation([1, 0, 0]), np.array([0, 2e-3, 0, 0, 0, np.pi / 2]))
+    np.testing.assert_allclose(moved[:3, 3], [1, 2e-3, 0])
+    np.testing.assert_allclose(moved[:3, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_trials_are_fixed_and_cover_all_parts_and_clearances():
+    trials = list_trials(100)
+    assert trials == list_trials(100)
+    assert [trial.seed for trial in trials] == list(range(1, 101))
+    assert {(trial.part, trial.clearance_mm) for trial in trials[:12]} == {(p, c) for p in PARTS for c in CLEARANCES_MM}
+    errors = [trial.draw_error(np.random.default_rng(trial.seed)) for trial in trials]
+    again = [trial.draw_error(np.random.default_rng(trial.seed)) for trial in trials]
+    np.testing.assert_array_equal(errors, again)
+    shifts_m = np.linalg.norm(np.array(errors)[:, :3, 3], axis=1)
+    turns_rad = rotation_angle(np.array(errors)[:, :3, :3])
+    assert 0.8 * MOST_OFF_M < shifts_m.max() <= MOST_OFF_M
+    assert 0.8 * MOST_OFF_RAD < turns_rad.max() <= MOST_OFF_RAD

@@ -1,0 +1,76 @@
+"""examples/insertion: the video's files, and how MuJoCo draws without a display."""
+
+from __future__ import annotations
+
+import os
+from types import SimpleNamespace
+
+import headless
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
+
+from PIL import Image
+from video import FRAMES_PER_S, GEL_PX, VideoError, draw_gel, write_video
+
+from tactile_loc import Localizer
+
+FRAMES = [np.full((60, 80, 3), value, np.uint8) for value in (0, 100, 200)]
+
+
+def test_a_gif_has_all_frames(tmp_path):
+    write_video(FRAMES, tmp_path / "three.gif")
+    gif = Image.open(tmp_path / "three.gif")
+    assert (gif.n_frames, gif.size) == (3, (80, 60))
+    assert gif.info["duration"] == pytest.approx(1000 / FRAMES_PER_S, abs=10)
+
+
+def test_a_webm_file_has_all_frames(tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs pip install 'tactile-loc[video]'")
+    write_video(FRAMES, tmp_path / "three.webm")
+    reader = imageio_ffmpeg.read_frames(str(tmp_path / "three.webm"))
+    assert next(reader)["size"] == (80, 60)
+    assert len(list(reader)) == 3
+
+
+def test_a_webm_file_needs_a_library(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    with pytest.raises(VideoError, match="video"):
+        write_video(FRAMES, tmp_path / "three.webm")
+
+
+def test_the_picture_of_a_gel_has_its_top_above(store):
+    """The image's x axis points up along the gel, so its last columns are at the top of the picture."""
+    touch = Localizer.create("pin", sensor="gelsight-mini", store=store).simulate(seed=1)[0]
+    assert draw_gel(touch).size == GEL_PX
+    dark = np.asarray(draw_gel(None))
+    assert (dark == dark[0, 0]).all()
+    shown = np.asarray(draw_gel(touch)).astype(int).sum(axis=2)
+    pressed = touch.press_depth_m - touch.contact_shape.depth_m
+    top = pressed[:, pressed.shape[1] // 2 :].sum() > pressed[:, : pressed.shape[1] // 2].sum()
+    brighter = np.abs(shown - dark[0, 0].astype(int).sum())
+    assert (brighter[: GEL_PX[1] // 2].sum() > brighter[GEL_PX[1] // 2 :].sum()) == top
+
+
+def test_mujoco_loads_no_opengl_unless_it_draws(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "")  # so that it is restored
+    monkeypatch.delenv("MUJOCO_GL")
+    headless.choose_backend(drawing=False)
+    assert os.environ["MUJOCO_GL"] == "disable"
+
+
+def test_without_egl_osmesa_is_chosen_with_a_message(monkeypatch, capsys):
+    monkeypatch.setenv("MUJOCO_GL", "")  # so that it is restored
+    monkeypatch.delenv("MUJOCO_GL")
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "")
+    monkeypatch.setattr(headless.subprocess, "run", lambda *a, **k: SimpleNamespace(returncode=1))
+    headless.choose_backend(drawing=True)
+    assert os.environ["MUJOCO_GL"] == os.environ["PYOPENGL_PLATFORM"] == "osmesa"
+    assert "OSMesa" in capsys.readouterr().err
+
+
+def test_the_users_choice_is_kept(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    headless.choose_backend(drawing=True)
+    assert os.environ["MUJOCO_GL"] == "glfw"
