@@ -75,7 +75,7 @@ class TrackerOptions(_Options):
     habit: float = Field(default=0.1, ge=0, le=1, description="weight of a touch in the usual imprint IoU, 0 to 1")
     stay_nats: float = Field(default=8.0, ge=0, description="most that a pose far from a slipped one loses, nats")
     slip_surprise: float = Field(default=30.0, gt=0, description="least squared error of a slipped pose, in std")
-    slip_iou: float = Field(default=0.1, ge=0, le=1, description="imprint IoU that a slipped pose gains at least")
+    slip_iou: float = Field(default=0.05, ge=0, le=1, description="imprint IoU that a slipped pose gains at least")
     slip_mm: float = Field(default=2.0, ge=0, description="standard deviation of a slip along each axis, mm")
     slip_deg: float = Field(default=8.6, ge=0, description="standard deviation of a slip about each axis, degrees")
     slips: int = Field(default=64, ge=1, description="slipped poses to try")

@@ -32,7 +32,7 @@ from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 Floats = NDArray[np.float64]
 
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
-LEAST_FOLLOWED = 5  # touches that a track must have followed before it can show a slip
+LEAST_FOLLOWED = 10  # touches that a track must have followed before it can show a slip
 EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
 
 
@@ -88,7 +88,7 @@ class Tracker:
         self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
         # the search before a touch that no mode explains; the search under way then looks for another pose
         self._undoubted: KeySearch | None = None
-        self._followed = 0  # touches since the start
+        self._followed = 0  # clear touches that the likeliest mode has explained as well as before
         self._doubts = 0  # consecutive touches that the likeliest mode explains far worse than before
 
     def update(
@@ -120,9 +120,9 @@ class Tracker:
         """Follow the modes to a touch, look for a slip, and search on."""
         before, alike = self._modes, self._alike
         self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
-        self._followed += 1
         clear = measure_contact_percent(touch) >= self.options.clear_percent
         doubted = clear and bool(self._modes) and self._trust.doubts(self._modes[0].predicted_iou)
+        self._followed += clear and not doubted
         self._doubts = self._doubts + doubted if doubted or not clear else 0
         slipped = clear and self._suspects_slip(doubted) and self._slip(before, touch, alike)
         if clear and not doubted and self._undoubted is not None:
