@@ -57,7 +57,6 @@ class TrackerOptions(_Options):
     """Options that decide which modes the tracker follows, which touches share a contact, and when it searches."""
 
     modes: int = Field(default=5, ge=1, description="most modes to follow")
-    certain: float = Field(default=CERTAIN, gt=0, lt=1, description="probability at which a mode is certain, 0 to 1")
     improbable: float = Field(default=1e-4, gt=0, lt=1, description="modes below this share of the first are dropped")
     common: float = Field(default=0.75, ge=0, lt=1, description="share of a touch's covariance that the next one has")
     apart_mm: float = Field(default=3.0, gt=0, description="sensor motion that reduces this share to 1/e of it, mm")

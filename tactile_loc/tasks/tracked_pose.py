@@ -28,8 +28,8 @@ class TrackedPose:
     probability that the pose is elsewhere. `imprint_iou`, 0 to 1, states how well the first pose explains the touch;
     NaN without a touch.
 
-    `verdict` is as in a run, with the tracker's thresholds (`tracker.certain`, `tracker.least_iou`). Without contact,
-    poses are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
+    `verdict` is as in a run, with the tracker's threshold of a poor fit (`tracker.least_iou`). Without contact, poses
+    are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
     `slipped` is true at the frame whose touch shows that the object has moved.
     """
 

@@ -68,7 +68,7 @@ class Tracker:
             raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give 0 or more")
         self.localizer, self.options = localizer, localizer.config.tracker
         self._filter = ModeFilter(localizer, np.diag(np.square([creep_m] * 3 + [creep_rad] * 3)))
-        self._begin([], TrackTrust(self.options, settled=False))
+        self._begin([], TrackTrust(self.options, limit=Verdict.NOT_FOUND, settled=False))
 
     def start(self, T_base_object: Floats, covariance: Floats) -> None:
         """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
@@ -177,11 +177,9 @@ class Tracker:
         If the modes were doubted, and the search found no pose that explains its touches clearly better, they stay.
         """
         found, keys = finished.found, finished.keys
-        if found is None:
-            if not self._modes:
-                self._trust = self._trust.restart(Verdict.NOT_FOUND, 0.0, 0.0)
+        new = [] if found is None else self._filter.find_all(found, keys[0])
+        if found is None or not new:
             return
-        new = self._filter.find_all(found, keys[0])
         iou, *tracked = self._filter.explain([new[0], *self._modes], keys)
         if self._undoubted is not None:
             if (iou - max(tracked)) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
