@@ -51,12 +51,13 @@ class PoseFilter:
 
     The errors are those of the pose, of the touches (the common part, along the sensor's axes), and of the sensor's
     pose. `errors` (12,) is the mean of the last two, and `covariance` (18, 18) the covariance of all three. Both are in
-    units of `hand_eye.UNIT`.
+    units of `hand_eye.UNIT`. `surprise` is that of the last touch: see `measure_surprise`.
     """
 
     T_base_object: Floats
     errors: Floats
     covariance: Floats
+    surprise: float = 0.0
 
     @classmethod
     def known(cls, T_base_object: Floats, covariance: Floats) -> PoseFilter:
@@ -108,7 +109,8 @@ class PoseFilter:
         kept_back = np.eye(18) - K @ H
         P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form keeps the covariance positive definite
         errors = (1 - share) * self.errors + K[6:] @ e
-        return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors, (P + P.T) / 2)
+        T = move(self.T_base_object, UNIT * (K[POSE] @ e))
+        return PoseFilter(T, errors, (P + P.T) / 2, expected.surprise)
 
     def measure_surprise(self, seen: SeenPose, share: float) -> float:
         """Return the squared error of the predicted pose of a touch, in standard deviations; 6 on average.

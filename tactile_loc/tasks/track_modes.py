@@ -31,8 +31,7 @@ class Mode:
 
     `known` is the pose in the base frame. `T_sensor_object` (4, 4), metres, is the pose in the sensor frame, with a
     covariance (6, 6). `nats` is the mode's log-weight, and `imprint_iou`, 0 to 1, states how well it explains the last
-    touch. `predicted_iou` is that of the pose before it was registered to this touch. `surprise` is the squared
-    difference of both poses, in standard deviations.
+    touch. `predicted_iou` is that of the pose before it was registered to this touch.
     """
 
     known: PoseFilter
@@ -41,7 +40,6 @@ class Mode:
     nats: float = 0.0
     imprint_iou: float = 0.0
     predicted_iou: float = 0.0
-    surprise: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,15 +117,14 @@ class ModeFilter:
         for mode, T, covariance in zip(modes, registered, covariances, strict=True):
             if covariance is not None:
                 seen = self._see(touch, T, covariance)
-                surprise = mode.known.measure_surprise(seen, 1 - alike)
-                fused = replace(mode, known=mode.known.update(seen, 1 - alike), surprise=surprise)
+                fused = replace(mode, known=mode.known.update(seen, 1 - alike))
                 mode = self._view(fused, np.asarray(touch.T_base_sensor))
             followed.append(mode)
         after = np.stack([mode.T_sensor_object for mode in followed])
         ious = view.imprint_ious(np.concatenate([poses, after]), self.options.image_px).reshape(2, -1)
         return [
-            replace(mode, predicted_iou=float(predicted), imprint_iou=float(fused))
-            for mode, predicted, fused in zip(followed, *ious, strict=True)
+            replace(mode, predicted_iou=float(predicted), imprint_iou=float(iou))
+            for mode, predicted, iou in zip(followed, *ious, strict=True)
         ]
 
     def find_slipped(self, modes: Sequence[Mode], touch: Touch, alike: float) -> list[Mode]:
@@ -144,10 +141,9 @@ class ModeFilter:
             if covariance is None:
                 continue
             known, seen = modes[k].known, self._see(touch, T, covariance)
-            surprise = known.measure_surprise(seen, 1 - alike)
-            if surprise > self.options.slip_surprise:
+            if known.measure_surprise(seen, 1 - alike) > self.options.slip_surprise:
                 creep = estimate_motion_errors(np.diag(self._slip_std**2), T_base_gel, known.T_base_object)
-                slipped.append(Mode(known.predict(creep).update(seen, 1.0), T, covariance, surprise=surprise))
+                slipped.append(Mode(known.predict(creep).update(seen, 1.0), T, covariance))
         if not slipped:
             return []
         ious = self.explain(slipped, [touch])

@@ -129,7 +129,7 @@ class Tracker:
             self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad
         if not slipped and self._doubts == MOST_DOUBTS and self._undoubted is None:
             self._search, self._undoubted = self._search.restart(touch), self._search
-        elif not slipped and self._search.is_new_place(touch):
+        elif not slipped and self._searches and self._search.is_new_place(touch):
             self._search = self._search.add(touch)
         searched = self._take_turns()
         if not self._modes:
@@ -138,9 +138,14 @@ class Tracker:
         self._trust = self._trust.add_touch(iou)
         return self._result(iou, searched, slipped=slipped)
 
+    @property
+    def _searches(self) -> bool:
+        """Whether new key touches start a search: until the track is settled, and while it is doubted."""
+        return self._undoubted is not None or not self._trust.settled
+
     def _take_turns(self) -> bool:
         """Begin a search if one is due, take the turns of this frame, and return whether a search was under way."""
-        if self._search.is_due and (self._undoubted is not None or not self._trust.settled):
+        if self._searches and self._search.is_due:
             self._search = self._search.begin()
         if self._search.turns is None:
             return False
@@ -156,7 +161,7 @@ class Tracker:
         """Return whether a certain mode's registration to the touch leads surprisingly far."""
         if self._trust.limit is not Verdict.CERTAIN or self._followed < LEAST_FOLLOWED:
             return False
-        surprise = self._modes[0].surprise
+        surprise = self._modes[0].known.surprise
         return surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE)
 
     def _slip(self, before: Sequence[Mode], touch: Touch, alike: float) -> bool:
@@ -164,7 +169,7 @@ class Tracker:
         slipped, tracked = self._filter.find_slipped(before, touch, alike), self._modes[0]
         if not slipped or slipped[0].imprint_iou < tracked.predicted_iou + self.options.slip_iou:
             return False
-        if tracked.surprise < self.options.slip_surprise and self._trust.doubts(slipped[0].imprint_iou):
+        if tracked.known.surprise < self.options.slip_surprise and self._trust.doubts(slipped[0].imprint_iou):
             return False  # the touch is bad: no pose explains it as well as usual
         prior = self._filter.make_slip_prior(before[0], np.asarray(touch.T_base_sensor))
         self._modes, self._search, self._undoubted = slipped, self._search.restart(touch, prior), None

@@ -194,11 +194,11 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     """The tracker chooses no other place that would explain the touch equally well."""
     source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
     tracker, frame = started(pin, slide), slide[0]
-    for k in range(3):
+    for k in range(12):
         tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
     slipped = make_translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
     touch = source.draw_touch(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
-    found = tracker.update(0.03, touch, frame.T_base_sensor)
+    found = tracker.update(0.12, touch, frame.T_base_sensor)
     assert found.slipped
     assert found.verdict is not Verdict.CERTAIN
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
