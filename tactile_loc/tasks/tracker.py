@@ -121,10 +121,11 @@ class Tracker:
         before, alike = self._modes, self._alike
         self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
         clear = measure_contact_percent(touch) >= self.options.clear_percent
-        doubted = clear and bool(self._modes) and self._trust.doubts(self._modes[0].predicted_iou)
+        certain = bool(self._modes) and self._trust.limit is Verdict.CERTAIN
+        doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
         self._followed += clear and not doubted
         self._doubts = self._doubts + doubted if doubted or not clear else 0
-        slipped = clear and self._suspects_slip(doubted) and self._slip(before, touch, alike)
+        slipped = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
         if clear and not doubted and self._undoubted is not None:
             self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad
         if not slipped and self._doubts == MOST_DOUBTS and self._undoubted is None:
@@ -159,10 +160,8 @@ class Tracker:
 
     def _suspects_slip(self, doubted: bool) -> bool:
         """Return whether a certain mode's registration to the touch leads surprisingly far."""
-        if self._trust.limit is not Verdict.CERTAIN or self._followed < LEAST_FOLLOWED:
-            return False
-        surprise = self._modes[0].known.surprise
-        return surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE)
+        surprise, settled = self._modes[0].known.surprise, self._followed >= LEAST_FOLLOWED
+        return settled and (surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE))
 
     def _slip(self, before: Sequence[Mode], touch: Touch, alike: float) -> bool:
         """Look for poses to which the modes may have slipped since `before`; return whether one was accepted."""
@@ -194,6 +193,8 @@ class Tracker:
         self._trust = self._trust.restart(found.verdict, found.probability_within(), iou, len(keys))
         if self._trust.settled:
             self._modes = self._modes[:1]
+        elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:
+            self._search = self._search.restart(keys[-1])  # the object has moved since the first key touches
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
         """Return the distance the gel moved between sensor poses (4, 4), metres; a rotation counts with `lever_mm`."""
