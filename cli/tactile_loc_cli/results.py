@@ -165,8 +165,10 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
     say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
     header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
-    for one in record.out_of_reach:
+    for one in record.out_of_reach[:top]:
         say(f"out of reach: {one.name} {one.reason}")
+    if (more := len(record.out_of_reach) - top) > 0:
+        say(f"out of reach: {more} more; next_touch.json has the reasons")
     if record.unlisted > LEAST_SHOWN:
         say(
             f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
@@ -176,6 +178,9 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
         say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
     for group in record.alike:
         say(f"no approach distinguishes poses {', '.join(map(str, group))}")
+    if record.stops:
+        count = next(len(group) for group in record.alike if 1 in group)
+        say(f"no further touch of these can tell these {count} poses apart: stop")
     if record.alike:
         say(
             "even after any of these approaches, the most probable pose is wrong with a probability of at least "

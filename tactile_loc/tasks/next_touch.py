@@ -29,6 +29,7 @@ from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.results.localization import Localization
+from tactile_loc.tasks.clearance import Clearance
 from tactile_loc.tasks.pose_modes import PoseModes, compute_entropy
 
 Float64 = NDArray[np.float64]
@@ -42,6 +43,7 @@ MOST_NATS = 8.0  # most evidence of one touch between two modes, because real to
 ALIKE_NATS = 1.0  # modes are alike if no approach gives more evidence between them
 LEAST_PERCENT = 0.25  # of the observed pixels: a touch needs at least this contact
 IN_THE_WAY = 0.01  # an approach is out of reach if it starts inside the object with this probability
+MOST_UNLISTED = 0.25  # probability of unlisted poses above which another touch is always worth making
 
 
 Cost = Callable[[Approach], float]
@@ -109,6 +111,16 @@ class NextTouch:
             apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located gives 0
         return find_groups(apart < ALIKE_NATS)
 
+    @cached_property
+    def stops(self) -> bool:
+        """Whether no approach distinguishes any two probable modes, so that none of these touches can help.
+
+        It is false if only one mode is probable, or if unlisted poses have more than MOST_UNLISTED of the probability.
+        """
+        probable = set(np.flatnonzero(self.modes.probabilities > IN_THE_WAY).tolist())
+        alone = self.modes.unlisted > MOST_UNLISTED or len(probable) < 2
+        return not alone and any(probable <= set(group) for group in self.alike)
+
     @property
     def doubt_left(self) -> float:
         """The probability that the true mode is in a group of `alike`, but is not the likeliest mode of its group."""
@@ -131,13 +143,13 @@ class NextTouch:
 
 def choose_next_touch(
     found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
-    renderer: Renderer | None = None,
+    renderer: Renderer | None = None, clearance: Clearance | None = None,
 ) -> NextTouch:  # fmt: skip
     """Rate approaches by the entropy of the modes of `found` that is expected after each approach.
 
     An approach can also be just the pose (4, 4), metres, at which the sensor starts. Poses are in the frame of the
     touch's `T_base_sensor` or, without it, in the touch's sensor frame. `cost` replaces the approaches' own costs;
-    infinity means out of reach.
+    infinity means out of reach. With a `clearance`, approaches are also out of reach if the finger would hit something.
 
     A press gives no information if the sensor misses the object or touches only a flat face, because such a touch
     cannot be located. The travel up to contact gives information, too, because it differs between modes. Raises
@@ -152,6 +164,8 @@ def choose_next_touch(
     _require_usable(made, costs, modes)
     seen = foresee(scene, modes, made)
     reasons = _explain_out_of_reach(seen, modes, costs)
+    if clearance is not None:
+        _add_collisions(reasons, clearance, made, seen, modes)
     left = [k for k, reason in enumerate(reasons) if not reason]
     outside = tuple((made[k], reason) for k, reason in enumerate(reasons) if reason)
     if not left:
@@ -323,6 +337,18 @@ def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> l
         else ""
         for price, share in zip(costs, inside, strict=True)
     ]  # fmt: skip
+
+
+def _add_collisions(
+    reasons: list[str], clearance: Clearance, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
+) -> None:
+    """Fill the empty ones of `reasons` (A,) with what the finger would hit."""
+    left = [k for k, reason in enumerate(reasons) if not reason]
+    some, met = [approaches[k] for k in left], _select(seen, left)
+    pressed_m = met.travel_m + np.array([_find_press_m(a, modes) for a in some])[:, None]
+    moved_m = np.where(met.meets, pressed_m, np.array([a.travel_m for a in some])[:, None])
+    for k, reason in zip(left, clearance.explain(modes, some, moved_m), strict=True):
+        reasons[k] = reason
 
 
 def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseModes) -> None:

@@ -64,6 +64,7 @@ class NextTouchRecord(Record):
     doubt_left: float = Field(
         description="probability that the truth is in such a group, but is not its likeliest mode"
     )
+    stops: bool = Field(False, description="true: no approach tells any of the probable modes apart, so stop touching")
 
 
 def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
@@ -101,6 +102,7 @@ def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
         entropy_nats=modes.entropy, ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],
         alike=[[number + 1 for number in group] for group in found.alike], doubt_left=found.doubt_left,
+        stops=found.stops,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
@@ -17,6 +18,7 @@ from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, mark
 from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
+from tactile_loc.tasks.clearance import Clearance, make_box_finger
 from tactile_loc.tasks.next_touch import (
     choose_next_touch,
     compare_contacts,
@@ -41,6 +43,19 @@ def knobbed(make_box) -> ObjectModel:
     faces = np.concatenate([box.mesh.faces, knob.mesh.faces + len(box.mesh.vertices_m)])
     mesh = TriangleMesh(np.concatenate([box.mesh.vertices_m, shifted]), faces)
     return ObjectModel("knobbed", mesh, SymmetryGroup.parse("none", np.zeros(3)))
+
+
+@pytest.fixture
+def drilled() -> ObjectModel:
+    """Return a block, 40 x 30 x 20 mm, with two blind holes in its top: that at +x is 8 mm deep, the other 2 mm."""
+    block = trimesh.creation.box((0.04, 0.03, 0.02))
+    bores = [
+        trimesh.creation.cylinder(0.005, 2 * depth_m, sections=32).apply_translation([x, 0.0, 0.01])
+        for x, depth_m in ((0.012, 8e-3), (-0.012, 2e-3))
+    ]
+    made = trimesh.boolean.difference([block, *bores], engine="manifold")
+    mesh = TriangleMesh(np.asarray(made.vertices), np.asarray(made.faces))
+    return ObjectModel("drilled", mesh, SymmetryGroup.parse("none", np.zeros(3)))
 
 
 def towards(direction, beside_m: float = 0.0, **given) -> Approach:
@@ -85,6 +100,40 @@ def test_poses_that_no_touch_distinguishes_are_reported(make_box):
     )
     assert found.alike == ((0, 1),)
     assert found.doubt_left == pytest.approx(0.3)
+
+
+def test_touching_stops_if_only_a_blind_hole_differs(drilled):
+    # the surface of both poses differs only below holes that are deeper than any press
+    given = [*(edge_of(d) for d in ([-1, 0, 0], [1, 0, 0], [0, 1, 0])), towards([0, 0, -1], beside_m=0.012)]
+    modes = modes_of(drilled, np.eye(4), HALF_TURN, p=[0.6, 0.4])
+    found = choose_next_touch(modes, given)
+    assert found.stops
+    assert found.alike == ((0, 1),)
+    assert found.doubt_left == pytest.approx(0.4)
+    deeper = dataclasses.replace(modes, geometry=dataclasses.replace(GEL, max_depth_m=3e-3, standoff_m=0.02))
+    assert not choose_next_touch(deeper, [towards([0, 0, -1], beside_m=0.012, press_m=2.5e-3)]).stops
+
+
+def test_touching_goes_on_while_a_touch_can_help(knobbed):
+    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
+    top, knob = edge_of([0, 0, -1], name="top"), edge_of([-1, 0, 0], name="knob")
+    assert choose_next_touch(modes, [top]).stops
+    assert not choose_next_touch(modes, [top, knob]).stops
+    assert not choose_next_touch(dataclasses.replace(modes, unlisted=0.6), [top]).stops
+    assert not choose_next_touch(modes_of(knobbed, np.eye(4)), [top]).stops  # one pose: nothing to tell apart
+    third, beside = make_transform(np.eye(3), [0, 0, 3e-3]), towards([0, 0, -1], beside_m=0.015)
+    assert choose_next_touch(modes, [beside]).stops
+    assert not choose_next_touch(modes_of(knobbed, np.eye(4), HALF_TURN, third), [beside]).stops
+
+
+def test_touching_stops_if_the_finger_cannot_reach_what_differs(knobbed):
+    pytest.importorskip("fcl", reason="python-fcl is not installed")
+    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
+    top, knob = edge_of([0, 0, -1], name="top"), edge_of([-1, 0, 0], name="knob")
+    clearance = Clearance(make_box_finger((0.06, 0.06, 0.03), GEL), floor_m=-0.015)
+    found = choose_next_touch(modes, [top, knob], clearance=clearance)
+    assert [approach.name for approach, _ in found.out_of_reach] == ["knob"]
+    assert found.stops
 
 
 def test_poses_that_are_equal_by_symmetry_are_merged(make_box):
