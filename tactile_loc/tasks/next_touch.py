@@ -4,8 +4,9 @@ For each approach and mode, the sensor's travel up to contact and the contact it
 both give a number of nats of evidence against each mode j. This evidence determines the entropy that remains if mode i
 is true. An approach is rated by the mean of this entropy over the modes (Lindley, 1956).
 
-The evidence of contacts is that of `imprints.py`. It was fitted to touches with strong noise. An elastic gel shows the
-object only where it touches it, so only this part of a contact gives evidence.
+Locating several touches together moves each pose until it fits all of them as well as it can. So a real touch
+contradicts a wrong pose less than the expected touch does, and only a share of the evidence is expected (`EXPECTED`).
+To decide which modes no touch distinguishes, all of it counts (`AT_MOST`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +23,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel, mark_touching
-from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE, compare_imprints
+from tactile_loc.core.sensing.gel_surface import deform_gel, mark_touching
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.renderer import Renderer
@@ -31,6 +32,7 @@ from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.tasks.clearance import Clearance
 from tactile_loc.tasks.pose_modes import PoseModes, compute_entropy
+from tactile_loc.tasks.touch_evidence import compare_contacts, compare_elastic_contacts
 
 Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -38,7 +40,6 @@ Bools = NDArray[np.bool_]
 LOOKED_AT_PX = 24  # pixels along the long side of contacts that are compared
 MOST_DRAWN = 1500  # approaches whose contacts are rendered: the best ones by travel alone
 AT_ONCE = 500  # contacts rendered together
-TRAVEL_STD_M = 5e-4  # standard deviation of the travel: errors of the mode's pose, the press and the robot
 MOST_NATS = 8.0  # most evidence of one touch between two modes, because real touches differ from expected ones
 ALIKE_NATS = 1.0  # modes are alike if no approach gives more evidence between them
 LEAST_PERCENT = 0.25  # of the observed pixels: a touch needs at least this contact
@@ -47,6 +48,20 @@ MOST_UNLISTED = 0.25  # probability of unlisted poses above which another touch 
 
 
 Cost = Callable[[Approach], float]
+
+
+class Weights(NamedTuple):
+    """How much is expected of a touch: the weight of a contact's evidence, and the standard deviation of the travel.
+
+    `travel_std_m`, metres, contains the errors of the mode's pose, of the press and of the robot.
+    """
+
+    contact: float
+    travel_std_m: float
+
+
+EXPECTED, AT_MOST = Weights(0.3, 1e-3), Weights(1.0, 5e-4)
+MOTION = 0.5  # share of an approach's cost that is paid even if it makes no touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +97,11 @@ class RatedApproach:
 
     @property
     def worth(self) -> float:
-        """Information divided by cost, by which approaches are ranked."""
-        return self.information / self.cost
+        """Information divided by the expected cost, by which approaches are ranked.
+
+        An approach costs its motion, and the rest of its cost only if it makes a touch.
+        """
+        return self.information / (self.cost * (MOTION + (1 - MOTION) * self.meets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +125,9 @@ class NextTouch:
         apart, at_once = np.zeros((count, count)), max(1, MOST_DRAWN // count)
         for start in range(0, len(self.ranked), at_once):
             some = [rated.approach for rated in self.ranked[start : start + at_once]]
-            nats, _, tells = _compare_drawn(self.scene, some, foresee(self.scene, self.modes, some), self.modes)
+            weights = AT_MOST._replace(contact=self.modes.sharpness)
+            seen = foresee(self.scene, self.modes, some)
+            nats, _, tells = _compare_drawn(self.scene, some, seen, self.modes, weights)
             apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located gives 0
         return find_groups(apart < ALIKE_NATS)
 
@@ -209,48 +229,6 @@ def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools
     return np.asarray(np.where(tells, left, compute_entropy(probabilities)) @ probabilities)
 
 
-def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
-    """Return the evidence (K, K), nats, of each of K contacts for the mode that made it, against each other mode.
-
-    Element (i, j) is the evidence that contact i gives for depths i, minus the evidence that it gives for depths j
-    (`core.sensing.imprints.compare_imprints`). `depth_m` (K, H, W) is in metres. All pairs are compared at once, from
-    the contacts' sums and the sums of their differences.
-    """
-    from scipy.spatial.distance import pdist, squareform
-
-    depth = depth_m[:, observed]
-    contact = (depth < np.float32(press_m)).astype(np.float32)
-    weight = (np.float32(1 + OUTLINE_SHARE) - depth / np.float32(press_m)) * contact
-    total = weight.sum(axis=1, dtype=float)
-    apart = squareform(pdist(weight, "cityblock"))
-    both = total[:, None] + total[None]
-    ious = (both - apart) / np.maximum(both + apart, 1.0)
-    common = contact @ contact.T
-    alone = total[:, None] - weight @ contact.T  # sum over contact i where j has no contact
-    off_mm = 1e3 * press_m * np.maximum(apart - alone - alone.T, 0.0) / np.maximum(common, 1.0)
-    area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
-    evidence = IOU_NATS * ious + AREA_NATS * np.log1p(area_mm2) - DEPTH_NATS * off_mm
-    return np.asarray(np.maximum(np.diag(evidence)[:, None] - evidence, 0.0))
-
-
-def compare_elastic_contacts(
-    depth_m: NDArray[np.float32], shown_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float
-) -> Float64:
-    """Return the evidence (K, K), nats, of each of K contacts with an elastic gel, as `compare_contacts` does.
-
-    `depth_m` (K, H, W), metres, are the contact depths in a rigid gel, and `shown_m` (K, H, W) those that the elastic
-    gel shows. The touch of mode i contradicts mode j only where the gel touches mode i, and where mode j pierces the
-    gel's surface.
-    """
-    press, nats = np.float32(press_m), np.empty((len(depth_m), len(depth_m)))
-    for i, (touching, shown) in enumerate(zip(mark_touching(depth_m, shown_m, press_m), shown_m, strict=True)):
-        seen = np.where(touching, depth_m[i], press)
-        made = np.where(touching | (depth_m < shown - np.float32(SLACK) * press), depth_m, press)
-        evidence = compare_imprints(made, seen, press_m, observed, pixel_pitch_m).evidence
-        nats[i] = evidence[i] - evidence
-    return np.maximum(nats, 0.0)
-
-
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
     """Return the groups of two or more of K items that are `alike` (K, K), the largest first.
 
@@ -268,18 +246,20 @@ def _expect_entropy(
 ) -> Float64:
     """Return the expected entropy (A,), nats: by travel, and for the most promising approaches by contact as well."""
     p = modes.probabilities
-    after = compute_expected_entropy(_compare_travels(seen), p, seen.meets)
-    promising = np.argsort(-(modes.entropy - after) / costs, kind="stable")[: max(1, MOST_DRAWN // len(p))]
+    after = compute_expected_entropy(_compare_travels(seen, EXPECTED.travel_std_m), p, seen.meets)
+    worth = (modes.entropy - after) / (costs * (MOTION + (1 - MOTION) * (seen.meets @ p)))
+    promising = np.argsort(-worth, kind="stable")[: max(1, MOST_DRAWN // len(p))]
     chosen = [approaches[k] for k in promising]
-    after[promising] = compute_expected_entropy(*_compare_drawn(scene, chosen, _select(seen, promising), modes))
+    drawn = _compare_drawn(scene, chosen, _select(seen, promising), modes, EXPECTED)
+    after[promising] = compute_expected_entropy(*drawn)
     return after
 
 
 def _compare_drawn(
-    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
+    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, weights: Weights
 ) -> tuple[Float64, Float64, Bools]:
     """Return the arguments of `compute_expected_entropy`, from travels and rendered contacts."""
-    nats, tells = _compare_travels(seen), seen.meets.copy()
+    nats, tells = _compare_travels(seen, weights.travel_std_m), seen.meets.copy()
     for press_m in {_find_press_m(a, modes) for a in approaches}:
         some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
         geometry = scene.geometry.press(press_m)
@@ -297,7 +277,7 @@ def _compare_drawn(
                 told = compare_contacts(depths, press_m, observed, pitch_m)
             else:
                 continue
-            nats[k][np.ix_(rows, rows)] += modes.sharpness * told
+            nats[k][np.ix_(rows, rows)] += weights.contact * told
     return np.minimum(nats, MOST_NATS), modes.probabilities, tells
 
 
@@ -319,12 +299,12 @@ def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
     return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
 
 
-def _compare_travels(seen: Foreseen) -> Float64:
+def _compare_travels(seen: Foreseen, std_m: float) -> Float64:
     """Return the evidence (A, K, K), nats, of the travel for mode i against mode j."""
     apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
     both = seen.meets[:, :, None] & seen.meets[:, None, :]
     either = seen.meets[:, :, None] | seen.meets[:, None, :]
-    nats = np.where(both, 0.5 * (np.where(both, apart_m, 0.0) / TRAVEL_STD_M) ** 2, np.where(either, MOST_NATS, 0.0))
+    nats = np.where(both, 0.5 * (np.where(both, apart_m, 0.0) / std_m) ** 2, np.where(either, MOST_NATS, 0.0))
     return np.asarray(np.minimum(nats, MOST_NATS))
 
 
