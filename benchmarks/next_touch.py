@@ -17,12 +17,14 @@ The noise of the examples alternates between `--levels`. The press is 30 to 90 %
 first time, and 60 % afterwards. A pose is right if its surface is within 1 mm of the true surface, symmetric poses
 included (mean distance).
 
-An example counts if its verdict is not both certain and right after the first touch, and if some set of touches that
-was located determines the pose: no listed pose with a wrong surface explains the touches to within 0.02 of the true
-pose's imprint IoU. The table has the mean number of touches until the first pose is right, and until it is right and
-its verdict is certain, with the first touch. What is not reached counts as one touch more than the most. The last
-columns are the ratio to the oracle's number of touches, the misses of a next touch, and the median time of a choice.
-The last rows are for all objects, by noise. Objects are FILE[:UNITS] or demo names. `--out` keeps each object's
+Two kinds of examples are left out. Easy ones have a certain and right result after the first touch. Undetermined ones
+have no located set of touches that determines the pose. A set determines the pose if no listed pose with a wrong
+surface explains the touches to within 0.02 of the true pose's imprint IoU.
+
+The table has the mean number of touches until the first pose is right, and until it is right with the verdict certain.
+The first touch counts. A pose that stays unknown counts as one touch more than the most. Further columns are the ratio
+to the oracle's number of touches, the misses of a next touch, and the median time of a choice. The last rows are for
+all objects, by noise. Objects are FILE[:UNITS] or demo names. `--out` keeps each object's
 examples, which are not measured again.
 """
 
@@ -78,7 +80,7 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """An object at rest, with its first touch and the approaches to choose from. What was located is kept."""
+    """An object at rest, with its first touch and the approaches to choose from. Results are kept."""
 
     localizer: Localizer
     source: RobotTouches

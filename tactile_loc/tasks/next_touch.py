@@ -5,8 +5,8 @@ both give a number of nats of evidence against each mode j. This evidence determ
 is true. An approach is rated by the mean of this entropy over the modes (Lindley, 1956).
 
 Locating several touches together moves each pose until it fits all of them as well as it can. So a real touch
-contradicts a wrong pose less than the expected touch does, and only a share of the evidence is expected (`EXPECTED`).
-To decide which modes no touch distinguishes, all of it counts (`AT_MOST`).
+contradicts a wrong pose less than the expected touch does, and only a share of the evidence is expected (`CAUTIOUS`).
+To decide which modes no touch distinguishes, all of it counts (`FULL`).
 """
 
 from __future__ import annotations
@@ -53,14 +53,16 @@ Cost = Callable[[Approach], float]
 class Weights(NamedTuple):
     """How much is expected of a touch: the weight of a contact's evidence, and the standard deviation of the travel.
 
-    `travel_std_m`, metres, contains the errors of the mode's pose, of the press and of the robot.
+    `travel_std_m`, metres, contains the errors of the mode's pose, of the press and of the robot. A touch with a
+    contact of `half_m2`, square metres, counts as located half of the time, because noise hides small contacts.
     """
 
     contact: float
     travel_std_m: float
+    half_m2: float
 
 
-EXPECTED, AT_MOST = Weights(0.3, 1e-3), Weights(1.0, 5e-4)
+CAUTIOUS, FULL = Weights(0.15, 5e-3, 1e-5), Weights(1.0, 5e-4, 0.0)
 MOTION = 0.5  # share of an approach's cost that is paid even if it makes no touch
 
 
@@ -84,12 +86,14 @@ class RatedApproach:
     """An approach and its expected result.
 
     `information`, nats, is the expected decrease of the modes' entropy, and `entropy`, nats, the entropy that remains.
+    `safe`, nats, is the decrease that is expected if touches tell less, as real ones do (`CAUTIOUS`).
     `meets`, 0 to 1, is the probability that the approach makes a touch. `travel_m` (K,), metres, is the travel up to
     contact with each mode, NaN if the sensor misses the object.
     """
 
     approach: Approach
     information: float
+    safe: float
     entropy: float
     meets: float
     travel_m: Float64
@@ -97,11 +101,11 @@ class RatedApproach:
 
     @property
     def worth(self) -> float:
-        """Information divided by the expected cost, by which approaches are ranked.
+        """Safe information divided by the expected cost, by which approaches are ranked.
 
         An approach costs its motion, and the rest of its cost only if it makes a touch.
         """
-        return self.information / (self.cost * (MOTION + (1 - MOTION) * self.meets))
+        return self.safe / (self.cost * (MOTION + (1 - MOTION) * self.meets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +119,7 @@ class NextTouch:
 
     @property
     def best(self) -> RatedApproach:
-        """The approach with the most information for its cost."""
+        """The approach with the most safe information for its cost."""
         return self.ranked[0]
 
     @cached_property
@@ -125,10 +129,9 @@ class NextTouch:
         apart, at_once = np.zeros((count, count)), max(1, MOST_DRAWN // count)
         for start in range(0, len(self.ranked), at_once):
             some = [rated.approach for rated in self.ranked[start : start + at_once]]
-            weights = AT_MOST._replace(contact=self.modes.sharpness)
             seen = foresee(self.scene, self.modes, some)
-            nats, _, tells = _compare_drawn(self.scene, some, seen, self.modes, weights)
-            apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located gives 0
+            ((nats, located),) = _compare_drawn(self.scene, some, seen, self.modes, [FULL])
+            apart = np.maximum(apart, (nats * located[:, :, None]).max(axis=0))
         return find_groups(apart < ALIKE_NATS)
 
     @cached_property
@@ -190,14 +193,14 @@ def choose_next_touch(
     outside = tuple((made[k], reason) for k, reason in enumerate(reasons) if reason)
     if not left:
         raise ConfigError(f"none of the {len(made)} approaches is within reach; the first {reasons[0]}")
-    expected = _expect_entropy(scene, [made[k] for k in left], _select(seen, left), modes, costs[left])
+    entropies = _expect_entropies(scene, [made[k] for k in left], _select(seen, left), modes, costs[left])
     rated = [
         RatedApproach(
-            made[k], max(0.0, modes.entropy - float(after)), float(after),
+            made[k], max(0.0, modes.entropy - full), max(0.0, modes.entropy - cautious), full,
             float(modes.probabilities[seen.meets[k]].sum()), np.where(seen.meets[k], seen.travel_m[k], np.nan),
             float(costs[k]),
         )
-        for k, after in zip(left, expected, strict=True)
+        for k, (full, cautious) in zip(left, entropies.tolist(), strict=True)
     ]  # fmt: skip
     order = sorted(range(len(rated)), key=lambda k: (-rated[k].worth, rated[k].cost))
     return NextTouch(modes, tuple(rated[k] for k in order), outside, scene)
@@ -216,17 +219,17 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
 
 
-def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
+def compute_expected_entropy(nats: Float64, probabilities: Float64, located: Float64) -> Float64:
     """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
-    `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `tells` (A, K) marks the
-    modes whose touch can be located; other touches change nothing.
+    `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `located` (A, K), 0 to 1,
+    is how probably the touch of each mode can be located; other touches change nothing.
     """
     with np.errstate(divide="ignore"):
         logits = np.log(probabilities) - nats
     after = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    left = compute_entropy(after / after.sum(axis=-1, keepdims=True))
-    return np.asarray(np.where(tells, left, compute_entropy(probabilities)) @ probabilities)
+    left, before = compute_entropy(after / after.sum(axis=-1, keepdims=True)), compute_entropy(probabilities)
+    return np.asarray((before - located * (before - left)) @ probabilities)
 
 
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
@@ -241,25 +244,35 @@ def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
     return tuple(sorted((group for group in found if len(group) > 1), key=len, reverse=True))
 
 
-def _expect_entropy(
+def _expect_entropies(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
 ) -> Float64:
-    """Return the expected entropy (A,), nats: by travel, and for the most promising approaches by contact as well."""
-    p = modes.probabilities
-    after = compute_expected_entropy(_compare_travels(seen, EXPECTED.travel_std_m), p, seen.meets)
-    worth = (modes.entropy - after) / (costs * (MOTION + (1 - MOTION) * (seen.meets @ p)))
+    """Return the expected entropy (A, 2), nats, with full and with cautious weights.
+
+    All approaches are rated by travel, and the most promising ones by contact as well.
+    """
+    p, several = modes.probabilities, (_weigh_fully(modes), CAUTIOUS)
+    meets = seen.meets.astype(float)
+    after = np.stack([compute_expected_entropy(_compare_travels(seen, w.travel_std_m), p, meets) for w in several], 1)
+    worth = (modes.entropy - after[:, 1]) / (costs * (MOTION + (1 - MOTION) * (meets @ p)))
     promising = np.argsort(-worth, kind="stable")[: max(1, MOST_DRAWN // len(p))]
-    chosen = [approaches[k] for k in promising]
-    drawn = _compare_drawn(scene, chosen, _select(seen, promising), modes, EXPECTED)
-    after[promising] = compute_expected_entropy(*drawn)
+    drawn = _compare_drawn(scene, [approaches[k] for k in promising], _select(seen, promising), modes, several)
+    after[promising] = np.stack([compute_expected_entropy(nats, p, located) for nats, located in drawn], 1)
     return after
 
 
+def _weigh_fully(modes: PoseModes) -> Weights:
+    return FULL._replace(contact=modes.sharpness)
+
+
 def _compare_drawn(
-    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, weights: Weights
-) -> tuple[Float64, Float64, Bools]:
-    """Return the arguments of `compute_expected_entropy`, from travels and rendered contacts."""
-    nats, tells = _compare_travels(seen, weights.travel_std_m), seen.meets.copy()
+    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, several: Sequence[Weights]
+) -> list[tuple[Float64, Float64]]:
+    """Return the arguments `nats` and `located` of `compute_expected_entropy` for each of several weights.
+
+    They come from travels and rendered contacts.
+    """
+    found = [(_compare_travels(seen, weights.travel_std_m), seen.meets.astype(float)) for weights in several]
     for press_m in {_find_press_m(a, modes) for a in approaches}:
         some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
         geometry = scene.geometry.press(press_m)
@@ -267,18 +280,19 @@ def _compare_drawn(
         glance = dataclasses.replace(scene, geometry=geometry.subsample(step))
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
         for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
-            if len(rows) and geometry.gel.is_elastic:
-                shown = deform_gel(depths, press_m, glance.geometry)
-                touching = mark_touching(depths, shown, press_m)
-                tells[k, rows] = _is_usable(np.where(touching, depths, np.float32(press_m)), glance.geometry)
-                told = compare_elastic_contacts(depths, shown, press_m, observed, pitch_m)
-            elif len(rows):
-                tells[k, rows] = _is_usable(depths, glance.geometry)
-                told = compare_contacts(depths, press_m, observed, pitch_m)
-            else:
+            if not len(rows):
                 continue
-            nats[k][np.ix_(rows, rows)] += weights.contact * told
-    return np.minimum(nats, MOST_NATS), modes.probabilities, tells
+            contacts = depths
+            if geometry.gel.is_elastic:
+                shown = deform_gel(depths, press_m, glance.geometry)
+                contacts = np.where(mark_touching(depths, shown, press_m), depths, np.float32(press_m))
+                told = compare_elastic_contacts(depths, shown, press_m, observed, pitch_m)
+            else:
+                told = compare_contacts(depths, press_m, observed, pitch_m)
+            for weights, (nats, located) in zip(several, found, strict=True):
+                nats[k][np.ix_(rows, rows)] += weights.contact * told
+                located[k, rows] = _expect_located(contacts, glance.geometry, weights.half_m2)
+    return [(np.minimum(nats, MOST_NATS), located) for nats, located in found]
 
 
 def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
@@ -292,11 +306,16 @@ def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArra
     ]  # fmt: skip
 
 
-def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
-    """Return which contacts (M, h, w) can be located: large enough, and not a flat face all over the sensor."""
+def _expect_located(depth_m: NDArray[np.float32], geometry: SensorGeometry, half_m2: float) -> Float64:
+    """Return how probably contacts (M, h, w) can be located, 0 to 1: see `Weights`.
+
+    It is 0 for a contact that is too small for a touch, and for a flat face all over the sensor.
+    """
     seen = depth_m[:, geometry.observed_mask]
-    share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
-    return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
+    count = (seen < np.float32(geometry.max_depth_m)).sum(axis=1)
+    usable = (count >= LEAST_PERCENT / 100 * seen.shape[1]) & (count < seen.shape[1])
+    area_m2 = count * geometry.pixel_pitch_m**2
+    return np.asarray(np.where(usable, area_m2 / np.where(usable, area_m2 + half_m2, 1.0), 0.0))
 
 
 def _compare_travels(seen: Foreseen, std_m: float) -> Float64:

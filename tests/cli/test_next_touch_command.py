@@ -40,8 +40,8 @@ def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     said = json.loads(done.stdout)
     assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/report.html"]
     assert json.loads(Path("out/next_touch.json").read_text()).items() <= said.items()
-    information = [one["information_nats"] for one in said["ranked"]]
-    assert information == sorted(information, reverse=True)
+    worth = [one["worth"] for one in said["ranked"]]
+    assert worth == sorted(worth, reverse=True)
     beside = next(one for one in said["ranked"] if one["name"] == "approach 3")  # half a metre away
     assert beside["information_nats"] == pytest.approx(0)
     assert set(beside["travel_m"]) == {None}
