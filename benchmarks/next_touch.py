@@ -10,6 +10,8 @@ does:
 - oracle: every approach is really touched and located with the touches so far, and the one with the best result is
   taken. It knows the true pose, so no rule can do better in one step. Its results are ordered by whether the first pose
   is right and the verdict certain, then by whether it is right, then by the probability of right poses.
+- expected: the same, but each of the `--modes` likeliest poses is taken as the true one in turn, and the mean result
+  counts. It does not know the true pose. It takes long, so it is measured only if `--methods` names it.
 
 An approach that meets nothing, or only a flat face, is counted as a miss, and the method's next approach is tried. The
 same approach gives the same touch to all methods. Touches are drawn by ray casting, which the localizer does not use.
@@ -43,6 +45,7 @@ import numpy as np
 
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
@@ -59,7 +62,7 @@ from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
 PRESS = 0.6  # share of the sensor's deepest press
-METHODS = ("oracle", "chosen", "random")
+METHODS = ("oracle", "chosen", "random", "expected")
 WANTED = ("known", "certain")
 
 
@@ -73,9 +76,9 @@ class Outcome(NamedTuple):
     determined: bool = False
 
     @property
-    def value(self) -> tuple[bool, bool, float]:
+    def value(self) -> tuple[float, float, float]:
         """The order in which the oracle prefers results."""
-        return self.right and self.certain, self.right, self.mass
+        return float(self.right and self.certain), float(self.right), self.mass
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,23 +108,40 @@ class Example:
             self.outcomes[key] = judge(self.localizer, touches)
         return self.outcomes[key]
 
+    def locate_as(self, T_base_object: Poses, chosen: tuple[int, ...], k: int) -> Outcome:
+        """Return the outcome of another approach k if `T_base_object` (4, 4), metres, were the true pose."""
+        a, rng = self.approaches[k], np.random.default_rng([*self.seed, k, 1])
+        start = invert(T_base_object) @ a.T_base_sensor
+        touch = self.source.approach(start, a.press_m or 0.0, a.name, rng, a.travel_m)
+        if touch is None:
+            return Outcome()
+        there = dataclasses.replace(touch, T_base_sensor=T_base_object @ touch.T_base_sensor)
+        before = [self.first, *(known for j in chosen if (known := self.touch(j)) is not None)]
+        return judge(self.localizer, [*before, there], invert(np.asarray(self.first.T_base_sensor)) @ T_base_object)
+
 
 Choice = Callable[[Example, Outcome, tuple[int, ...], list[int]], Iterator[int]]
 
 
-def judge(localizer: Localizer, touches: list[Touch]) -> Outcome:
-    """Locate touches together, and compare the result with the true pose."""
+def judge(localizer: Localizer, touches: list[Touch], truth: Poses | None = None) -> Outcome:
+    """Locate touches together, and compare the result with a pose (4, 4), metres, by default the true one.
+
+    The pose is in the frame of the first touch's sensor. For another pose than the true one, it is not judged whether
+    the touches determine it.
+    """
     observations = [(localizer, touch) for touch in touches]
     try:
         found = localize_together(observations, top=MOST_MODES)
     except TactileLocError:
         return Outcome()
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
-    off_m = measure_surface_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
+    true = np.asarray(touches[0].T_sensor_object if truth is None else truth)
+    off_m = measure_surface_distances(localizer.object.mesh, poses, true)
     right = off_m < RIGHT_M
     mass = float(sum(h.probability for h, one in zip(found.hypotheses, right, strict=True) if one))
     certain = found.verdict is Verdict.CERTAIN
-    return Outcome(found, bool(right[0]), certain, mass, is_determined(observations, found.hypotheses, off_m))
+    determined = truth is None and is_determined(observations, found.hypotheses, off_m)
+    return Outcome(found, bool(right[0]), certain, mass, determined)
 
 
 def choose_by_information(seconds: list[float]) -> Choice:
@@ -146,6 +166,22 @@ def choose_best(example: Example, now: Outcome, chosen: tuple[int, ...], left: l
     """Put approaches in the order of their real outcomes, the best first. Approaches that miss are left out."""
     met = [k for k in left if example.touch(k) is not None]
     return iter(sorted(met, key=lambda k: example.locate(*chosen, k).value, reverse=True))
+
+
+def choose_best_expected(most: int) -> Choice:
+    """Return a function that puts approaches in the order of their mean outcomes over the `most` likeliest modes."""
+
+    def choose(example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]) -> Iterator[int]:
+        modes = PoseModes.of(now.found)
+        likeliest = list(zip(modes.probabilities, modes.T_base_object, strict=True))[:most]
+
+        def expect(k: int) -> tuple[float, ...]:
+            values = [np.multiply(p, example.locate_as(T, chosen, k).value) for p, T in likeliest]
+            return tuple(np.sum(values, axis=0))
+
+        return iter(sorted(left, key=expect, reverse=True))
+
+    return choose
 
 
 def count_touches(example: Example, choose: Choice, most: int) -> dict[str, int]:
@@ -197,7 +233,8 @@ def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, An
         around = draw_approaches_to_modes(PoseModes.of(first.found), arguments.approaches, rng)
         example.approaches.extend(dataclasses.replace(a, press_m=PRESS * geometry.max_depth_m) for a in around)
         orders = [choose_by_lot(lot) for lot in rng.spawn(arguments.orders)]
-        choices = {"oracle": [choose_best], "chosen": [choose_by_information(seconds)], "random": orders}
+        choices = {"oracle": [choose_best], "chosen": [choose_by_information(seconds)], "random": orders,
+                   "expected": [choose_best_expected(arguments.modes)]}  # fmt: skip
         runs = {
             method: [count_touches(example, choose, arguments.most) for choose in choices[method]]
             for method in arguments.methods
@@ -241,7 +278,8 @@ def main() -> None:
     parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--levels", nargs="+", default=["none", "mild"], choices=list(NOISE))
-    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    parser.add_argument("--methods", nargs="+", default=list(METHODS[:3]), choices=METHODS)
+    parser.add_argument("--modes", type=int, default=8, help="poses that the method expected takes as the true one")
     parser.add_argument("--examples", type=int, default=8)
     parser.add_argument("--approaches", type=int, default=30)
     parser.add_argument("--orders", type=int, default=4, help="random orders of each example")

@@ -198,6 +198,27 @@ def test_two_modes_have_the_known_expected_entropy():
     assert after == pytest.approx([0.0, before, 0.75 * before])
 
 
+def test_a_touch_that_is_located_half_of_the_time_tells_half():
+    p, apart = np.array([0.5, 0.5]), np.array([[[0.0, 50.0], [50.0, 0.0]]])
+    after = compute_expected_entropy(apart, p, np.array([[0.5, 0.5]]))
+    assert after == pytest.approx([0.5 * np.log(2)])
+
+
+def test_a_large_contact_is_preferred_to_a_small_one(make_box):
+    # both knobs tell the poses apart, but noise would hide the small one
+    boxes = [make_box(0.06, 0.06, 0.02), make_box(0.003, 0.0015, 0.0015), make_box(0.012, 0.003, 0.012)]
+    shifts = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]])
+    vertices = np.concatenate([box.mesh.vertices_m + shift for box, shift in zip(boxes, shifts, strict=True)])
+    faces = np.concatenate([box.mesh.faces + 8 * k for k, box in enumerate(boxes)])
+    obj = ObjectModel("two knobs", TriangleMesh(vertices, faces), SymmetryGroup.parse("none", np.zeros(3)))
+    small, large = towards([-1, 0, 0], name="small"), towards([0, -1, 0], name="large")
+    found = choose_next_touch(modes_of(obj, np.eye(4), HALF_TURN), [small, large])
+    assert [rated.approach.name for rated in found.ranked] == ["large", "small"]
+    assert found.ranked[0].safe > 1.5 * found.ranked[1].safe > 0
+    assert found.ranked[0].information == pytest.approx(found.ranked[1].information, rel=0.1)
+    assert all(rated.safe < rated.information for rated in found.ranked)
+
+
 def test_groups_join_modes_that_are_alike_directly_or_indirectly():
     alike = np.eye(5, dtype=bool)
     alike[0, 2] = alike[2, 4] = True
