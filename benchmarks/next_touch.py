@@ -6,12 +6,14 @@ touches from the same `--approaches`, which are drawn around the poses of the fi
 does:
 
 - chosen: the approach that `choose_next_touch` ranks first.
+- information: the approach with the most expected information, without caution. It is measured only if `--methods`
+  names it.
 - random: any approach. Each example is repeated with `--orders` random orders, and their mean counts.
-- oracle: every approach is really touched and located with the touches so far, and the one with the best result is
-  taken. It knows the true pose, so no rule can do better in one step. Its results are ordered by whether the first pose
-  is right and the verdict certain, then by whether it is right, then by the probability of right poses.
-- expected: the same, but each of the `--modes` likeliest poses is taken as the true one in turn, and the mean result
-  counts. It does not know the true pose. It takes long, so it is measured only if `--methods` names it.
+- oracle: the best of all approaches. Each is really touched and located together with the touches so far. The oracle
+  knows the true pose, so no rule can do better in one step. It prefers results that are right and certain. Then it
+  prefers right results, and then those with the most probability of right poses.
+- expected: the same, but each of the `--modes` likeliest poses is taken as the true one in turn. The mean result
+  counts. This method does not know the true pose. It takes long, so it is measured only if `--methods` names it.
 
 An approach that meets nothing, or only a flat face, is counted as a miss, and the method's next approach is tried. The
 same approach gives the same touch to all methods. Touches are drawn by ray casting, which the localizer does not use.
@@ -62,7 +64,7 @@ from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
 PRESS = 0.6  # share of the sensor's deepest press
-METHODS = ("oracle", "chosen", "random", "expected")
+METHODS = ("oracle", "chosen", "random", "expected", "information")
 WANTED = ("known", "certain")
 
 
@@ -144,7 +146,7 @@ def judge(localizer: Localizer, touches: list[Touch], truth: Poses | None = None
     return Outcome(found, bool(right[0]), certain, mass, determined)
 
 
-def choose_by_information(seconds: list[float]) -> Choice:
+def choose_by_worth(seconds: list[float]) -> Choice:
     """Return a function that ranks approaches by `choose_next_touch`. It adds its times to `seconds`."""
 
     def choose(example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]) -> Iterator[int]:
@@ -155,6 +157,15 @@ def choose_by_information(seconds: list[float]) -> Choice:
         return (number[id(rated.approach)] for rated in ranked)
 
     return choose
+
+
+def choose_by_information(
+    example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]
+) -> Iterator[int]:  # fmt: skip
+    """Put approaches in the order of their expected information, without caution."""
+    number = {id(example.approaches[k]): k for k in left}
+    ranked = choose_next_touch(now.found, [example.approaches[k] for k in left]).ranked
+    return (number[id(rated.approach)] for rated in sorted(ranked, key=lambda rated: -rated.information))
 
 
 def choose_by_lot(rng: np.random.Generator) -> Choice:
@@ -233,8 +244,10 @@ def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, An
         around = draw_approaches_to_modes(PoseModes.of(first.found), arguments.approaches, rng)
         example.approaches.extend(dataclasses.replace(a, press_m=PRESS * geometry.max_depth_m) for a in around)
         orders = [choose_by_lot(lot) for lot in rng.spawn(arguments.orders)]
-        choices = {"oracle": [choose_best], "chosen": [choose_by_information(seconds)], "random": orders,
-                   "expected": [choose_best_expected(arguments.modes)]}  # fmt: skip
+        choices = {
+            "oracle": [choose_best], "chosen": [choose_by_worth(seconds)], "random": orders,
+            "expected": [choose_best_expected(arguments.modes)], "information": [choose_by_information],
+        }  # fmt: skip
         runs = {
             method: [count_touches(example, choose, arguments.most) for choose in choices[method]]
             for method in arguments.methods
