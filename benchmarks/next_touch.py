@@ -1,153 +1,287 @@
 #!/usr/bin/env python3
-"""The number of touches until an object's pose is known, with chosen and with random touches.
+"""The number of touches until an object's pose is known: with chosen, with random, and with the best possible touches.
 
-An object is at rest. The first touch, from any direction, is the same for both methods. Then one of `--approaches`
-sensor poses around the object is tried: the best approach by `choose_next_touch`, or a random approach. Both methods
-choose from the same approaches, in the same run. An approach that meets nothing, or only a flat face, is counted, and
-replaced by the next in rank or by another random approach. Touches are drawn by ray casting, which the localizer does
-not use. The press is 30 to 90 % of the sensor's deepest press the first time, and 60 % afterwards. A pose is known if
-the first hypothesis from all touches is within 1 mm (root mean square over the surface) and 1 degree, modulo symmetry.
+An object is at rest. The first touch, from any direction, is the same for all methods. Then each method picks further
+touches from the same `--approaches`, which are drawn around the poses of the first result, as `next-touch --around`
+does:
 
-For each object, the table has the entropy of the modes after the first touch, in nats, and the share of known poses
-after one, two, three, ... touches. It has the mean number of touches until the pose is known; a pose that stays unknown
-counts as one touch more than the most. The last columns are the number of replaced presses, and the median time of a
-choice. The last rows are for the twelve objects with the highest entropy, and for all objects. Objects are FILE[:UNITS]
-or demo names. `--out` keeps each object's examples, which are not measured again.
+- chosen: the approach that `choose_next_touch` ranks first.
+- information: the approach with the most expected information, without caution. It is measured only if `--methods`
+  names it.
+- random: any approach. Each example is repeated with `--orders` random orders, and their mean counts.
+- oracle: the best of all approaches. Each is really touched and located together with the touches so far. The oracle
+  knows the true pose, so no rule can do better in one step. It prefers results that are right and certain. Then it
+  prefers right results, and then those with the most probability of right poses.
+- expected: the same, but each of the `--modes` likeliest poses is taken as the true one in turn. The mean result
+  counts. This method does not know the true pose. It takes long, so it is measured only if `--methods` names it.
+
+An approach that meets nothing, or only a flat face, is counted as a miss, and the method's next approach is tried. The
+same approach gives the same touch to all methods. Touches are drawn by ray casting, which the localizer does not use.
+The noise of the examples alternates between `--levels`. The press is 30 to 90 % of the sensor's deepest press the
+first time, and 60 % afterwards. A pose is right if its surface is within 1 mm of the true surface, symmetric poses
+included (mean distance).
+
+Two kinds of examples are left out. Easy ones have a certain and right result after the first touch. Undetermined ones
+have no located set of touches that determines the pose. A set determines the pose if no listed pose with a wrong
+surface explains the touches to within 0.02 of the true pose's imprint IoU.
+
+The table has the mean number of touches until the first pose is right, and until it is right with the verdict certain.
+The first touch counts. A pose that stays unknown counts as one touch more than the most. Further columns are the ratio
+to the oracle's number of touches, the misses of a next touch, and the median time of a choice. The last rows are for
+all objects, by noise. Objects are FILE[:UNITS] or demo names. `--out` keeps each object's
+examples, which are not measured again.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from contacts import LEVELS
 
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry.rigid import rotation_angle
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
+from tactile_loc.evaluation.recall.evaluation import RIGHT_M, is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.approaches import draw_approaches
+from tactile_loc.tasks.approaches import draw_approaches_to_modes
 from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
-WITHIN_M, WITHIN_RAD = 1e-3, np.radians(1.0)
 PRESS = 0.6  # share of the sensor's deepest press
-TEMPERATURE = 0.05  # not fitted, because hypotheses are weighed by their evidence
-Choice = Callable[[Localization, list[Approach]], Iterator[Approach]]
+METHODS = ("oracle", "chosen", "random", "expected", "information")
+WANTED = ("known", "certain")
 
 
-def choose_approach(seconds: list[float]) -> Choice:
+class Outcome(NamedTuple):
+    """A result and how good it is; `mass` is the probability of poses with a right surface."""
+
+    found: Localization | None = None
+    right: bool = False
+    certain: bool = False
+    mass: float = 0.0
+    determined: bool = False
+
+    @property
+    def value(self) -> tuple[float, float, float]:
+        """The order in which the oracle prefers results."""
+        return float(self.right and self.certain), float(self.right), self.mass
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """An object at rest, with its first touch and the approaches to choose from. Results are kept."""
+
+    localizer: Localizer
+    source: RobotTouches
+    first: Touch
+    seed: tuple[int, int]
+    approaches: list[Approach] = field(default_factory=list)
+    touches: dict[int, Touch | None] = field(default_factory=dict)
+    outcomes: dict[tuple[int, ...], Outcome] = field(default_factory=dict)
+
+    def touch(self, k: int) -> Touch | None:
+        """Return the touch of approach k; None if it misses."""
+        if k not in self.touches:
+            a, rng = self.approaches[k], np.random.default_rng([*self.seed, k])
+            self.touches[k] = self.source.approach(a.T_base_sensor, a.press_m or 0.0, a.name, rng, a.travel_m)
+        return self.touches[k]
+
+    def locate(self, *chosen: int) -> Outcome:
+        """Return the outcome of the first touch and those of the chosen approaches."""
+        key = tuple(sorted(chosen))
+        if key not in self.outcomes:
+            touches = [self.first, *(touch for k in key if (touch := self.touch(k)) is not None)]
+            self.outcomes[key] = judge(self.localizer, touches)
+        return self.outcomes[key]
+
+    def locate_as(self, T_base_object: Poses, chosen: tuple[int, ...], k: int) -> Outcome:
+        """Return the outcome of another approach k if `T_base_object` (4, 4), metres, were the true pose."""
+        a, rng = self.approaches[k], np.random.default_rng([*self.seed, k, 1])
+        start = invert(T_base_object) @ a.T_base_sensor
+        touch = self.source.approach(start, a.press_m or 0.0, a.name, rng, a.travel_m)
+        if touch is None:
+            return Outcome()
+        there = dataclasses.replace(touch, T_base_sensor=T_base_object @ touch.T_base_sensor)
+        before = [self.first, *(known for j in chosen if (known := self.touch(j)) is not None)]
+        return judge(self.localizer, [*before, there], invert(np.asarray(self.first.T_base_sensor)) @ T_base_object)
+
+
+Choice = Callable[[Example, Outcome, tuple[int, ...], list[int]], Iterator[int]]
+
+
+def judge(localizer: Localizer, touches: list[Touch], truth: Poses | None = None) -> Outcome:
+    """Locate touches together, and compare the result with a pose (4, 4), metres, by default the true one.
+
+    The pose is in the frame of the first touch's sensor. For another pose than the true one, it is not judged whether
+    the touches determine it.
+    """
+    observations = [(localizer, touch) for touch in touches]
+    try:
+        found = localize_together(observations, top=MOST_MODES)
+    except TactileLocError:
+        return Outcome()
+    poses = np.stack([h.T_sensor_object for h in found.hypotheses])
+    true = np.asarray(touches[0].T_sensor_object if truth is None else truth)
+    off_m = measure_surface_distances(localizer.object.mesh, poses, true)
+    right = off_m < RIGHT_M
+    mass = float(sum(h.probability for h, one in zip(found.hypotheses, right, strict=True) if one))
+    certain = found.verdict is Verdict.CERTAIN
+    determined = truth is None and is_determined(observations, found.hypotheses, off_m)
+    return Outcome(found, bool(right[0]), certain, mass, determined)
+
+
+def choose_by_worth(seconds: list[float]) -> Choice:
     """Return a function that ranks approaches by `choose_next_touch`. It adds its times to `seconds`."""
 
-    def choose(found: Localization, left: list[Approach]) -> Iterator[Approach]:
+    def choose(example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]) -> Iterator[int]:
+        number = {id(example.approaches[k]): k for k in left}
         start = time.perf_counter()
-        ranked = choose_next_touch(found, left).ranked
+        ranked = choose_next_touch(now.found, [example.approaches[k] for k in left]).ranked
         seconds.append(time.perf_counter() - start)
-        return (rated.approach for rated in ranked)
+        return (number[id(rated.approach)] for rated in ranked)
 
     return choose
 
 
+def choose_by_information(
+    example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]
+) -> Iterator[int]:  # fmt: skip
+    """Put approaches in the order of their expected information, without caution."""
+    number = {id(example.approaches[k]): k for k in left}
+    ranked = choose_next_touch(now.found, [example.approaches[k] for k in left]).ranked
+    return (number[id(rated.approach)] for rated in sorted(ranked, key=lambda rated: -rated.information))
+
+
 def choose_by_lot(rng: np.random.Generator) -> Choice:
     """Return a function that puts approaches in a random order."""
-    return lambda found, left: (left[k] for k in rng.permutation(len(left)))
+    return lambda example, now, chosen, left: iter(rng.permutation(left).tolist())
 
 
-def is_known(obj: ObjectModel, found: Localization) -> bool:
-    """Return whether the first hypothesis is within 1 mm and 1 degree of the truth, modulo symmetry."""
-    T, truth = found.best.T_sensor_object, np.asarray(found.touch.T_sensor_object)
-    near_m = PoseMetric(obj).symmetric_distance(T[None], truth[None])[0]
-    step_rad = 0.2 * WITHIN_RAD
-    turns = (truth @ obj.symmetry.list_elements(max_step_rad=step_rad))[:, :3, :3]
-    return bool(near_m < WITHIN_M and rotation_angle(turns.swapaxes(-1, -2) @ T[:3, :3]).min() < WITHIN_RAD)
+def choose_best(example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]) -> Iterator[int]:
+    """Put approaches in the order of their real outcomes, the best first. Approaches that miss are left out."""
+    met = [k for k in left if example.touch(k) is not None]
+    return iter(sorted(met, key=lambda k: example.locate(*chosen, k).value, reverse=True))
 
 
-def try_approach(
-    localizer: Localizer, source: RobotTouches, found: Localization, approaches: list[Approach], choose: Choice,
-    most: int, rng: np.random.Generator,
-) -> tuple[int, int]:  # fmt: skip
-    """Return the number of touches until the pose is known, or `most` + 1, and the number of replaced presses.
+def choose_best_expected(most: int) -> Choice:
+    """Return a function that puts approaches in the order of their mean outcomes over the `most` likeliest modes."""
 
-    `found` is the result of the first touch.
-    """
-    touches, left, replaced = [found.touch], list(approaches), 0
-    while not is_known(localizer.object, found):
-        if len(touches) == most:
-            return most + 1, replaced
-        for approach in choose(found, left):
-            left.remove(approach)
-            touch = source.approach(
-                approach.T_base_sensor, float(approach.press_m or 0), approach.name, rng, approach.travel_m
-            )
-            if touch is not None:
-                touches.append(touch)
+    def choose(example: Example, now: Outcome, chosen: tuple[int, ...], left: list[int]) -> Iterator[int]:
+        modes = PoseModes.of(now.found)
+        likeliest = list(zip(modes.probabilities, modes.T_base_object, strict=True))[:most]
+
+        def expect(k: int) -> tuple[float, ...]:
+            values = [np.multiply(p, example.locate_as(T, chosen, k).value) for p, T in likeliest]
+            return tuple(np.sum(values, axis=0))
+
+        return iter(sorted(left, key=expect, reverse=True))
+
+    return choose
+
+
+def count_touches(example: Example, choose: Choice, most: int) -> dict[str, int]:
+    """Return the number of touches until the pose is known, and until it is certain, or `most` + 1, and the misses."""
+    counts, chosen, left, missed = dict.fromkeys(WANTED, most + 1), (), list(range(len(example.approaches))), 0
+    while True:
+        now, count = example.locate(*chosen), 1 + len(chosen)
+        if now.right:
+            counts["known"] = min(counts["known"], count)
+        if now.right and now.certain:
+            counts["certain"] = count
+        if counts["certain"] == count or count == most or now.found is None:
+            break
+        for k in choose(example, now, chosen, left):
+            left.remove(k)
+            if example.touch(k) is not None:
+                chosen = (*chosen, k)
                 break
-            replaced += 1
+            missed += 1
         else:
-            return most + 1, replaced
-        try:
-            found = localize_together([(localizer, touch) for touch in touches], top=MOST_MODES)
-        except TactileLocError:
-            return most + 1, replaced
-    return len(touches), replaced
+            break
+    return {**counts, "missed": missed, "more": len(chosen)}
 
 
 def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, Any]:
     """Measure all examples of one object."""
-    raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[arguments.level])
+    raycast, geometry = registry().create("renderer", "raycast", {}), localizer.scene.geometry
     seconds: list[float] = []
-    found: dict[str, list[tuple[int, int]]] = {"chosen": [], "random": []}
-    entropies = []
+    counted, easy, undetermined = [], 0, 0
     for number in range(arguments.examples):
-        rng = np.random.default_rng([arguments.seed, number])
+        level = arguments.levels[number % len(arguments.levels)]
+        noise = NOISE[level]
+        source = RobotTouches(
+            localizer.object,
+            geometry,
+            raycast,
+            noise=noise,
+            sensor_std_m=noise.sensor_m,
+            sensor_std_rad=noise.sensor_rad,
+        )
+        seed = (arguments.seed, number)
+        rng = np.random.default_rng(seed)
         (touch,), _ = source.draw_example(1, rng)
-        first = localizer.localize(touch, top=MOST_MODES)
-        entropies.append(PoseModes.of(first).entropy)
-        around = draw_approaches(localizer.object, localizer.scene.geometry, arguments.approaches, PRESS, rng)
-        for name, choose in (("chosen", choose_approach(seconds)), ("random", choose_by_lot(rng.spawn(1)[0]))):
-            own = np.random.default_rng([arguments.seed, number, 1])
-            found[name].append(try_approach(localizer, source, first, around, choose, arguments.most, own))
-    touches = {name: [t for t, _ in rows] for name, rows in found.items()}
+        example = Example(localizer, source, touch, seed)
+        first = example.locate()
+        if first.found is None or (first.right and first.certain):
+            easy += 1
+            continue
+        around = draw_approaches_to_modes(PoseModes.of(first.found), arguments.approaches, rng)
+        example.approaches.extend(dataclasses.replace(a, press_m=PRESS * geometry.max_depth_m) for a in around)
+        orders = [choose_by_lot(lot) for lot in rng.spawn(arguments.orders)]
+        choices = {
+            "oracle": [choose_best], "chosen": [choose_by_worth(seconds)], "random": orders,
+            "expected": [choose_best_expected(arguments.modes)], "information": [choose_by_information],
+        }  # fmt: skip
+        runs = {
+            method: [count_touches(example, choose, arguments.most) for choose in choices[method]]
+            for method in arguments.methods
+        }
+        if any(outcome.determined for outcome in example.outcomes.values()):
+            counted.append({"level": level, **runs})
+        else:
+            undetermined += 1
     return {
-        "object": localizer.object.name, "sensor": localizer.config.sensor.name, "level": arguments.level,
-        "approaches": arguments.approaches, "most": arguments.most, "touches": touches,
-        "replaced": {name: [r for _, r in rows] for name, rows in found.items()}, "seconds": seconds,
-        "entropies": entropies,
+        "object": localizer.object.name, "sensor": localizer.config.sensor.name, "approaches": arguments.approaches,
+        "most": arguments.most, "examples": counted, "easy": easy, "undetermined": undetermined, "seconds": seconds,
     }  # fmt: skip
 
 
-def write_shares(touches: list[int], most: int) -> list[float]:
-    """Return the shares of known poses after 1, 2, ... touches."""
-    return [float(np.mean(np.array(touches) <= n)) for n in range(1, most + 1)]
+def average(examples: list[dict[str, Any]], method: str, what: str) -> float:
+    """Return the mean of a count over examples, of which each counts once."""
+    return float(np.mean([np.mean([run[what] for run in example[method]]) for example in examples]))
 
 
-def write_line(name: str, rows: list[dict[str, Any]]) -> str:
-    """Return a row of the table, for one object or for all."""
-    doubt = np.mean([nats for row in rows for nats in row["entropies"]])
-    cells = [name, str(sum(len(row["touches"]["chosen"]) for row in rows)), f"{doubt:.2f}"]
-    for kind in ("chosen", "random"):
-        touches = [t for row in rows for t in row["touches"][kind]]
-        more = np.array(touches) - 1
-        cells += [
-            " ".join(f"{share:.0%}" for share in write_shares(touches, rows[0]["most"])),
-            f"{1 + more.mean():.2f}",
-        ]
-        cells.append(str(sum(sum(row["replaced"][kind]) for row in rows)))
+def write_line(name: str, rows: list[dict[str, Any]], methods: list[str], level: str = "") -> str:
+    """Return a row of the table, for one object or for several, with all noise or one level."""
+    examples = [one for row in rows for one in row["examples"] if level in ("", one["level"])]
+    left_out = [str(sum(row[why] for row in rows)) for why in ("easy", "undetermined")] if not level else ["", ""]
+    cells = [name, str(len(examples)), *left_out]
+    if not examples:
+        return f"| {' | '.join(cells + [''] * (len(methods) * 4 + 1))} |"
+    for method in methods:
+        means = [average(examples, method, what) for what in WANTED]
+        best = [average(examples, methods[0], what) for what in WANTED]
+        cells += [f"{means[0]:.2f}", f"{means[1]:.2f}", f"{means[0] / best[0]:.2f}, {means[1] / best[1]:.2f}"]
+        more = average(examples, method, "more")
+        cells.append(f"{average(examples, method, 'missed') / more:.2f}" if more else "")
     seconds = [s for row in rows for s in row["seconds"]]
-    cells.append(f"{1e3 * np.median(seconds):.0f}" if seconds else "")
+    cells.append(f"{1e3 * np.median(seconds):.0f}" if seconds and not level else "")
     return f"| {' | '.join(cells)} |"
 
 
@@ -156,17 +290,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--sensor", default="gelsight-mini")
-    parser.add_argument("--level", default="clean", choices=list(LEVELS))
-    parser.add_argument("--examples", type=int, default=20)
-    parser.add_argument("--approaches", type=int, default=200)
+    parser.add_argument("--levels", nargs="+", default=["none", "mild"], choices=list(NOISE))
+    parser.add_argument("--methods", nargs="+", default=list(METHODS[:3]), choices=METHODS)
+    parser.add_argument("--modes", type=int, default=8, help="poses that the method expected takes as the true one")
+    parser.add_argument("--examples", type=int, default=8)
+    parser.add_argument("--approaches", type=int, default=30)
+    parser.add_argument("--orders", type=int, default=4, help="random orders of each example")
     parser.add_argument("--most", type=int, default=6, help="most touches")
     parser.add_argument("--seed", type=int, default=23)
     parser.add_argument("--store", type=Path, help="store of models")
     parser.add_argument("--out", type=Path, help="folder with a file for each object")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    print("| object | examples | doubt, nats | chosen: known after 1, 2, ... touches | mean | replaced | random: known "
-          "after | mean | replaced | ms a choice |\n" + "|---" * 10 + "|")  # fmt: skip
+    heads = [f"{m}: known | {m}: certain | {m}: x oracle | {m}: misses" for m in arguments.methods]
+    columns = f"| object | examples | easy | undetermined | {' | '.join(heads)} | ms a choice |"
+    print(f"{columns}\n{'|---' * (columns.count('|') - 1)}|")
     for mesh in arguments.meshes:
         path, _, units = mesh.partition(":")
         kept = arguments.out / f"{Path(path).stem}.json" if arguments.out else None
@@ -174,18 +312,17 @@ def main() -> None:
             row = json.loads(kept.read_text())
         else:
             localizer = Localizer.create(
-                path, units=units or "auto", sensor=arguments.sensor, store=StageStore(arguments.store),
-                grid={"name": "whole"}, temperature=TEMPERATURE,
-            )  # fmt: skip
+                path, units=units or "auto", sensor=arguments.sensor, store=StageStore(arguments.store)
+            )
             row = measure(localizer, arguments)
             if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 kept.write_text(json.dumps(row, indent=1))
         rows.append(row)
-        print(write_line(row["object"], [row]), flush=True)
-    rows.sort(key=lambda row: -float(np.mean(row["entropies"])))
-    for count in sorted({min(12, len(rows)), len(rows)}):
-        print(write_line(f"the {count} with the highest entropy after the first touch", rows[:count]))
+        print(write_line(row["object"], [row], arguments.methods), flush=True)
+    for level in arguments.levels:
+        print(write_line(f"all, noise {level}", rows, arguments.methods, level))
+    print(write_line("all", rows, arguments.methods))
 
 
 if __name__ == "__main__":

@@ -131,11 +131,9 @@ def named(r: Results) -> list[float]:
     return [value for some in counts for value in (sum(some), EXAMPLES * len(some))]
 
 
-def more_touches(r: Results) -> list[float]:
-    """Return the numbers of further touches needed, chosen and random, and the shares known within three, %."""
-    row = "the 12 in most doubt after the first touch"
-    cells = {place: r.at("next_touch", 1, place, row) for place in (3, 4, 6, 7)}
-    return [cells[4][0] - 1, cells[7][0] - 1, cells[3][2], cells[6][2]]
+def count_touches(run: str, column: str, *methods: str) -> Values:
+    """Return a function that returns the numbers of touches of methods, over all objects."""
+    return lambda r: [r.at(run, 1, f"{method}: {column}", "all")[0] for method in methods]
 
 
 def worse_found(r: Results) -> list[float]:
@@ -261,9 +259,18 @@ QUOTES: dict[str, dict[str, Values]] = {
         "the journal and writing cost {} to {} ms for each image": range_of("replay", 1, "beside locating, ms"),
     },
     "docs/benchmarks/next-touch.md": {
-        "After the first touch, {} more touches are needed if they are chosen, and {} if they are random. "
-        "Within three touches, {} % of the poses are known with chosen touches, and {} % with random "
-        "touches": more_touches,
+        "the best possible touches need {} touches, chosen ones {}, and random ones {}":
+            count_touches("next_touch", "known", "oracle", "chosen", "random"),
+        "Until the verdict is also certain, they need {}, {} and {} touches":
+            count_touches("next_touch", "certain", "oracle", "chosen", "random"),
+        "Chosen touches thus need {} and {} times as many touches":
+            lambda r: r.at("next_touch", 1, "chosen: x oracle", "all"),
+        "needs {} touches until the first pose is right, and {} until the verdict is also certain": lambda r: [
+            r.at("next_touch-expected", 1, f"expected: {column}", "all")[0] for column in ("known", "certain")
+        ],
+        "Chosen touches need {} and {}": lambda r: [
+            r.at("next_touch-expected", 1, f"chosen: {column}", "all")[0] for column in ("known", "certain")
+        ],
         "identified as another part in {} % of the examples":
             lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
     },

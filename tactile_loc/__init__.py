@@ -60,6 +60,9 @@ if TYPE_CHECKING:
     from tactile_loc.sweeps.sweep import run_sweep as run_sweep
     from tactile_loc.sweeps.workers import LocalWorkers as LocalWorkers
     from tactile_loc.tasks.approaches import draw_approaches as draw_approaches
+    from tactile_loc.tasks.approaches import draw_approaches_to_modes as draw_approaches_to_modes
+    from tactile_loc.tasks.clearance import Clearance as Clearance
+    from tactile_loc.tasks.clearance import make_box_finger as make_box_finger
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
     from tactile_loc.tasks.identify import NullEvidence as NullEvidence

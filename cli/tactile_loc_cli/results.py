@@ -163,10 +163,12 @@ def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
 def say_next_touch(record: NextTouchRecord, top: int) -> None:
     """Write the best approaches, the approaches out of reach, and the poses that no approach distinguishes."""
     say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
-    header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost"]
+    header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost", "worth"]
     say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
-    for one in record.out_of_reach:
+    for one in record.out_of_reach[:top]:
         say(f"out of reach: {one.name} {one.reason}")
+    if (more := len(record.out_of_reach) - top) > 0:
+        say(f"out of reach: {more} more; next_touch.json has the reasons")
     if record.unlisted > LEAST_SHOWN:
         say(
             f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
@@ -176,6 +178,9 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
         say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
     for group in record.alike:
         say(f"no approach distinguishes poses {', '.join(map(str, group))}")
+    if record.stops:
+        count = next(len(group) for group in record.alike if 1 in group)
+        say(f"no further touch of these can tell these {count} poses apart: stop")
     if record.alike:
         say(
             "even after any of these approaches, the most probable pose is wrong with a probability of at least "
@@ -187,7 +192,7 @@ def _list_rated_cells(one: RatedRecord) -> list[str]:
     travel_m = [m for m in one.travel_m if m is not None]
     travel = f"{1e3 * min(travel_m):.1f} to {1e3 * max(travel_m):.1f}" if travel_m else "-"
     numbers = [f"{one.information_nats:z.2f}", f"{one.entropy_nats:z.2f}", f"{100 * one.meets:.0f}"]
-    return [str(one.rank), one.name, *numbers, travel, f"{one.cost:g}"]
+    return [str(one.rank), one.name, *numbers, travel, f"{one.cost:g}", f"{one.worth:.2f}"]
 
 
 def say_identification(record: IdentificationRecord) -> None:

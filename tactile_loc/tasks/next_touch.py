@@ -4,8 +4,9 @@ For each approach and mode, the sensor's travel up to contact and the contact it
 both give a number of nats of evidence against each mode j. This evidence determines the entropy that remains if mode i
 is true. An approach is rated by the mean of this entropy over the modes (Lindley, 1956).
 
-The evidence of contacts is that of `imprints.py`. It was fitted to touches with strong noise. An elastic gel shows the
-object only where it touches it, so only this part of a contact gives evidence.
+Locating several touches together moves each pose until it fits all of them as well as it can. So a real touch
+contradicts a wrong pose less than the expected touch does, and only a share of the evidence is expected (`CAUTIOUS`).
+To decide which modes no touch distinguishes, all of it counts (`FULL`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +23,16 @@ from numpy.typing import NDArray
 from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel, mark_touching
-from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE, compare_imprints
+from tactile_loc.core.sensing.gel_surface import deform_gel, mark_touching
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.results.localization import Localization
+from tactile_loc.tasks.clearance import Clearance
 from tactile_loc.tasks.pose_modes import PoseModes, compute_entropy
+from tactile_loc.tasks.touch_evidence import compare_contacts, compare_elastic_contacts
 
 Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -37,14 +40,30 @@ Bools = NDArray[np.bool_]
 LOOKED_AT_PX = 24  # pixels along the long side of contacts that are compared
 MOST_DRAWN = 1500  # approaches whose contacts are rendered: the best ones by travel alone
 AT_ONCE = 500  # contacts rendered together
-TRAVEL_STD_M = 5e-4  # standard deviation of the travel: errors of the mode's pose, the press and the robot
 MOST_NATS = 8.0  # most evidence of one touch between two modes, because real touches differ from expected ones
 ALIKE_NATS = 1.0  # modes are alike if no approach gives more evidence between them
 LEAST_PERCENT = 0.25  # of the observed pixels: a touch needs at least this contact
 IN_THE_WAY = 0.01  # an approach is out of reach if it starts inside the object with this probability
+MOST_UNLISTED = 0.25  # probability of unlisted poses above which another touch is always worth making
 
 
 Cost = Callable[[Approach], float]
+
+
+class Weights(NamedTuple):
+    """How much is expected of a touch: the weight of a contact's evidence, and the standard deviation of the travel.
+
+    `travel_std_m`, metres, contains the errors of the mode's pose, of the press and of the robot. A touch with a
+    contact of `half_m2`, square metres, counts as located half of the time, because noise hides small contacts.
+    """
+
+    contact: float
+    travel_std_m: float
+    half_m2: float
+
+
+CAUTIOUS, FULL = Weights(0.15, 5e-3, 1e-5), Weights(1.0, 5e-4, 0.0)
+MOTION = 0.5  # share of an approach's cost that is paid even if it makes no touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +86,14 @@ class RatedApproach:
     """An approach and its expected result.
 
     `information`, nats, is the expected decrease of the modes' entropy, and `entropy`, nats, the entropy that remains.
+    `safe`, nats, is the decrease that is expected if touches tell less, as real ones do (`CAUTIOUS`).
     `meets`, 0 to 1, is the probability that the approach makes a touch. `travel_m` (K,), metres, is the travel up to
     contact with each mode, NaN if the sensor misses the object.
     """
 
     approach: Approach
     information: float
+    safe: float
     entropy: float
     meets: float
     travel_m: Float64
@@ -80,8 +101,11 @@ class RatedApproach:
 
     @property
     def worth(self) -> float:
-        """Information divided by cost, by which approaches are ranked."""
-        return self.information / self.cost
+        """Safe information divided by the expected cost, by which approaches are ranked.
+
+        An approach costs its motion, and the rest of its cost only if it makes a touch.
+        """
+        return self.safe / (self.cost * (MOTION + (1 - MOTION) * self.meets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +119,7 @@ class NextTouch:
 
     @property
     def best(self) -> RatedApproach:
-        """The approach with the most information for its cost."""
+        """The approach with the most safe information for its cost."""
         return self.ranked[0]
 
     @cached_property
@@ -105,9 +129,20 @@ class NextTouch:
         apart, at_once = np.zeros((count, count)), max(1, MOST_DRAWN // count)
         for start in range(0, len(self.ranked), at_once):
             some = [rated.approach for rated in self.ranked[start : start + at_once]]
-            nats, _, tells = _compare_drawn(self.scene, some, foresee(self.scene, self.modes, some), self.modes)
-            apart = np.maximum(apart, (nats * tells[:, :, None]).max(axis=0))  # a touch that cannot be located gives 0
+            seen = foresee(self.scene, self.modes, some)
+            ((nats, located),) = _compare_drawn(self.scene, some, seen, self.modes, [FULL])
+            apart = np.maximum(apart, (nats * located[:, :, None]).max(axis=0))
         return find_groups(apart < ALIKE_NATS)
+
+    @cached_property
+    def stops(self) -> bool:
+        """Whether no approach distinguishes any two probable modes, so that none of these touches can help.
+
+        It is false if only one mode is probable, or if unlisted poses have more than MOST_UNLISTED of the probability.
+        """
+        probable = set(np.flatnonzero(self.modes.probabilities > IN_THE_WAY).tolist())
+        alone = self.modes.unlisted > MOST_UNLISTED or len(probable) < 2
+        return not alone and any(probable <= set(group) for group in self.alike)
 
     @property
     def doubt_left(self) -> float:
@@ -131,13 +166,13 @@ class NextTouch:
 
 def choose_next_touch(
     found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
-    renderer: Renderer | None = None,
+    renderer: Renderer | None = None, clearance: Clearance | None = None,
 ) -> NextTouch:  # fmt: skip
     """Rate approaches by the entropy of the modes of `found` that is expected after each approach.
 
     An approach can also be just the pose (4, 4), metres, at which the sensor starts. Poses are in the frame of the
     touch's `T_base_sensor` or, without it, in the touch's sensor frame. `cost` replaces the approaches' own costs;
-    infinity means out of reach.
+    infinity means out of reach. With a `clearance`, approaches are also out of reach if the finger would hit something.
 
     A press gives no information if the sensor misses the object or touches only a flat face, because such a touch
     cannot be located. The travel up to contact gives information, too, because it differs between modes. Raises
@@ -152,18 +187,20 @@ def choose_next_touch(
     _require_usable(made, costs, modes)
     seen = foresee(scene, modes, made)
     reasons = _explain_out_of_reach(seen, modes, costs)
+    if clearance is not None:
+        _add_collisions(reasons, clearance, made, seen, modes)
     left = [k for k, reason in enumerate(reasons) if not reason]
     outside = tuple((made[k], reason) for k, reason in enumerate(reasons) if reason)
     if not left:
         raise ConfigError(f"none of the {len(made)} approaches is within reach; the first {reasons[0]}")
-    expected = _expect_entropy(scene, [made[k] for k in left], _select(seen, left), modes, costs[left])
+    entropies = _expect_entropies(scene, [made[k] for k in left], _select(seen, left), modes, costs[left])
     rated = [
         RatedApproach(
-            made[k], max(0.0, modes.entropy - float(after)), float(after),
+            made[k], max(0.0, modes.entropy - full), max(0.0, modes.entropy - cautious), full,
             float(modes.probabilities[seen.meets[k]].sum()), np.where(seen.meets[k], seen.travel_m[k], np.nan),
             float(costs[k]),
         )
-        for k, after in zip(left, expected, strict=True)
+        for k, (full, cautious) in zip(left, entropies.tolist(), strict=True)
     ]  # fmt: skip
     order = sorted(range(len(rated)), key=lambda k: (-rated[k].worth, rated[k].cost))
     return NextTouch(modes, tuple(rated[k] for k in order), outside, scene)
@@ -182,59 +219,17 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
 
 
-def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
+def compute_expected_entropy(nats: Float64, probabilities: Float64, located: Float64) -> Float64:
     """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
-    `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `tells` (A, K) marks the
-    modes whose touch can be located; other touches change nothing.
+    `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `located` (A, K), 0 to 1,
+    is how probably the touch of each mode can be located; other touches change nothing.
     """
     with np.errstate(divide="ignore"):
         logits = np.log(probabilities) - nats
     after = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    left = compute_entropy(after / after.sum(axis=-1, keepdims=True))
-    return np.asarray(np.where(tells, left, compute_entropy(probabilities)) @ probabilities)
-
-
-def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
-    """Return the evidence (K, K), nats, of each of K contacts for the mode that made it, against each other mode.
-
-    Element (i, j) is the evidence that contact i gives for depths i, minus the evidence that it gives for depths j
-    (`core.sensing.imprints.compare_imprints`). `depth_m` (K, H, W) is in metres. All pairs are compared at once, from
-    the contacts' sums and the sums of their differences.
-    """
-    from scipy.spatial.distance import pdist, squareform
-
-    depth = depth_m[:, observed]
-    contact = (depth < np.float32(press_m)).astype(np.float32)
-    weight = (np.float32(1 + OUTLINE_SHARE) - depth / np.float32(press_m)) * contact
-    total = weight.sum(axis=1, dtype=float)
-    apart = squareform(pdist(weight, "cityblock"))
-    both = total[:, None] + total[None]
-    ious = (both - apart) / np.maximum(both + apart, 1.0)
-    common = contact @ contact.T
-    alone = total[:, None] - weight @ contact.T  # sum over contact i where j has no contact
-    off_mm = 1e3 * press_m * np.maximum(apart - alone - alone.T, 0.0) / np.maximum(common, 1.0)
-    area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
-    evidence = IOU_NATS * ious + AREA_NATS * np.log1p(area_mm2) - DEPTH_NATS * off_mm
-    return np.asarray(np.maximum(np.diag(evidence)[:, None] - evidence, 0.0))
-
-
-def compare_elastic_contacts(
-    depth_m: NDArray[np.float32], shown_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float
-) -> Float64:
-    """Return the evidence (K, K), nats, of each of K contacts with an elastic gel, as `compare_contacts` does.
-
-    `depth_m` (K, H, W), metres, are the contact depths in a rigid gel, and `shown_m` (K, H, W) those that the elastic
-    gel shows. The touch of mode i contradicts mode j only where the gel touches mode i, and where mode j pierces the
-    gel's surface.
-    """
-    press, nats = np.float32(press_m), np.empty((len(depth_m), len(depth_m)))
-    for i, (touching, shown) in enumerate(zip(mark_touching(depth_m, shown_m, press_m), shown_m, strict=True)):
-        seen = np.where(touching, depth_m[i], press)
-        made = np.where(touching | (depth_m < shown - np.float32(SLACK) * press), depth_m, press)
-        evidence = compare_imprints(made, seen, press_m, observed, pixel_pitch_m).evidence
-        nats[i] = evidence[i] - evidence
-    return np.maximum(nats, 0.0)
+    left, before = compute_entropy(after / after.sum(axis=-1, keepdims=True)), compute_entropy(probabilities)
+    return np.asarray((before - located * (before - left)) @ probabilities)
 
 
 def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
@@ -249,23 +244,35 @@ def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
     return tuple(sorted((group for group in found if len(group) > 1), key=len, reverse=True))
 
 
-def _expect_entropy(
+def _expect_entropies(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
 ) -> Float64:
-    """Return the expected entropy (A,), nats: by travel, and for the most promising approaches by contact as well."""
-    p = modes.probabilities
-    after = compute_expected_entropy(_compare_travels(seen), p, seen.meets)
-    promising = np.argsort(-(modes.entropy - after) / costs, kind="stable")[: max(1, MOST_DRAWN // len(p))]
-    chosen = [approaches[k] for k in promising]
-    after[promising] = compute_expected_entropy(*_compare_drawn(scene, chosen, _select(seen, promising), modes))
+    """Return the expected entropy (A, 2), nats, with full and with cautious weights.
+
+    All approaches are rated by travel, and the most promising ones by contact as well.
+    """
+    p, several = modes.probabilities, (_weigh_fully(modes), CAUTIOUS)
+    meets = seen.meets.astype(float)
+    after = np.stack([compute_expected_entropy(_compare_travels(seen, w.travel_std_m), p, meets) for w in several], 1)
+    worth = (modes.entropy - after[:, 1]) / (costs * (MOTION + (1 - MOTION) * (meets @ p)))
+    promising = np.argsort(-worth, kind="stable")[: max(1, MOST_DRAWN // len(p))]
+    drawn = _compare_drawn(scene, [approaches[k] for k in promising], _select(seen, promising), modes, several)
+    after[promising] = np.stack([compute_expected_entropy(nats, p, located) for nats, located in drawn], 1)
     return after
 
 
+def _weigh_fully(modes: PoseModes) -> Weights:
+    return FULL._replace(contact=modes.sharpness)
+
+
 def _compare_drawn(
-    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
-) -> tuple[Float64, Float64, Bools]:
-    """Return the arguments of `compute_expected_entropy`, from travels and rendered contacts."""
-    nats, tells = _compare_travels(seen), seen.meets.copy()
+    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, several: Sequence[Weights]
+) -> list[tuple[Float64, Float64]]:
+    """Return the arguments `nats` and `located` of `compute_expected_entropy` for each of several weights.
+
+    They come from travels and rendered contacts.
+    """
+    found = [(_compare_travels(seen, weights.travel_std_m), seen.meets.astype(float)) for weights in several]
     for press_m in {_find_press_m(a, modes) for a in approaches}:
         some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
         geometry = scene.geometry.press(press_m)
@@ -273,18 +280,19 @@ def _compare_drawn(
         glance = dataclasses.replace(scene, geometry=geometry.subsample(step))
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
         for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
-            if len(rows) and geometry.gel.is_elastic:
-                shown = deform_gel(depths, press_m, glance.geometry)
-                touching = mark_touching(depths, shown, press_m)
-                tells[k, rows] = _is_usable(np.where(touching, depths, np.float32(press_m)), glance.geometry)
-                told = compare_elastic_contacts(depths, shown, press_m, observed, pitch_m)
-            elif len(rows):
-                tells[k, rows] = _is_usable(depths, glance.geometry)
-                told = compare_contacts(depths, press_m, observed, pitch_m)
-            else:
+            if not len(rows):
                 continue
-            nats[k][np.ix_(rows, rows)] += modes.sharpness * told
-    return np.minimum(nats, MOST_NATS), modes.probabilities, tells
+            contacts = depths
+            if geometry.gel.is_elastic:
+                shown = deform_gel(depths, press_m, glance.geometry)
+                contacts = np.where(mark_touching(depths, shown, press_m), depths, np.float32(press_m))
+                told = compare_elastic_contacts(depths, shown, press_m, observed, pitch_m)
+            else:
+                told = compare_contacts(depths, press_m, observed, pitch_m)
+            for weights, (nats, located) in zip(several, found, strict=True):
+                nats[k][np.ix_(rows, rows)] += weights.contact * told
+                located[k, rows] = _expect_located(contacts, glance.geometry, weights.half_m2)
+    return [(np.minimum(nats, MOST_NATS), located) for nats, located in found]
 
 
 def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
@@ -298,19 +306,24 @@ def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArra
     ]  # fmt: skip
 
 
-def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
-    """Return which contacts (M, h, w) can be located: large enough, and not a flat face all over the sensor."""
+def _expect_located(depth_m: NDArray[np.float32], geometry: SensorGeometry, half_m2: float) -> Float64:
+    """Return how probably contacts (M, h, w) can be located, 0 to 1: see `Weights`.
+
+    It is 0 for a contact that is too small for a touch, and for a flat face all over the sensor.
+    """
     seen = depth_m[:, geometry.observed_mask]
-    share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
-    return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
+    count = (seen < np.float32(geometry.max_depth_m)).sum(axis=1)
+    usable = (count >= LEAST_PERCENT / 100 * seen.shape[1]) & (count < seen.shape[1])
+    area_m2 = count * geometry.pixel_pitch_m**2
+    return np.asarray(np.where(usable, area_m2 / np.where(usable, area_m2 + half_m2, 1.0), 0.0))
 
 
-def _compare_travels(seen: Foreseen) -> Float64:
+def _compare_travels(seen: Foreseen, std_m: float) -> Float64:
     """Return the evidence (A, K, K), nats, of the travel for mode i against mode j."""
     apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
     both = seen.meets[:, :, None] & seen.meets[:, None, :]
     either = seen.meets[:, :, None] | seen.meets[:, None, :]
-    nats = np.where(both, 0.5 * (np.where(both, apart_m, 0.0) / TRAVEL_STD_M) ** 2, np.where(either, MOST_NATS, 0.0))
+    nats = np.where(both, 0.5 * (np.where(both, apart_m, 0.0) / std_m) ** 2, np.where(either, MOST_NATS, 0.0))
     return np.asarray(np.minimum(nats, MOST_NATS))
 
 
@@ -323,6 +336,18 @@ def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> l
         else ""
         for price, share in zip(costs, inside, strict=True)
     ]  # fmt: skip
+
+
+def _add_collisions(
+    reasons: list[str], clearance: Clearance, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
+) -> None:
+    """Fill the empty ones of `reasons` (A,) with what the finger would hit."""
+    left = [k for k, reason in enumerate(reasons) if not reason]
+    some, met = [approaches[k] for k in left], _select(seen, left)
+    pressed_m = met.travel_m + np.array([_find_press_m(a, modes) for a in some])[:, None]
+    moved_m = np.where(met.meets, pressed_m, np.array([a.travel_m for a in some])[:, None])
+    for k, reason in zip(left, clearance.explain(modes, some, moved_m), strict=True):
+        reasons[k] = reason
 
 
 def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseModes) -> None:

@@ -28,6 +28,9 @@ class RatedRecord(Record):
     press_m: float | None = Field(description="how deep it presses, m; null: as deep as the touch before")
     information_nats: float = Field(description="expected drop of the modes' entropy")
     entropy_nats: float = Field(description="expected entropy afterwards")
+    worth: float = Field(
+        0.0, description="cautiously expected drop, nats, per expected cost; the approaches are ranked by it"
+    )
     meets: float = Field(description="probability that it meets the object, 0 to 1")
     travel_m: list[float | None] = Field(description="travel until contact with each mode, m; null: it misses")
     cost: float = Field(description="its cost")
@@ -64,6 +67,7 @@ class NextTouchRecord(Record):
     doubt_left: float = Field(
         description="probability that the truth is in such a group, but is not its likeliest mode"
     )
+    stops: bool = Field(False, description="true: no approach tells any of the probable modes apart, so stop touching")
 
 
 def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
@@ -101,12 +105,14 @@ def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
         entropy_nats=modes.entropy, ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],
         alike=[[number + 1 for number in group] for group in found.alike], doubt_left=found.doubt_left,
+        stops=found.stops,
     )  # fmt: skip
 
 
 def _record_rated(rank: int, one: RatedApproach) -> RatedRecord:
     return RatedRecord(
         rank=rank, name=one.approach.name, T_base_sensor=one.approach.T_base_sensor.tolist(),
-        press_m=one.approach.press_m, information_nats=one.information, entropy_nats=one.entropy, meets=one.meets,
+        press_m=one.approach.press_m, information_nats=one.information, entropy_nats=one.entropy, worth=one.worth,
+        meets=one.meets,
         travel_m=[None if math.isnan(m) else m for m in one.travel_m.tolist()], cost=one.cost,
     )  # fmt: skip

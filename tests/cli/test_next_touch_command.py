@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused
+import trimesh
+from cli_helpers import TINY, assert_refused, touch_depths
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
@@ -39,8 +40,8 @@ def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     said = json.loads(done.stdout)
     assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/report.html"]
     assert json.loads(Path("out/next_touch.json").read_text()).items() <= said.items()
-    information = [one["information_nats"] for one in said["ranked"]]
-    assert information == sorted(information, reverse=True)
+    worth = [one["worth"] for one in said["ranked"]]
+    assert worth == sorted(worth, reverse=True)
     beside = next(one for one in said["ranked"] if one["name"] == "approach 3")  # half a metre away
     assert beside["information_nats"] == pytest.approx(0)
     assert set(beside["travel_m"]) == {None}
@@ -82,3 +83,44 @@ def test_approaches_have_one_source(cli, result):
     poses = listed("poses.toml", motion(0))
     assert_refused(cli("next-touch", result), "--candidates", "--around")
     assert_refused(cli("next-touch", result, "--candidates", poses, "--around", "3"), "--candidates", "--around")
+
+
+def test_a_finger_that_hits_the_object_is_out_of_reach(cli, result):
+    pytest.importorskip("fcl", reason="python-fcl is not installed")
+    poses = listed("poses.toml", motion(0), motion(500))
+    trimesh.creation.box((200, 200, 110)).export("finger.stl")  # 30 mm in front of the gel
+    finger = ("--finger", "finger.stl", "--units", "mm")
+    done = cli("next-touch", result, "--candidates", poses, *finger, "--out", "out", "--json")
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert [one["name"] for one in said["ranked"]] == ["approach 2"]  # half a metre away
+    assert "finger" in said["out_of_reach"][0]["reason"]
+    assert said["stops"] is False
+
+
+def test_what_the_finger_must_not_hit_is_checked(cli, result):
+    poses = listed("poses.toml", motion(0))
+    given = ("next-touch", result, "--candidates", poses)
+    assert_refused(cli(*given, "--floor", "0"), "--floor", "--finger")
+    assert_refused(cli(*given, "--finger", "20x20x20mm", "--floor", "0"), "floor")
+    assert_refused(cli(*given, "--finger", "20x0x20mm"), "20x0x20mm")
+    assert_refused(cli(*given, "--finger", "none.stl"), "none.stl")
+    np.save("touch.npy", touch_depths())
+    Path("run.toml").write_text("temperature = 0.05\n")
+    done = cli(
+        "run",
+        "--object",
+        "pin",
+        *TINY,
+        "--config",
+        "run.toml",
+        "--touch",
+        "touch.npy",
+        "--touch-unit",
+        "m",
+        "--out",
+        "alone",
+    )
+    assert done.exit_code == 0, done.stderr
+    alone = ("next-touch", "alone", "--candidates", poses, "--finger", "20x20x20mm")
+    assert_refused(cli(*alone, "--floor", "0"), "T_base_sensor", "--floor")

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
@@ -13,14 +14,11 @@ from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, 
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, mark_touching
-from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
+from tactile_loc.tasks.clearance import Clearance, make_box_finger
 from tactile_loc.tasks.next_touch import (
     choose_next_touch,
-    compare_contacts,
-    compare_elastic_contacts,
     compute_expected_entropy,
     find_groups,
     foresee,
@@ -41,6 +39,19 @@ def knobbed(make_box) -> ObjectModel:
     faces = np.concatenate([box.mesh.faces, knob.mesh.faces + len(box.mesh.vertices_m)])
     mesh = TriangleMesh(np.concatenate([box.mesh.vertices_m, shifted]), faces)
     return ObjectModel("knobbed", mesh, SymmetryGroup.parse("none", np.zeros(3)))
+
+
+@pytest.fixture
+def drilled() -> ObjectModel:
+    """Return a block, 40 x 30 x 20 mm, with two blind holes in its top: that at +x is 8 mm deep, the other 2 mm."""
+    block = trimesh.creation.box((0.04, 0.03, 0.02))
+    bores = [
+        trimesh.creation.cylinder(0.005, 2 * depth_m, sections=32).apply_translation([x, 0.0, 0.01])
+        for x, depth_m in ((0.012, 8e-3), (-0.012, 2e-3))
+    ]
+    made = trimesh.boolean.difference([block, *bores], engine="manifold")
+    mesh = TriangleMesh(np.asarray(made.vertices), np.asarray(made.faces))
+    return ObjectModel("drilled", mesh, SymmetryGroup.parse("none", np.zeros(3)))
 
 
 def towards(direction, beside_m: float = 0.0, **given) -> Approach:
@@ -85,6 +96,40 @@ def test_poses_that_no_touch_distinguishes_are_reported(make_box):
     )
     assert found.alike == ((0, 1),)
     assert found.doubt_left == pytest.approx(0.3)
+
+
+def test_touching_stops_if_only_a_blind_hole_differs(drilled):
+    # the surface of both poses differs only below holes that are deeper than any press
+    given = [*(edge_of(d) for d in ([-1, 0, 0], [1, 0, 0], [0, 1, 0])), towards([0, 0, -1], beside_m=0.012)]
+    modes = modes_of(drilled, np.eye(4), HALF_TURN, p=[0.6, 0.4])
+    found = choose_next_touch(modes, given)
+    assert found.stops
+    assert found.alike == ((0, 1),)
+    assert found.doubt_left == pytest.approx(0.4)
+    deeper = dataclasses.replace(modes, geometry=dataclasses.replace(GEL, max_depth_m=3e-3, standoff_m=0.02))
+    assert not choose_next_touch(deeper, [towards([0, 0, -1], beside_m=0.012, press_m=2.5e-3)]).stops
+
+
+def test_touching_goes_on_while_a_touch_can_help(knobbed):
+    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
+    top, knob = edge_of([0, 0, -1], name="top"), edge_of([-1, 0, 0], name="knob")
+    assert choose_next_touch(modes, [top]).stops
+    assert not choose_next_touch(modes, [top, knob]).stops
+    assert not choose_next_touch(dataclasses.replace(modes, unlisted=0.6), [top]).stops
+    assert not choose_next_touch(modes_of(knobbed, np.eye(4)), [top]).stops  # one pose: nothing to tell apart
+    third, beside = make_transform(np.eye(3), [0, 0, 3e-3]), towards([0, 0, -1], beside_m=0.015)
+    assert choose_next_touch(modes, [beside]).stops
+    assert not choose_next_touch(modes_of(knobbed, np.eye(4), HALF_TURN, third), [beside]).stops
+
+
+def test_touching_stops_if_the_finger_cannot_reach_what_differs(knobbed):
+    pytest.importorskip("fcl", reason="python-fcl is not installed")
+    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
+    top, knob = edge_of([0, 0, -1], name="top"), edge_of([-1, 0, 0], name="knob")
+    clearance = Clearance(make_box_finger((0.06, 0.06, 0.03), GEL), floor_m=-0.015)
+    found = choose_next_touch(modes, [top, knob], clearance=clearance)
+    assert [approach.name for approach, _ in found.out_of_reach] == ["knob"]
+    assert found.stops
 
 
 def test_poses_that_are_equal_by_symmetry_are_merged(make_box):
@@ -145,23 +190,33 @@ def test_the_pressed_sensor_sees_the_object_at_the_predicted_pose(knobbed):
     assert np.allclose(seen.T_sensor_object[0, 0], invert(moved))
 
 
-def test_distances_in_nats_equal_differences_of_evidence():
-    rng = np.random.default_rng(0)
-    depths = (rng.random((4, 9, 12)) * 4e-4).astype(np.float32)  # small differences, which the evidence does not cap
-    depths[rng.random(depths.shape) < 0.5] = PRESS_M
-    observed = rng.random((9, 12)) < 0.9
-    nats = compare_contacts(depths, PRESS_M, observed, 1e-3)
-    for i, seen in enumerate(depths):
-        evidence = compare_imprints(depths, seen, PRESS_M, observed, 1e-3).evidence
-        assert nats[i] == pytest.approx(evidence[i] - evidence, abs=1e-3)
-
-
 def test_two_modes_have_the_known_expected_entropy():
     p, apart, none = np.array([0.25, 0.75]), np.array([[0.0, 50.0], [50.0, 0.0]]), np.zeros((2, 2))
     before = -(p * np.log(p)).sum()
     told = np.array([[True, True], [True, True], [True, False]])
     after = compute_expected_entropy(np.stack([apart, none, apart]), p, told)
     assert after == pytest.approx([0.0, before, 0.75 * before])
+
+
+def test_a_touch_that_is_located_half_of_the_time_tells_half():
+    p, apart = np.array([0.5, 0.5]), np.array([[[0.0, 50.0], [50.0, 0.0]]])
+    after = compute_expected_entropy(apart, p, np.array([[0.5, 0.5]]))
+    assert after == pytest.approx([0.5 * np.log(2)])
+
+
+def test_a_large_contact_is_preferred_to_a_small_one(make_box):
+    # both knobs tell the poses apart, but noise would hide the small one
+    boxes = [make_box(0.06, 0.06, 0.02), make_box(0.003, 0.0015, 0.0015), make_box(0.012, 0.003, 0.012)]
+    shifts = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]])
+    vertices = np.concatenate([box.mesh.vertices_m + shift for box, shift in zip(boxes, shifts, strict=True)])
+    faces = np.concatenate([box.mesh.faces + 8 * k for k, box in enumerate(boxes)])
+    obj = ObjectModel("two knobs", TriangleMesh(vertices, faces), SymmetryGroup.parse("none", np.zeros(3)))
+    small, large = towards([-1, 0, 0], name="small"), towards([0, -1, 0], name="large")
+    found = choose_next_touch(modes_of(obj, np.eye(4), HALF_TURN), [small, large])
+    assert [rated.approach.name for rated in found.ranked] == ["large", "small"]
+    assert found.ranked[0].safe > 1.5 * found.ranked[1].safe > 0
+    assert found.ranked[0].information == pytest.approx(found.ranked[1].information, rel=0.1)
+    assert all(rated.safe < rated.information for rated in found.ranked)
 
 
 def test_groups_join_modes_that_are_alike_directly_or_indirectly():
@@ -192,37 +247,6 @@ def test_invalid_approaches_and_modes_are_refused(knobbed):
 
 
 SOFT = dataclasses.replace(GEL, gel=Gel(4e-3))
-
-
-def press_bumps(*gaps_m: float) -> np.ndarray:
-    """Return the contact depths in a rigid gel, (K, 60, 80), metres, of a ball beside one that is `gaps_m` higher."""
-    y, x = np.mgrid[:60, :80] / 4 - np.array([7.5, 10.0])[:, None, None]
-    balls = [(x**2 + y**2) / 8, (x - 1.5) ** 2 / 8 + y**2 / 8]
-    depths = [np.minimum(balls[0], balls[1] + 1e3 * gap_m) for gap_m in gaps_m]
-    return np.minimum(1e-3 * np.stack(depths), PRESS_M).astype(np.float32)
-
-
-def test_what_an_elastic_gel_does_not_touch_gives_no_evidence():
-    # beside a sphere, an elastic gel is displaced but touches nothing, so a lower bump there stays unseen
-    depths = press_bumps(2e-4, 4e-4)
-    pressed = SOFT.press(PRESS_M)
-    shown = deform_gel(depths, PRESS_M, pressed)
-    rigid = compare_contacts(depths, PRESS_M, np.ones((60, 80), bool), 2.5e-4)
-    elastic = compare_elastic_contacts(depths, shown, PRESS_M, np.ones((60, 80), bool), 2.5e-4)
-    assert np.diag(elastic) == pytest.approx([0.0, 0.0])
-    assert 0 <= elastic[1, 0] < rigid[1, 0]
-    same = compare_elastic_contacts(depths[[0, 0]], shown[[0, 0]], PRESS_M, np.ones((60, 80), bool), 2.5e-4)
-    assert same == pytest.approx(np.zeros((2, 2)))
-
-
-def test_the_marked_contact_is_the_one_that_the_gel_surface_shows():
-    depths = press_bumps(2e-4, 1e-2)
-    pressed = SOFT.press(PRESS_M)
-    shown = deform_gel(depths, PRESS_M, pressed, iterations=30)
-    for marked, surface, depth in zip(mark_touching(depths, shown, PRESS_M), shown, depths, strict=True):
-        found = find_touching(surface, PRESS_M, pressed)
-        assert np.count_nonzero(marked & found) > 0.8 * np.count_nonzero(marked | found)
-        assert np.count_nonzero(marked) < 0.8 * np.count_nonzero(depth < PRESS_M)
 
 
 def test_an_elastic_gel_is_predicted_with_its_surface(knobbed):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -17,10 +18,15 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from tactile_loc.core.objects.mesh import TriangleMesh
+    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
     from tactile_loc.io.approach_files import Approach
+    from tactile_loc.io.meshes import Units
+    from tactile_loc.tasks.clearance import Clearance
     from tactile_loc.tasks.pose_modes import PoseModes
 
 DEFAULT_OUT = Path("tactile-loc-next-touch")
+BOX = re.compile(r"(\d*\.?\d+)x(\d*\.?\d+)x(\d*\.?\d+)mm")
 DRAWN, MOST = "approaches.toml", 10_000  # file of the drawn approaches, and their largest number
 
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="Folder written by run, or its result.json.")]
@@ -41,6 +47,25 @@ Around = Annotated[
         min=1, max=MOST,
     ),
 ]  # fmt: skip
+Finger = Annotated[
+    str | None,
+    options.declare(
+        "--finger", "FILE|XxYxZmm",
+        "Body that carries the sensor: a mesh file in the sensor frame, or the sides of a box behind the gel, such as "
+        "32x28x24mm. Approaches are out of reach if it would hit the object. It needs tactile-loc[clearance].",
+    ),
+]  # fmt: skip
+Fixture = Annotated[
+    Path | None,
+    options.declare("--fixture", "FILE", "Mesh file in the base frame that the --finger must not hit either."),
+]
+Floor = Annotated[
+    float | None, options.declare("--floor", "MM", "The --finger must stay above z = MM of the base frame.")
+]
+MeshUnits = Annotated[
+    options.Units,
+    options.declare("--units", None, "Unit of the files of --finger and --fixture. auto: guessed from their size."),
+]
 Seed = Annotated[int, options.declare("--seed", "N", "Seed of the approaches of --around.", min=0)]
 Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show; the file has all of them.")]
 Out = Annotated[
@@ -52,6 +77,10 @@ def next_touch(
     result: Result,
     candidates: Candidates = None,
     around: Around = None,
+    finger: Finger = None,
+    fixture: Fixture = None,
+    floor: Floor = None,
+    units: MeshUnits = options.Units.AUTO,
     seed: Seed = 0,
     top: Top = 10,
     out: Out = DEFAULT_OUT,
@@ -61,7 +90,7 @@ def next_touch(
 
     The next touch should distinguish the poses that a result lists. For each pose and approach, the command simulates
     the sensor's travel until contact and the contact shape. Approaches are ranked by their expected information per
-    cost. The output also names the poses that no approach distinguishes.
+    cost. The output also names the poses that no approach distinguishes, and says when to stop.
     """
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_next_touch
@@ -72,9 +101,12 @@ def next_touch(
     from tactile_loc_cli.results import say_next_touch
 
     modes, T_base_sensor = read_modes(_find_result(result))
-    approaches = _find_approaches(candidates, around, seed, modes, T_base_sensor)
+    in_base = T_base_sensor is not None
+    clearance = _find_clearance(finger, fixture, floor, cast("Units", units.value), modes.geometry, in_base)
+    body = None if clearance is None else clearance.finger
+    approaches = _find_approaches(candidates, around, seed, modes, T_base_sensor, body)
     require_writable(out)
-    found = choose(modes, approaches)
+    found = choose(modes, approaches, clearance=clearance)
     record = make_next_touch_record(found)
     say_next_touch(record, top)
     title = f"{record.object}: {len(record.modes)} possible poses, {len(record.ranked)} approaches"
@@ -83,7 +115,7 @@ def next_touch(
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
     if around is not None:
-        written.append(write_approaches(out / DRAWN, approaches, in_base=T_base_sensor is not None))
+        written.append(write_approaches(out / DRAWN, approaches, in_base))
     if report:
         from tactile_loc.reports.report import DEFAULT_NAME, write_page
         from tactile_loc.reports.tasks import make_next_touch_page
@@ -98,6 +130,7 @@ def _find_approaches(
     seed: int,
     modes: PoseModes,
     T_base_sensor: NDArray[np.float64] | None,
+    finger: TriangleMesh | None,
 ) -> Sequence[Approach]:
     """Read the candidates, or draw approaches to the modes. Raises ConfigError unless exactly one is asked for."""
     import numpy as np
@@ -108,10 +141,42 @@ def _find_approaches(
     if candidates is not None and around is None:
         return read_approaches(candidates, T_base_sensor)
     if candidates is None and around is not None:
-        return draw_approaches_to_modes(modes, around, np.random.default_rng(seed))
+        return draw_approaches_to_modes(modes, around, np.random.default_rng(seed), finger)
     raise ConfigError(
         "next-touch takes its approaches from one source; give either --candidates FILE.toml or --around N"
     )
+
+
+def _find_clearance(
+    finger: str | None,
+    fixture: Path | None,
+    floor_mm: float | None,
+    units: Units,
+    geometry: SensorGeometry,
+    in_base: bool,
+) -> Clearance | None:
+    """Read what must not be hit. Raises ConfigError for a fixture or floor without a finger or a base frame."""
+    from tactile_loc.io.meshes import load_object
+    from tactile_loc.tasks.clearance import Clearance, make_box_finger
+
+    if finger is None:
+        if fixture is None and floor_mm is None:
+            return None
+        raise ConfigError("--fixture and --floor need the body that must not hit them; give it as --finger")
+    if not in_base and not (fixture is None and floor_mm is None):
+        raise ConfigError(
+            "--fixture and --floor are in the base frame, but the touch has no T_base_sensor; locate it again from a "
+            "list of touches with T_base_sensor"
+        )
+    if box := BOX.fullmatch(finger):
+        sides_m = [1e-3 * float(side) for side in box.groups()]
+        if not min(sides_m) > 0:
+            raise ConfigError(f"the box {finger} of --finger has a side of 0 mm; give three positive sides")
+        body = make_box_finger(sides_m, geometry)
+    else:
+        body = load_object(finger, units, "none").mesh
+    held = None if fixture is None else load_object(fixture, units, "none").mesh
+    return Clearance(body, held, None if floor_mm is None else 1e-3 * floor_mm)
 
 
 def _find_result(path: Path) -> Path:
