@@ -1,43 +1,20 @@
-"""The node's logic without ROS, and the node with a stand-in for rclpy that records the published messages."""
+"""Locating images: encodings of real Image and CompressedImage messages, errors, press depths, and tracks."""
 
 from __future__ import annotations
 
-import sys
 from io import BytesIO
-from types import ModuleType
-from types import SimpleNamespace as Fields
 
 import numpy as np
 import pytest
 from PIL import Image
-from tactile_loc import Localizer, LocatedFrame, TactileLocError, Verdict
-from tactile_loc.plugin import MissingLibraryError
+from tactile_loc import LocatedFrame, Verdict, decode_image
 
-from tactile_loc_ros2 import node
 from tactile_loc_ros2.locator import ImageLocator
 
 T = np.array([[0, -1, 0, 0.001], [1, 0, 0, 0.002], [0, 0, 1, 0.003], [0, 0, 0, 1.0]])
 C = np.diag(np.arange(1.0, 7.0))
-DEPTH = np.full((200, 200), 0.002, np.float32)
-DEPTH[50:90, 60:150] = 0.0
-STAMP = Fields(sec=5, nanosec=7)
-
-
-def depth_image(depth: np.ndarray = DEPTH, **fields) -> Fields:
-    h, w = depth.shape
-    given = {"encoding": "32FC1", "is_bigendian": 0, "step": 4 * w, "data": depth.tobytes(), **fields}
-    return Fields(header=Fields(stamp=STAMP, frame_id="gel"), height=h, width=w, **given)
-
-
-def pose_message() -> Fields:
-    """Return an empty message with the fields of rclpy's message."""
-    at = Fields(position=Fields(x=0.0, y=0.0, z=0.0), orientation=Fields(x=0.0, y=0.0, z=0.0, w=1.0))
-    return Fields(header=Fields(stamp=None, frame_id=""), pose=Fields(pose=at, covariance=[0.0] * 36))
-
-
-@pytest.fixture(scope="module")
-def localizer() -> Localizer:
-    return Localizer.create("pin", sensor="gelslim", grid={"name": "face", "spacing_mm": 10}, temperature=1e-3)
+NS = 1_000_000_000
+COLOURS = np.arange(5 * 4 * 3, dtype=np.uint8).reshape(5, 4, 3)
 
 
 def estimated(touch) -> LocatedFrame:
@@ -49,161 +26,133 @@ def locator(localizer) -> ImageLocator:
     return ImageLocator(localizer, estimator=estimated)
 
 
-def test_an_image_gives_a_pose(locator):
-    image = depth_image()
-    message = locator.fill(pose_message(), locator.locate(image), image)
-    assert (message.header.stamp, message.header.frame_id) == (STAMP, "gel")
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    assert (p.x, p.y, p.z) == (0.001, 0.002, 0.003)
-    np.testing.assert_allclose((q.x, q.y, q.z, q.w), (0, 0, 0.5**0.5, 0.5**0.5))
-    assert message.pose.covariance[::7] == [1, 2, 3, 4, 5, 6]
+def pad(rows: np.ndarray, padding: int) -> dict:
+    """Return the fields of an image whose rows of bytes end with `padding` unused bytes."""
+    padded = np.pad(rows.reshape(len(rows), -1), ((0, 0), (0, padding)), constant_values=255)
+    return {"step": padded.shape[1], "data": padded.ravel()}
 
 
-def test_the_frame_name_can_be_set(localizer):
-    locator = ImageLocator(localizer, "finger", estimator=estimated)
-    image = depth_image()
-    assert locator.fill(pose_message(), locator.locate(image), image).header.frame_id == "finger"
+@pytest.mark.parametrize("padding", [0, 3])
+@pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
+def test_colours_are_read_from_serialised_messages(make_image, encoding, order, padding):
+    image = make_image(np.zeros((5, 4), np.float32), encoding=encoding, **pad(COLOURS[..., order], padding))
+    np.testing.assert_array_equal(decode_image(image), COLOURS)
 
 
-def test_the_localizer_locates_a_simulated_touch(localizer):
+@pytest.mark.parametrize("padding", [0, 7])
+def test_grey_images_are_read(make_image, padding):
+    grey = COLOURS[..., 0]
+    image = make_image(np.zeros((5, 4), np.float32), encoding="mono8", **pad(grey, padding))
+    np.testing.assert_array_equal(decode_image(image), grey)
+
+
+@pytest.mark.parametrize("padding", [0, 4])
+@pytest.mark.parametrize(("big", "dtype"), [(0, "<f4"), (1, ">f4")])
+def test_depths_are_read_in_both_byte_orders(make_image, big, dtype, padding):
+    depth = np.linspace(0, 1e-3, 20, dtype=np.float32).reshape(5, 4)
+    data = np.ascontiguousarray(depth, dtype).view(np.uint8)
+    read = decode_image(make_image(depth, is_bigendian=big, **pad(data, padding)))
+    assert read.dtype == np.float32
+    np.testing.assert_array_equal(read, depth)
+
+
+def test_a_compressed_image_is_read_from_a_serialised_message(types):
+    file = BytesIO()
+    Image.fromarray(COLOURS).save(file, "png")
+    data = np.frombuffer(file.getvalue(), np.uint8)
+    message = types.pass_on(types.find("sensor_msgs/msg/CompressedImage")(format="png", data=data))
+    np.testing.assert_array_equal(decode_image(message), COLOURS)
+
+
+def test_the_localizer_locates_a_simulated_touch(localizer, make_image):
     touch = localizer.simulate(1, seed=2)[0]
-    locator = ImageLocator(localizer, press_depth_m=touch.press_depth_m)
-    located = locator.locate(depth_image(touch.contact_shape.depth_m))
+    located = ImageLocator(localizer, touch.press_depth_m).locate(make_image(touch.contact_shape.depth_m)).located
     expected = localizer.localize(touch)
     np.testing.assert_allclose(located.T_sensor_object[:3, 3], expected.best.T_sensor_object[:3, 3], atol=1e-3)
     assert located.verdict is expected.verdict
 
 
-def test_the_press_depth_is_used(localizer):
-    seen = []
-
-    def keep(touch) -> LocatedFrame:
-        seen.append(touch.press_depth_m)
-        return estimated(touch)
-
-    ImageLocator(localizer, press_depth_m=1e-3, estimator=keep).locate(depth_image())
-    assert seen == [1e-3]
+def test_a_touch_has_the_press_depth_and_the_sensor_pose(localizer, make_image, depth_m):
+    touch = ImageLocator(localizer, press_depth_m=1e-3).read_touch(make_image(depth_m), T)
+    assert touch.press_depth_m == 1e-3
+    np.testing.assert_array_equal(touch.T_base_sensor, T)
 
 
-def test_an_image_without_contact_is_no_error(locator):
-    located = locator.locate(depth_image(np.full((200, 200), 0.002, np.float32)))
+def test_an_image_without_contact_is_no_error(locator, make_image, untouched_m):
+    located = locator.locate(make_image(untouched_m)).located
     assert located.T_sensor_object is None
     assert located.verdict is Verdict.NO_CONTACT
 
 
 @pytest.mark.parametrize(
-    ("image", "mentioned"),
+    ("change", "mentioned"),
     [
-        (depth_image(encoding="yuv422"), "yuv422"),
-        (depth_image(np.zeros((20, 20), np.float32)), "20, 20"),
-        (depth_image(data=b"123"), "has 3 bytes"),
-        (depth_image(-DEPTH), "negative"),
+        ({"encoding": "yuv422"}, "yuv422"),
+        ({"height": 20, "width": 20, "step": 80}, "20, 20"),
+        ({"data": np.zeros(3, np.uint8)}, "has 3 bytes"),
+        ({"step": 3}, "rows of 3"),
     ],
 )
-def test_an_unreadable_image_gives_an_error(locator, image, mentioned):
-    located = locator.locate(image)
+def test_an_unreadable_image_gives_an_error(locator, make_image, depth_m, change, mentioned):
+    located = locator.locate(make_image(depth_m, **change)).located
     assert located.T_sensor_object is None
     assert located.verdict is None
     assert mentioned in located.says
 
 
-def test_a_compressed_photo_needs_a_calibrated_sensor(locator):
+def test_negative_depths_are_refused(locator, make_image, depth_m):
+    assert "negative" in locator.locate(make_image(-depth_m)).located.says
+
+
+def test_a_compressed_photo_needs_a_calibrated_sensor(locator, types):
     file = BytesIO()
     Image.fromarray(np.zeros((200, 200, 3), np.uint8)).save(file, "png")
-    located = locator.locate(Fields(format="png", data=file.getvalue(), header=None))
-    assert "not calibrated for images" in located.says
+    message = types.find("sensor_msgs/msg/CompressedImage")(format="png", data=np.frombuffer(file.getvalue(), np.uint8))
+    assert "not calibrated for images" in locator.locate(message).located.says
 
 
-def test_a_missing_ros_gives_a_one_sentence_error(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "rclpy", None)
-    with pytest.raises(MissingLibraryError, match="source a ROS 2 installation"):
-        node.ros("rclpy")
-    assert issubclass(MissingLibraryError, TactileLocError)
-    assert node.main(["--object", "pin", "--sensor", "gelslim", "--image-topic", "/gel"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+@pytest.mark.parametrize(
+    ("verdict", "published"), [(Verdict.CERTAIN, True), (Verdict.AMBIGUOUS, False), (Verdict.POOR_FIT, False)]
+)
+def test_only_poses_with_the_required_verdict_are_published(localizer, verdict, published):
+    located = LocatedFrame(verdict, T[None], np.ones(1), C, 0.9)
+    assert ImageLocator(localizer, required=Verdict.CERTAIN).is_published(located) is published
+    assert ImageLocator(localizer).is_published(located)
+    assert not ImageLocator(localizer).is_published(LocatedFrame(Verdict.NO_CONTACT))
 
 
-class StandIn:
-    """The parts of rclpy and its messages that the node uses. Spinning passes the images and interrupts the node."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, images: list[Fields]) -> None:
-        self.images, self.published, self.warned, self.began, self.ended = images, {}, [], [], 0
-        policy = Fields(BEST_EFFORT="best effort")
-        modules = {
-            "rclpy": {
-                "init": self._init, "create_node": lambda name: self, "spin": self._spin, "try_shutdown": self._end,
-            },
-            "rclpy.qos": {"QoSProfile": lambda **given: given, "ReliabilityPolicy": policy},
-            "sensor_msgs": {}, "sensor_msgs.msg": {"Image": "Image", "CompressedImage": "CompressedImage"},
-            "std_msgs": {}, "std_msgs.msg": {"String": Fields},
-            "geometry_msgs": {}, "geometry_msgs.msg": {"PoseWithCovarianceStamped": pose_message},
-        }  # fmt: skip
-        for name, things in modules.items():
-            module = ModuleType(name)
-            module.__dict__.update(things)
-            monkeypatch.setitem(sys.modules, name, module)
-
-    def _init(self, args):
-        self.began.append(args)
-
-    def _spin(self, spun):
-        for image in self.images:
-            self.on_image(image)
-        raise KeyboardInterrupt
-
-    def _end(self):
-        self.ended += 1
-
-    def create_publisher(self, kind, topic, depth):
-        return Fields(publish=self.published.setdefault(topic, []).append)
-
-    def create_subscription(self, kind, topic, on_image, quality):
-        self.kind, self.image_topic, self.on_image, self.quality = kind, topic, on_image, quality
-
-    def get_logger(self):
-        return Fields(info=lambda text: None, warning=lambda text, throttle_duration_sec: self.warned.append(text))
-
-    def destroy_node(self):
-        self.ended += 1
+@pytest.fixture
+def tracked(localizer) -> tuple[ImageLocator, np.ndarray]:
+    touch = localizer.simulate(1, seed=2)[0]
+    return ImageLocator(localizer, touch.press_depth_m, track=True), touch.contact_shape.depth_m
 
 
-def test_the_node_publishes_poses_and_verdicts(monkeypatch, locator):
-    untouched = depth_image(np.full((200, 200), 0.002, np.float32))
-    ros = StandIn(monkeypatch, [depth_image(), untouched, depth_image(data=b""), depth_image()])
-    node.run(locator, "/gel/image", False, "/pose", "/verdict", ["--ros-args"])
-    assert (ros.kind, ros.image_topic) == ("Image", "/gel/image")
-    assert [message.header.stamp for message in ros.published["/pose"]] == [STAMP, STAMP]
-    assert [message.data for message in ros.published["/verdict"]] == ["certain", "no contact", "certain"]
-    assert len(ros.warned) == 1
-    assert ros.quality["depth"] == 1
-    assert (ros.began, ros.ended) == ([["--ros-args"]], 2)
+def test_a_track_predicts_the_pose_without_contact(tracked, make_image, untouched_m):
+    locator, depth_m = tracked
+    for k in range(3):
+        found = locator.locate(make_image(depth_m, stamp_ns=k * NS // 10), np.eye(4))
+        assert not found.slipped
+    assert found.located.T_sensor_object is not None
+    predicted = locator.locate(make_image(untouched_m, stamp_ns=NS), np.eye(4)).located
+    assert predicted.verdict is Verdict.NO_CONTACT
+    assert predicted.says
+    np.testing.assert_allclose(predicted.T_sensor_object, found.located.T_sensor_object, atol=1e-4)
 
 
-def test_compressed_images_have_another_message_type(monkeypatch, locator):
-    ros = StandIn(monkeypatch, [])
-    node.run(locator, "/gel/image/compressed", True, "/pose", "/verdict", [])
-    assert ros.kind == "CompressedImage"
-    assert ros.published == {"/pose": [], "/verdict": []}
+def test_a_track_without_sensor_poses_assumes_a_sensor_at_rest(tracked, make_image):
+    locator, depth_m = tracked
+    rested = [locator.locate(make_image(depth_m, stamp_ns=k * NS // 10)).located for k in range(4)][-1]
+    assert rested.T_sensor_object is not None
+    moved = np.eye(4)
+    moved[0, 3] = 0.5
+    again = locator.locate(make_image(depth_m, stamp_ns=NS), moved).located
+    assert again.T_sensor_object is None or abs(again.T_sensor_object[0, 3] - rested.T_sensor_object[0, 3]) > 0.1
 
 
-@pytest.mark.parametrize(("verdict", "poses"), [(Verdict.CERTAIN, 1), (Verdict.AMBIGUOUS, 0), (Verdict.POOR_FIT, 0)])
-def test_only_poses_with_the_required_verdict_are_published(monkeypatch, localizer, verdict, poses):
-    def judged(touch) -> LocatedFrame:
-        return LocatedFrame(verdict, T[None], np.ones(1), C, 0.9)
-
-    for required, expected in ((Verdict.CERTAIN, poses), (None, 1)):
-        ros = StandIn(monkeypatch, [depth_image()])
-        locator = ImageLocator(localizer, estimator=judged, required=required)
-        node.run(locator, "/gel/image", False, "/pose", "/verdict", [])
-        assert len(ros.published["/pose"]) == expected
-        assert [message.data for message in ros.published["/verdict"]] == [verdict.value]
-        assert ros.warned == []
-
-
-def test_the_node_takes_the_required_verdict_as_an_argument(capsys):
-    words = ["--object", "pin", "--sensor", "gelslim", "--image-topic", "/gel"]
-    assert node._parser().parse_args([*words, "--require", "certain"]).require == "certain"
-    assert node._parser().parse_args(words).require is None
-    with pytest.raises(SystemExit):
-        node._parser().parse_args([*words, "--require", "perhaps"])
-    assert "certain" in capsys.readouterr().err
+def test_a_reset_clock_begins_another_track(tracked, make_image):
+    locator, depth_m = tracked
+    for stamp_ns in (100 * NS, 100 * NS + NS // 10, 5 * NS, 5 * NS + NS // 10):
+        located = locator.locate(make_image(depth_m, stamp_ns=stamp_ns), np.eye(4)).located
+        assert located.verdict is not None, located.says
+    late = locator.locate(make_image(depth_m, stamp_ns=5 * NS), np.eye(4)).located  # out of order by 0.1 s
+    assert late.verdict is not None, late.says
