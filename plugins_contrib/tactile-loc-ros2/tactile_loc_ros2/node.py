@@ -295,12 +295,14 @@ def run(words: Sequence[str]) -> None:
     """Run the node with the arguments of a command line, until ROS shuts down."""
     ours, of_ros = split_arguments(words)
     given = vars(make_parser().parse_args(ours))
-    rclpy, ros = import_ros("rclpy"), Ros.load()
-    rclpy.init(args=of_ros)
+    rclpy, signals, ros = import_ros("rclpy"), import_ros("rclpy.signals"), Ros.load()
+    # rclpy's handlers would let a model be built to its end before the process stops
+    rclpy.init(args=of_ros, signal_handler_options=signals.SignalHandlerOptions.NO)
     node = rclpy.create_node(NODE)
     try:
         options = declare_options(node, given)
         locator, library = build(options)
+        signals.install_signal_handlers(signals.SignalHandlerOptions.ALL)
         TactileLocNode(node, ros, options, locator, library)
         node.get_logger().info(f"locating {locator.localizer.object.name} in the images on {options.image_topic}")
         rclpy.spin(node)

@@ -149,7 +149,7 @@ def test_an_image_gets_a_pose_and_a_verdict(start, client, depth_m, localizer):
 
 
 def test_services_locate_touches_and_suggest_the_next(start, client, depth_m):
-    start("--image-topic", "/gel/image", "--no-continuous", "--approach-count", "10")
+    process = start("--image-topic", "/gel/image", "--no-continuous", "--approach-count", "10")
     client.wait(lambda: client.node.get_subscriptions_info_by_topic("/gel/image"), START_S)
     client.wait(lambda: client.call("add_touch")["success"], again=lambda: client.send_image(depth_m, 5))
     located = client.call("locate")
@@ -162,6 +162,8 @@ def test_services_locate_touches_and_suggest_the_next(start, client, depth_m):
     assert client.call("clear")["cleared"] == 1
     assert not client.call("locate")["success"]
     assert client.got["/object/verdict"] == []
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(ANSWER_S) == 0, process.stderr.read()
 
 
 def test_poses_and_slips_of_a_track_are_in_the_base_frame(start, client, depth_m):
