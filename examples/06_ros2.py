@@ -36,9 +36,8 @@ position, orientation = (
     Kind(**dict(zip(names, map(float, values), strict=True)))
     for Kind, names, values in ((Point, "xyz", pose.position_m), (Quaternion, "xyzw", pose.quaternion_xyzw))
 )
-at = Pose(position=position, orientation=orientation)
-covariant = PoseWithCovariance(pose=at, covariance=np.array(pose.covariance))
-message = PoseWithCovarianceStamped(header=header, pose=covariant)
+at = PoseWithCovariance(pose=Pose(position=position, orientation=orientation), covariance=np.array(pose.covariance))
+message = PoseWithCovarianceStamped(header=header, pose=at)
 
 if rclpy is None:
     data = bytes(types.serialize_cdr(message, NAME))
@@ -46,9 +45,10 @@ if rclpy is None:
 else:
     rclpy.init()
     node = rclpy.create_node("tactile_loc_example")
-    node.create_publisher(PoseWithCovarianceStamped, "object_pose", 1).publish(message)
-    rclpy.spin_once(node, timeout_sec=1.0)
-    rclpy.shutdown()
+    publisher = node.create_publisher(PoseWithCovarianceStamped, "object_pose", 1)
+    while not publisher.get_subscription_count():
+        time.sleep(0.1)  # the message would be lost
+    publisher.publish(message)
 
 if picture:
     axes = plt.figure(figsize=(5, 5), layout="constrained").add_subplot(projection="3d")

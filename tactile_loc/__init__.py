@@ -12,6 +12,7 @@ from tactile_loc.core.lazy import lazy_names
 if TYPE_CHECKING:
     from tactile_loc.core.errors import NoContactError as NoContactError
     from tactile_loc.core.errors import TactileLocError as TactileLocError
+    from tactile_loc.core.geometry.frame_tree import FrameTree as FrameTree
     from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel
     from tactile_loc.core.objects.mesh import TriangleMesh as TriangleMesh
     from tactile_loc.core.poses.metric import PoseGrid as PoseGrid
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
     from tactile_loc.io.meshes import load_object as load_object
+    from tactile_loc.io.meshes import simplify_mesh as simplify_mesh
     from tactile_loc.io.options import HypothesisOptions as HypothesisOptions
     from tactile_loc.io.options import SearchOptions as SearchOptions
     from tactile_loc.io.options import TrackerOptions as TrackerOptions

@@ -1,64 +1,99 @@
-"""Locating the object in image messages, and filling pose messages. This module does not import ROS."""
+"""Locating the object in image messages, each image separately or as a track. This module does not import ROS."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from tactile_loc import (
     Localizer,
     LocatedFrame,
-    RosPose,
+    NoContactError,
     TactileLocError,
     Touch,
+    Tracker,
     Verdict,
     decode_image,
     touch_from_image,
 )
 
+from tactile_loc_ros2.frames import NS, read_stamp_ns
+
+Floats = NDArray[np.float64]
 Estimator = Callable[[Touch], LocatedFrame]
+
+RESET_S = 1.0  # stamps that go back farther begin another track
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedImage:
+    """The result of one image: the pose in the sensor's frame, and in a track, whether the object has just slipped."""
+
+    located: LocatedFrame
+    slipped: bool = False
 
 
 class ImageLocator:
-    """Locates an object in image messages of one sensor, each image separately.
+    """Locates an object in image messages of one sensor, each image separately or, with `track`, as one sequence.
 
-    `frame` is the sensor's frame, by default the frame in the image's header. `press_depth_m`, in metres, has the same
-    meaning as in `tactile_loc.read_touch`. `estimator` locates a touch; the default estimator uses the localizer. If a
-    verdict is `required`, poses with another verdict are not published.
+    `press_depth_m`, in metres, has the same meaning as in `tactile_loc.read_touch`. `estimator` locates a touch without
+    a track; the default estimator uses the localizer. If a verdict is `required`, poses with another verdict are not
+    published.
     """
 
     def __init__(
-        self, localizer: Localizer, frame: str = "", press_depth_m: float | None = None,
-        estimator: Estimator | None = None, required: Verdict | None = None,
+        self, localizer: Localizer, press_depth_m: float | None = None, estimator: Estimator | None = None,
+        required: Verdict | None = None, track: bool = False,
     ) -> None:  # fmt: skip
-        self._sensor, self._frame, self._press_depth_m = localizer.sensor, frame, press_depth_m
-        self._required = required
-        self._estimator = estimator or (lambda touch: LocatedFrame.of(localizer.localize(touch)))
+        self.localizer, self.required = localizer, required
+        self._press_depth_m, self._estimator = press_depth_m, estimator or self._localize
+        self._tracker = Tracker(localizer) if track else None
+        self._time_s = -math.inf
 
-    def locate(self, image: Any) -> LocatedFrame:
-        """Locate the object in a sensor_msgs Image or CompressedImage. A faulty image gives a result with the error."""
+    def read_touch(self, image: Any, T_base_sensor: Floats | None = None) -> Touch:
+        """Return the touch of a sensor_msgs Image or CompressedImage, with the sensor's pose (4, 4), metres.
+
+        Raises NoContactError if nothing touches the gel, and TactileLocError if the image cannot be read.
+        """
+        touch = touch_from_image(decode_image(image), self.localizer.sensor, self._press_depth_m)
+        return replace(touch, T_base_sensor=T_base_sensor)
+
+    def locate(self, image: Any, T_base_sensor: Floats | None = None) -> LocatedImage:
+        """Locate the object in an image message. A faulty image gives a result with the error.
+
+        A track needs the sensor's pose `T_base_sensor` (4, 4), metres. Without it, the sensor is assumed to rest.
+        """
         try:
-            return self._estimator(touch_from_image(decode_image(image), self._sensor, self._press_depth_m))
+            return self._locate(image, T_base_sensor)
         except TactileLocError as error:
-            return LocatedFrame.of_error(error)
+            return LocatedImage(LocatedFrame.of_error(error))
 
     def is_published(self, located: LocatedFrame) -> bool:
         """Return whether the pose of a result is published: there is a pose, and it has the required verdict."""
-        has_verdict = self._required is None or located.verdict is self._required
+        has_verdict = self.required is None or located.verdict is self.required
         return located.T_sensor_object is not None and has_verdict
 
-    def fill(self, message: Any, located: LocatedFrame, image: Any) -> Any:
-        """Fill a geometry_msgs PoseWithCovarianceStamped with the image's stamp, the sensor's frame and the pose.
+    def _locate(self, image: Any, T_base_sensor: Floats | None) -> LocatedImage:
+        if self._tracker is None:
+            return LocatedImage(self._estimator(self.read_touch(image, T_base_sensor)))
+        try:
+            touch, says = self.read_touch(image, T_base_sensor), ""
+        except NoContactError as error:
+            touch, says = None, str(error)
+        tracker, time_s = self._follow_clock(read_stamp_ns(image.header) / NS)
+        pose = tracker.update(time_s, touch, np.eye(4) if T_base_sensor is None else T_base_sensor)
+        return LocatedImage(replace(pose.frame, says=says), pose.slipped)
 
-        `located` must have a pose. Returns the message.
-        """
-        assert located.T_sensor_object is not None
-        pose = RosPose.of(located.T_sensor_object, located.covariance)
-        message.header.stamp = image.header.stamp
-        message.header.frame_id = self._frame or image.header.frame_id
-        for field, value in zip("xyz", pose.position_m, strict=True):
-            setattr(message.pose.pose.position, field, value)
-        for field, value in zip("xyzw", pose.quaternion_xyzw, strict=True):
-            setattr(message.pose.pose.orientation, field, value)
-        message.pose.covariance = list(pose.covariance)
-        return message
+    def _follow_clock(self, time_s: float) -> tuple[Tracker, float]:
+        """Return the tracker and the time of an image, seconds; a reset clock begins another track."""
+        if self._tracker is None or time_s < self._time_s - RESET_S:
+            self._tracker, self._time_s = Tracker(self.localizer), time_s
+        self._time_s = max(self._time_s, time_s)  # images may arrive out of order
+        return self._tracker, self._time_s
+
+    def _localize(self, touch: Touch) -> LocatedFrame:
+        return LocatedFrame.of(self.localizer.localize(touch))

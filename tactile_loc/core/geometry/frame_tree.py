@@ -64,6 +64,11 @@ class Edge:
         share = passed_ns / max(1, self.stamps_ns[after] - self.stamps_ns[before])
         return interpolate(self.T_parent_child[before], self.T_parent_child[after], share)
 
+    def forget(self, before_ns: int) -> None:
+        """Drop the transforms that no lookup at `before_ns` or later needs; a fixed edge keeps its transform."""
+        unused = 0 if self.fixed else max(0, bisect_right(self.stamps_ns, before_ns) - 1)
+        del self.stamps_ns[:unused], self.T_parent_child[:unused]
+
     @property
     def _name(self) -> str:
         return f"{self.child!r} in {self.parent!r}"
@@ -90,6 +95,15 @@ class FrameTree:
         if edge.parent != parent:
             raise FrameError(f"the frame {child!r} has two parents, {edge.parent!r} and {parent!r}; give it only one")
         edge.add(stamp_ns, T_parent_child)
+
+    def remove(self, child: str) -> None:
+        """Remove all transforms of a frame in its parent, for instance before it gets another parent."""
+        self._edges.pop(child, None)
+
+    def forget(self, before_ns: int) -> None:
+        """Drop the transforms that no lookup at `before_ns`, ns, or later needs."""
+        for edge in self._edges.values():
+            edge.forget(before_ns)
 
     def require(self, *names: str) -> None:
         """Raise FrameError, which lists the known frames, unless there are frames with all these names."""

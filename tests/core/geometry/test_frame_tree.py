@@ -77,3 +77,23 @@ def test_circular_frames_and_decreasing_times_are_refused(tree):
     tree.add("moon", "flag", 3 * S, B)
     with pytest.raises(FrameError, match=naming("flag", "3.000 s")):
         tree.look_up("moon", "flag", 50 * S)
+
+
+def test_a_removed_frame_may_get_another_parent(tree):
+    tree.remove("tool")
+    with pytest.raises(FrameError, match="tool"):
+        tree.look_up("base", "tool", S)
+    tree.add("camera", "tool", 0, A)
+    np.testing.assert_allclose(tree.look_up("base", "tool", 0), B @ A)
+    tree.remove("unknown")
+
+
+def test_forgotten_transforms_are_those_that_later_lookups_do_not_need(tree):
+    at = tree.look_up("base", "tool", 3 * S // 2)
+    tree.forget(3 * S // 2)
+    np.testing.assert_allclose(tree.look_up("base", "tool", 3 * S // 2), at)
+    with pytest.raises(FrameError, match=r"from 1\.000 s"):
+        tree.look_up("base", "tool", S // 2)
+    tree.forget(99 * S)
+    tree.look_up("base", "tool", 3 * S)
+    tree.look_up("base", "camera", 0)

@@ -1,0 +1,164 @@
+"""Locating images: encodings of real Image and CompressedImage messages, errors, press depths, and tracks."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+from tactile_loc import LocatedFrame, Verdict, decode_image
+
+from tactile_loc_ros2.locator import ImageLocator
+
+T = np.array([[0, -1, 0, 0.001], [1, 0, 0, 0.002], [0, 0, 1, 0.003], [0, 0, 0, 1.0]])
+C = np.diag(np.arange(1.0, 7.0))
+NS = 1_000_000_000
+COLOURS = np.arange(5 * 4 * 3, dtype=np.uint8).reshape(5, 4, 3)
+
+
+def estimated(touch) -> LocatedFrame:
+    return LocatedFrame(Verdict.CERTAIN, T[None], np.ones(1), C, 0.9)
+
+
+@pytest.fixture
+def locator(localizer) -> ImageLocator:
+    return ImageLocator(localizer, estimator=estimated)
+
+
+def pad(rows: np.ndarray, padding: int) -> dict:
+    """Return the fields of an image whose rows of bytes end with `padding` unused bytes."""
+    padded = np.pad(rows.reshape(len(rows), -1), ((0, 0), (0, padding)), constant_values=255)
+    return {"step": padded.shape[1], "data": padded.ravel()}
+
+
+@pytest.mark.parametrize("padding", [0, 3])
+@pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
+def test_colours_are_read_from_serialised_messages(make_image, encoding, order, padding):
+    image = make_image(np.zeros((5, 4), np.float32), encoding=encoding, **pad(COLOURS[..., order], padding))
+    np.testing.assert_array_equal(decode_image(image), COLOURS)
+
+
+@pytest.mark.parametrize("padding", [0, 7])
+def test_grey_images_are_read(make_image, padding):
+    grey = COLOURS[..., 0]
+    image = make_image(np.zeros((5, 4), np.float32), encoding="mono8", **pad(grey, padding))
+    np.testing.assert_array_equal(decode_image(image), grey)
+
+
+@pytest.mark.parametrize("padding", [0, 4])
+@pytest.mark.parametrize(("big", "dtype"), [(0, "<f4"), (1, ">f4")])
+def test_depths_are_read_in_both_byte_orders(make_image, big, dtype, padding):
+    depth = np.linspace(0, 1e-3, 20, dtype=np.float32).reshape(5, 4)
+    data = np.ascontiguousarray(depth, dtype).view(np.uint8)
+    read = decode_image(make_image(depth, is_bigendian=big, **pad(data, padding)))
+    assert read.dtype == np.float32
+    np.testing.assert_array_equal(read, depth)
+
+
+def test_a_compressed_image_is_read_from_a_serialised_message(types):
+    file = BytesIO()
+    Image.fromarray(COLOURS).save(file, "png")
+    data = np.frombuffer(file.getvalue(), np.uint8)
+    message = types.pass_on(types.find("sensor_msgs/msg/CompressedImage")(format="png", data=data))
+    np.testing.assert_array_equal(decode_image(message), COLOURS)
+
+
+def test_the_localizer_locates_a_simulated_touch(localizer, make_image):
+    touch = localizer.simulate(1, seed=2)[0]
+    located = ImageLocator(localizer, touch.press_depth_m).locate(make_image(touch.contact_shape.depth_m)).located
+    expected = localizer.localize(touch)
+    np.testing.assert_allclose(located.T_sensor_object[:3, 3], expected.best.T_sensor_object[:3, 3], atol=1e-3)
+    assert located.verdict is expected.verdict
+
+
+def test_a_touch_has_the_press_depth_and_the_sensor_pose(localizer, make_image, depth_m):
+    touch = ImageLocator(localizer, press_depth_m=1e-3).read_touch(make_image(depth_m), T)
+    assert touch.press_depth_m == 1e-3
+    np.testing.assert_array_equal(touch.T_base_sensor, T)
+
+
+def test_an_image_without_contact_is_no_error(locator, make_image, untouched_m):
+    located = locator.locate(make_image(untouched_m)).located
+    assert located.T_sensor_object is None
+    assert located.verdict is Verdict.NO_CONTACT
+
+
+@pytest.mark.parametrize(
+    ("change", "mentioned"),
+    [
+        ({"encoding": "yuv422"}, "yuv422"),
+        ({"height": 20, "width": 20, "step": 80}, "20, 20"),
+        ({"data": np.zeros(3, np.uint8)}, "has 3 bytes"),
+        ({"step": 3}, "rows of 3"),
+    ],
+)
+def test_an_unreadable_image_gives_an_error(locator, make_image, depth_m, change, mentioned):
+    located = locator.locate(make_image(depth_m, **change)).located
+    assert located.T_sensor_object is None
+    assert located.verdict is None
+    assert mentioned in located.says
+
+
+def test_negative_depths_are_refused(locator, make_image, depth_m):
+    assert "negative" in locator.locate(make_image(-depth_m)).located.says
+
+
+def test_a_compressed_photo_needs_a_calibrated_sensor(locator, types):
+    file = BytesIO()
+    Image.fromarray(np.zeros((200, 200, 3), np.uint8)).save(file, "png")
+    message = types.find("sensor_msgs/msg/CompressedImage")(format="png", data=np.frombuffer(file.getvalue(), np.uint8))
+    assert "not calibrated for images" in locator.locate(message).located.says
+
+
+@pytest.mark.parametrize(
+    ("verdict", "published"), [(Verdict.CERTAIN, True), (Verdict.AMBIGUOUS, False), (Verdict.POOR_FIT, False)]
+)
+def test_only_poses_with_the_required_verdict_are_published(localizer, verdict, published):
+    located = LocatedFrame(verdict, T[None], np.ones(1), C, 0.9)
+    assert ImageLocator(localizer, required=Verdict.CERTAIN).is_published(located) is published
+    assert ImageLocator(localizer).is_published(located)
+    assert not ImageLocator(localizer).is_published(LocatedFrame(Verdict.NO_CONTACT))
+
+
+@pytest.fixture
+def tracked(localizer) -> tuple[ImageLocator, np.ndarray]:
+    touch = localizer.simulate(1, seed=2)[0]
+    return ImageLocator(localizer, touch.press_depth_m, track=True), touch.contact_shape.depth_m
+
+
+def test_a_track_predicts_the_pose_without_contact(tracked, make_image, untouched_m):
+    locator, depth_m = tracked
+    for k in range(3):
+        found = locator.locate(make_image(depth_m, stamp_ns=k * NS // 10), np.eye(4))
+        assert not found.slipped
+    assert found.located.T_sensor_object is not None
+    predicted = locator.locate(make_image(untouched_m, stamp_ns=NS), np.eye(4)).located
+    assert predicted.verdict is Verdict.NO_CONTACT
+    assert predicted.says
+    np.testing.assert_allclose(predicted.T_sensor_object, found.located.T_sensor_object, atol=1e-4)
+
+
+def test_a_track_without_sensor_poses_assumes_a_sensor_at_rest(tracked, make_image):
+    locator, depth_m = tracked
+    rested = [locator.locate(make_image(depth_m, stamp_ns=k * NS // 10)).located for k in range(4)][-1]
+    assert rested.T_sensor_object is not None
+    moved = np.eye(4)
+    moved[0, 3] = 0.5
+    again = locator.locate(make_image(depth_m, stamp_ns=NS), moved).located
+    assert again.T_sensor_object is None or abs(again.T_sensor_object[0, 3] - rested.T_sensor_object[0, 3]) > 0.1
+
+
+def test_a_reset_clock_begins_another_track(tracked, make_image):
+    locator, depth_m = tracked
+
+    def locate(stamp_ns: int) -> LocatedFrame:
+        return locator.locate(make_image(depth_m, stamp_ns=stamp_ns), np.eye(4)).located
+
+    track = [locate(100 * NS + k * NS // 10) for k in range(4)]
+    assert track[0].T_sensor_object is None  # the search goes on
+    assert track[-1].T_sensor_object is not None
+    late = locate(100 * NS)  # out of order by 0.3 s
+    assert late.T_sensor_object is not None
+    assert locate(5 * NS).T_sensor_object is None
+    assert locate(5 * NS).verdict is not None

@@ -1,0 +1,239 @@
+"""The node in a process of its own, with a real rclpy: images in; poses, verdicts and answers of services out.
+
+Without rclpy, these tests are skipped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tactile_loc import Localizer, Touch, localize_together
+
+from tactile_loc_ros2.frames import NS
+from tactile_loc_ros2.messages import MessageMaker
+from tactile_loc_ros2.node import find_ros_type
+
+rclpy = pytest.importorskip("rclpy", reason="rclpy, which is part of ROS 2, is not installed")
+
+START_S, ANSWER_S = 300.0, 60.0  # the model is built at the start
+CONFIG = """temperature = 1e-3
+object = {path = "pin"}
+sensor = {name = "gelslim"}
+grid = {name = "face", spacing_mm = 10}
+"""
+RUN = "import sys; from tactile_loc_ros2.node import main; sys.exit(main())"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def network() -> Iterator[None]:
+    """Keep the messages of these tests on this machine, apart from those of other nodes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        rclpy.init(args=[])
+        yield
+        rclpy.try_shutdown()
+
+
+class Client:
+    """A node that sends images and transforms, and keeps all answers."""
+
+    def __init__(self) -> None:
+        from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+        from sensor_msgs.msg import Image
+        from std_msgs.msg import Bool, Float64, String
+        from visualization_msgs.msg import MarkerArray
+
+        self.node = rclpy.create_node("client")
+        self.got: dict[str, list[Any]] = defaultdict(list)
+        self._images = self.node.create_publisher(Image, "/gel/image", 1)
+        self._image = Image
+        topics = {
+            "/object/pose": PoseWithCovarianceStamped, "/object/verdict": String, "/tactile_loc/result": String,
+            "/tactile_loc/markers": MarkerArray, "/tactile_loc/slipped": Bool,
+            "/tactile_loc/located_pose": PoseWithCovarianceStamped, "/tactile_loc/next_touch_pose": PoseStamped,
+            "/tactile_loc/next_touch_nats": Float64,
+        }  # fmt: skip
+        for topic, kind in topics.items():
+            self.node.create_subscription(kind, topic, self.got[topic].append, 10)
+
+    def send_image(self, depth_m: np.ndarray, stamp_s: int) -> None:
+        h, w = depth_m.shape
+        data = np.ascontiguousarray(depth_m, "<f4").tobytes()
+        image = self._image(height=h, width=w, encoding="32FC1", step=4 * w, data=data)
+        image.header.frame_id, image.header.stamp.sec = "gel", stamp_s
+        self._images.publish(image)
+
+    def wait(self, done: Callable[[], Any], limit_s: float = ANSWER_S, again: Callable[[], None] | None = None) -> None:
+        """Spin until something is done; call `again` every half a second."""
+        end = time.monotonic() + limit_s
+        called = -np.inf
+        while not done():
+            assert time.monotonic() < end, {topic: len(messages) for topic, messages in self.got.items()}
+            if again is not None and time.monotonic() > called + 0.5:
+                again()
+                called = time.monotonic()
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def call(self, name: str) -> dict[str, Any]:
+        """Return the answer of a service of the node."""
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, f"/tactile_loc/{name}")
+        assert client.wait_for_service(ANSWER_S)
+        future = client.call_async(Trigger.Request())
+        self.wait(future.done)
+        answer = future.result()
+        return json.loads(answer.message) | {"success": answer.success}
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    client = Client()
+    yield client
+    client.node.destroy_node()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Return a function that starts the node with arguments."""
+    file = tmp_path / "run.toml"
+    file.write_text(CONFIG)
+    running = []
+
+    def start(*words: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", RUN, *words, "--ros-args", "-p", f"config:={file}"]
+        running.append(subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ)))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+@pytest.fixture(scope="module")
+def depth_m(localizer: Localizer) -> np.ndarray:
+    return localizer.simulate(1, seed=2)[0].contact_shape.depth_m
+
+
+def test_an_image_gets_a_pose_and_a_verdict(start, client, depth_m, localizer):
+    process = start("--image-topic", "/gel/image")
+    client.wait(lambda: client.got["/object/pose"], START_S, lambda: client.send_image(depth_m, 5))
+    pose = client.got["/object/pose"][0]
+    others = ("/object/verdict", "/tactile_loc/markers", "/tactile_loc/result")
+    client.wait(lambda: all(client.got[topic] for topic in others))
+    assert (pose.header.frame_id, pose.header.stamp.sec) == ("gel", 5)
+    touch = localizer.simulate(1, seed=2)[0]
+    found = localizer.localize(touch).best
+    p = pose.pose.pose.position
+    np.testing.assert_allclose([p.x, p.y, p.z], found.T_sensor_object[:3, 3], atol=2e-3)
+    assert np.linalg.eigvalsh(np.reshape(pose.pose.covariance, (6, 6))).min() > 0
+    result = json.loads(client.got["/tactile_loc/result"][0].data)
+    assert client.got["/object/verdict"][0].data == result["verdict"]
+    assert client.got["/tactile_loc/markers"][0].markers[1].ns == "object"
+    process.send_signal(signal.SIGINT)
+    assert process.wait(ANSWER_S) == 0, process.stderr.read()
+
+
+def test_services_locate_touches_and_suggest_the_next(start, client, depth_m):
+    process = start("--image-topic", "/gel/image", "--no-continuous", "--approach-count", "10")
+    client.wait(lambda: client.node.get_subscriptions_info_by_topic("/gel/image"), START_S)
+    client.wait(lambda: client.call("add_touch")["success"], again=lambda: client.send_image(depth_m, 5))
+    located = client.call("locate")
+    suggested = client.call("next_touch")
+    client.wait(lambda: client.got["/tactile_loc/located_pose"] and client.got["/tactile_loc/next_touch_nats"])
+    assert client.got["/tactile_loc/located_pose"][0].pose.pose.position.x == located["T_frame_object"][0][3]
+    nats = client.got["/tactile_loc/next_touch_nats"][0].data
+    assert nats == pytest.approx(suggested["information_nats"], abs=1e-4)
+    assert "already been added" in client.call("add_touch")["error"]
+    assert client.call("clear")["cleared"] == 1
+    assert not client.call("locate")["success"]
+    assert client.got["/object/verdict"] == []
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(ANSWER_S) == 0, process.stderr.read()
+
+
+def test_poses_and_slips_of_a_track_are_in_the_base_frame(start, client, depth_m):
+    frames = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs, which is part of ROS 2, is not installed")
+    from geometry_msgs.msg import TransformStamped
+
+    received = []
+    sender = client.node.create_publisher(frames.TFMessage, "/tf", 100)
+    client.node.create_subscription(frames.TFMessage, "/tf", received.append, 100)
+    stamps = iter(range(10, 10_000))
+
+    def send() -> None:
+        stamp_s = next(stamps)
+        moved = TransformStamped(child_frame_id="gel")
+        moved.header.frame_id, moved.header.stamp.sec = "base", stamp_s
+        moved.transform.translation.x = 1.0
+        sender.publish(frames.TFMessage(transforms=[moved]))
+        client.send_image(depth_m, stamp_s)
+
+    start("--image-topic", "/gel/image", "--track", "--base-frame", "base", "--tf", "any")
+    client.wait(lambda: client.got["/object/pose"], START_S, send)
+    pose = client.got["/object/pose"][0]
+    assert pose.header.frame_id == "base"
+    assert pose.pose.pose.position.x > 0.9
+    client.wait(lambda: client.got["/tactile_loc/slipped"])
+    assert client.got["/tactile_loc/slipped"][0].data is False
+
+    def sent() -> list[Any]:
+        return [one for message in received for one in message.transforms if one.child_frame_id == "object"]
+
+    client.wait(sent)
+    assert sent()[0].header.frame_id == "base"
+    assert sent()[0].transform.translation.x == pytest.approx(pose.pose.pose.position.x)
+
+
+def test_two_touches_are_located_together_in_the_base_frame(start, client, localizer):
+    frames = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs, which is part of ROS 2, is not installed")
+    maker = MessageMaker(find_ros_type)
+    sender = client.node.create_publisher(frames.TFMessage, "/tf", 100)
+    touches = localizer.simulate_together(2, seed=3)
+    start("--image-topic", "/gel/image", "--no-continuous", "--base-frame", "base")
+    client.wait(lambda: client.node.get_subscriptions_info_by_topic("/gel/image"), START_S)
+    for stamp_s, touch in enumerate(touches, 1):
+
+        def send(touch: Touch = touch, stamp_s: int = stamp_s) -> None:
+            sender.publish(maker.make_transforms({("base", "gel"): touch.T_base_sensor}, stamp_s * NS))
+            client.send_image(touch.contact_shape.depth_m, stamp_s)
+
+        client.wait(lambda: client.call("add_touch")["success"], again=send)
+    located = client.call("locate")
+    assert (located["frame"], located["touches"]) == ("base", 2)
+    expected = localize_together([(localizer, touch) for touch in touches]).best.T_base_object
+    np.testing.assert_allclose(np.array(located["T_frame_object"])[:3, 3], expected[:3, 3], atol=2e-3)
+    client.wait(lambda: client.got["/tactile_loc/located_pose"])
+    pose = client.got["/tactile_loc/located_pose"][0]
+    assert (pose.header.frame_id, pose.header.stamp.sec) == ("base", 2)
+    assert pose.pose.pose.position.y == located["T_frame_object"][1][3]
+
+
+@pytest.mark.parametrize(
+    ("words", "mentioned"),
+    [
+        ((), "image_topic"),
+        (("--image-topic", "/gel/image", "--ros-args", "-p", "require:=perhaps"), "require"),
+        (("--image-topic", "/gel/image", "--ros-args", "-p", "track:=3"), "track"),
+    ],
+)
+def test_wrong_parameters_give_a_one_sentence_error(start, words, mentioned):
+    process = start(*words)
+    assert process.wait(ANSWER_S) == 2
+    (line,) = [line for line in process.stderr.read().splitlines() if line.startswith("error: ")]
+    assert "ConfigError" in line
+    assert mentioned in line
