@@ -37,6 +37,8 @@ class Refinement:
         """
         masks = not all(view.touch.has_depths for view in views) and self.refiner.capabilities.refines
         if not masks and (len(views) == 1 or not self.is_joint):
+            if prior is None:
+                return self.refiner.refine_together(views, candidates)
             return self.refiner.refine_expected(views, candidates, prior)
         return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]), prior)
 

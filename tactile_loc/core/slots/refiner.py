@@ -91,7 +91,7 @@ class Refiner(Component):
         return [rows[b][k] for k, b in enumerate(best)]
 
     def refine_expected(
-        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None
+        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior
     ) -> list[RefinedPose]:
         """Refine candidates as `refine_together` does, given a `prior` over poses in the first touch's sensor frame.
 
