@@ -22,12 +22,6 @@ Pose = NDArray[np.float64]
 
 SENSOR = {"name": "gelsight-mini", "options": {"gel": "layer", "image_size_px": [160, 120]}}
 TOLERANCE = "0.5mm,2deg"  # errors of the pose that the insertion allows
-# Smooth handles look alike in many places, so more of them are compared than by default.
-SEARCH = {
-    "pool": 100_000, "candidates_together": 6000, "registered_widely": 2000, "moved_together": 2000,
-    "registered_together": 600,
-}  # fmt: skip
-HYPOTHESES = {"listed": 800, "drawn": 500}
 NOISE = "mild"
 ENCODER_STD_M, ENCODER_STD_RAD = 1e-4, np.radians(0.2)  # errors of the gels' reported poses
 LEAST_PRESS_M = 5e-5
@@ -37,9 +31,7 @@ SIDES = {"left": -1, "right": 1}
 def make_localizer(part: Part, folder: Path, store: StageStore | None = None) -> Localizer:
     """Return the localizer of a part. The part's mesh is written to `folder`."""
     path = write_mesh(part, folder)
-    return Localizer.create(
-        path, units="m", sensor=SENSOR, tolerance=TOLERANCE, search=SEARCH, hypotheses=HYPOTHESES, store=store
-    )
+    return Localizer.create(path, units="m", sensor=SENSOR, tolerance=TOLERANCE, store=store)
 
 
 def find_gel(side: str, opening_m: float, surface_m: float) -> Pose:

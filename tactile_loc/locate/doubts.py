@@ -10,7 +10,7 @@ NOT_EXPLAINED = 0.05  # imprint IoU below which a pose explains nothing of a tou
 
 def list_doubts(record: ResultRecord) -> list[str]:
     """Return the reasons why a result may be wrong, one sentence each; empty if there are none."""
-    return [*_list_contradictions(record), *_list_unexplained(record)]
+    return [*_list_contradictions(record), *_list_unexplained(record), *_list_unexpected(record)]
 
 
 def _list_unexplained(record: ResultRecord) -> list[str]:
@@ -23,6 +23,15 @@ def _list_unexplained(record: ResultRecord) -> list[str]:
     return [
         f"the best pose of {record.touch.name} has an imprint IoU of {100 * best.imprint_iou:.0f} %, which is below "
         f"{100 * LEAST_IOU:.0f} %, and is probably wrong; check the object, the sensor, the unit and the prior"
+    ]
+
+
+def _list_unexpected(record: ResultRecord) -> list[str]:
+    if not record.unexpected:
+        return []
+    return [
+        f"the prior makes the best pose of {record.touch.name} very improbable; check the prior's unit, frame and "
+        "standard deviations, or locate the touch without it"
     ]
 
 

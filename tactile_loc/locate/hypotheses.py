@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,16 @@ EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
 AT_ONCE = 64  # poses drawn for several touches in one turn; more poses take one turn for each touch
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
-Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # poses are in the first touch's frame
+PULLED = 12  # of the likeliest modes are also refined with the prior
+
+
+class Refine(Protocol):
+    """Refines candidates, in the first touch's frame, against touches: see `Refinement.refine`."""
+
+    def __call__(
+        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None = None
+    ) -> list[RefinedPose]:
+        """Return the refined candidates, in their order."""
 
 
 def find_hypotheses(
@@ -42,12 +52,17 @@ def find_hypotheses(
 
     `weigh` computes the probabilities of the refined poses from their imprint IoUs (`compute_nats`). Views whose
     numbers are in `outliers` affect neither the refinement nor the probabilities. Their imprint IoUs are NaN:
-    `compare_outliers` computes them.
+    `compare_outliers` computes them. With a `prior`, the first modes are refined twice: by the touches alone, and with
+    the prior, which decides what the touches leave open.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
-        refined = refine([views[number] for number in trusted], candidates)
+        seen = [views[number] for number in trusted]
+        refined = refine(seen, candidates)
+        if prior is not None:
+            refined = [*refined, *refine(seen, candidates[:PULLED], prior)]
+            modes = [*modes, *(dataclasses.replace(mode, probability=0.0) for mode in modes[:PULLED])]
     with times.stage("choose"):
         ious = _compare(views, refined, trusted)
         hypotheses = [

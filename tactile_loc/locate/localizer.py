@@ -37,6 +37,7 @@ from tactile_loc.io.touches import read_touch
 from tactile_loc.locate.agreement import PoseTrials, find_agreement, require_within_reach
 from tactile_loc.locate.conformal import ConformalSets, PoseSet
 from tactile_loc.locate.conformal_fit import LISTED, RIGHT_M, ConformalFit, rank
+from tactile_loc.locate.expected_poses import add_expected_modes, is_unexpected
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
 from tactile_loc.locate.place_banks import PlaceBanks
@@ -489,11 +490,15 @@ class _Query:
         with self.times.stage("modes"):
             top = self.top if self.coverage is None else max(self.top, LISTED)
             modes = self.first.source.propose(self.views, alone, posterior, top)
+            if self.first.source.searched:
+                modes = add_expected_modes(modes, posterior, self.known, self.start_radius_m)
         hypotheses, agreement = self._refine(modes, scored, posterior)
         touch, *others = self.touches
         found = Localization(
             touch, posterior, hypotheses, self.times.seconds, tuple(others), None, agreement, config=self.first.config
         )
+        middle_m = self.first.object.mesh.centroid_m
+        found = replace(found, unexpected=is_unexpected(self.known, found.best.T_sensor_object, middle_m))
         pose_set = self._choose_set(found)
         with self.times.stage("choose"):
             kept = hypotheses[: self.top if pose_set is None else pose_set.poses]

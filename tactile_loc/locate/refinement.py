@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import move_covariance
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.scene import View
@@ -27,12 +28,19 @@ class Refinement:
     registration: JointRegistration
     together: Literal["joint", "each"]
 
-    def refine(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates against one touch, or against several."""
+    def refine(
+        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None = None
+    ) -> list[RefinedPose]:
+        """Refine candidates against one touch, or against several.
+
+        A `prior` over poses in the first touch's sensor frame decides where the touches leave a pose open.
+        """
         masks = not all(view.touch.has_depths for view in views) and self.refiner.capabilities.refines
         if not masks and (len(views) == 1 or not self.is_joint):
-            return self.refiner.refine_together(views, candidates)
-        return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]))
+            if prior is None:
+                return self.refiner.refine_together(views, candidates)
+            return self.refiner.refine_expected(views, candidates, prior)
+        return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]), prior)
 
     @property
     def is_joint(self) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -22,7 +21,6 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
-from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.sensing.touch import Touch
@@ -32,6 +30,14 @@ from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.core.turns import pause
 from tactile_loc.io.options import SearchOptions
+from tactile_loc.locate.expected_poses import (
+    EXPECTED_SHARE,
+    MOST_UNEXPLAINED,
+    choose_expected,
+    draw_expected,
+    keep_expected,
+)
+from tactile_loc.locate.gaps import estimate_gaps
 from tactile_loc.locate.hypotheses import compute_imprint_ious, keep_apart
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
@@ -42,7 +48,6 @@ MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
-GAP_POINTS, GAP_PX = 30, 60  # points per touch, and long side of their image, pixels
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
@@ -94,6 +99,10 @@ class PlaceSearch:
             pause()
             ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
             kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
+            if len(groups) > 1 and prior is not None:
+                grid, count = PoseGrid(poses, self.metric), options.registered // 2
+                expected = choose_expected(grid, ious, prior, options.apart_mm * 1e-3, count)
+                kept = np.unique(np.concatenate([kept[: options.registered - count], expected]))
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def find_starts_alone(self, view: View, matched: Matched) -> tuple[PoseGrid, NDArray[np.float64]]:
@@ -125,8 +134,9 @@ class PlaceSearch:
     def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[Matched]:
         """Return groups of poses: the `count` most similar rotated places and, with a prior, a second group.
 
-        The second group has the `count` poses with the greatest prior weights in a larger pool of similar places. A
-        group has poses (K, 4, 4), metres, and values (K,); poses with greater values are better.
+        The second group has the `count` poses with the greatest prior weights in a larger pool of similar places, and
+        poses drawn around the prior's peak. A group has poses (K, 4, 4), metres, and values (K,); poses with greater
+        values are better.
         """
         if prior is None:
             return [self._remember_alike(touch, count)]
@@ -134,10 +144,15 @@ class PlaceSearch:
         order = np.argsort(-scores, kind="stable")
         poses, scores = poses[order], scores[order]
         weights = compute_prior_weights(prior, PoseGrid(poses, self.metric))
+        alike = poses[:count], scores[:count]
+        if np.isneginf(weights).all():
+            return [alike]
+        drawn = draw_expected(prior, poses[weights.argmax()], self.scene.object.mesh.centroid_m)
+        poses = np.concatenate([drawn, poses])
+        weights = np.concatenate([prior(drawn), weights])
         likeliest = np.argsort(-weights, kind="stable")[:count]
         likeliest = likeliest[weights[likeliest] > -np.inf]
-        alike = poses[:count], scores[:count]
-        return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
+        return [alike, (poses[likeliest], weights[likeliest])]
 
     def _remember_alike(self, touch: Touch, count: int) -> Matched:
         """Return what `alike` returns, computed once for each touch."""
@@ -317,9 +332,16 @@ def search_together(
             invert(view.T_sensor_first) @ some
             for view, groups in zip(views, proposed, strict=True) for some, _ in groups
         ])  # fmt: skip
+        grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
+        expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
         poses = _keep_nearest(views, search, poses, options.registered_widely)
     with times.stage("register"):
         registered, ious = _register_in_batches(views, search, poses)
+        if len(expected):
+            others, other_ious = _register(views, search, expected, prior=prior)
+            explain = other_ious.mean(axis=1) >= ious.mean(axis=1).max() - MOST_UNEXPLAINED
+            others, other_ious = others[explain], other_ious[explain]
+            registered, ious = np.concatenate([registered, others]), np.concatenate([ious, other_ious])
         kept = keep_apart(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
         )
@@ -359,36 +381,15 @@ def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, coun
 
     `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
     """
-    return poses[keep_apart(poses, -_estimate_gaps(views, poses), search.metric, search.radius_m, count)]
+    return poses[keep_apart(poses, -estimate_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
 def _register(
-    views: Sequence[View], search: PlaceSearch, poses: Poses, kept: int | None = None
+    views: Sequence[View], search: PlaceSearch, poses: Poses, kept: int | None = None, prior: Prior | None = None
 ) -> tuple[Poses, NDArray[np.float64]]:
     """Register poses (K, 4, 4), metres, roughly to all N touches; return them and their coarse imprint IoUs (K, N).
 
-    `kept` is as for `JointRegistration.register_coarsely`.
+    `kept` and `prior` are as for `JointRegistration.register_coarsely`.
     """
-    registered, options = search.registration.register_coarsely(views, poses, kept), search.options
+    registered, options = search.registration.register_coarsely(views, poses, kept, prior), search.options
     return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)
-
-
-def _estimate_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
-    """Return the summed distances (K,), metres, from the touches' points to the object's surface at poses (K, 4, 4)."""
-    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
-
-    field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)
-    gaps = np.zeros(len(poses))
-    pause()
-    for view in views:
-        points_m = _list_gap_points(view.touch)
-        gaps += field.estimate_gaps(points_m, seen_from @ invert(view.T_sensor_first))
-    return gaps
-
-
-@lru_cache(maxsize=32)
-def _list_gap_points(touch: Touch) -> NDArray[np.float64]:
-    """Return about GAP_POINTS points (P, 3), metres, of the surface in contact or, without depths, of its outline."""
-    geometry, shape = touch.thin(GAP_PX)
-    points_m = (make_contact_cloud if shape.depths_known else make_outline_cloud)(shape, geometry)[0]
-    return points_m[:: max(1, len(points_m) // GAP_POINTS)]

@@ -22,6 +22,7 @@ from tactile_loc.core.turns import pause
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
 AT_ONCE = 750  # steps of single poses with single touches in one turn, a few milliseconds
 Floats = NDArray[np.float64]
+NO_PEAKS, NO_PULLS = np.empty((0, 4, 4)), np.empty((0, 6, 6))
 
 
 class Registered(NamedTuple):
@@ -62,11 +63,14 @@ class Registration:
     samples: Blocks
     middle: Floats
 
-    def register(self, T: Floats, scales: Floats, finely: int, stride: int) -> Registered:
+    def register(
+        self, T: Floats, scales: Floats, finely: int, stride: int, peaks: Floats = NO_PEAKS, pulls: Floats = NO_PULLS
+    ) -> Registered:
         """Move poses T (K, 4, 4), in the first sensor's frame, so that they explain all touches.
 
         `scales` (I,) are the scales of the robust weights, one for each step. The last `finely` steps use all points.
-        The other steps use one point out of `stride`.
+        The other steps use one point out of `stride`. A prior pulls the poses to its `peaks` (K, 4, 4) with the
+        information `pulls` (K, 6, 6) about twists of the object from a peak.
         """
         from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
         from tactile_loc.core.registration.steps import register_poses
@@ -81,6 +85,7 @@ class Registration:
                 register_poses, len(T[some]), T[some], T_each[some], parts[some], moved[some], misfit[some],
                 self.observed, self.triangles, self.samples, self.middle, self.T_sensor_first,
                 self.sensor + self.press, self.noise, scales, finely, stride, SETTLED_MM,
+                peaks[some], pulls[some],
             )  # fmt: skip
         return Registered(self._view_from_first(T, T_each[:, 0]), T_each, T, moved, misfit, parts)
 

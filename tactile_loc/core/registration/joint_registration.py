@@ -22,8 +22,10 @@ from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.geometry.rigid import Poses, move_covariance
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
 from tactile_loc.core.registration.observations import MILLI, observe
+from tactile_loc.core.registration.pulls import Pulls, fit_pulls
 from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import View
@@ -66,14 +68,15 @@ class JointRegistration:
         """Return everything that determines the engine's output, as JSON values."""
         return {"version": VERSION, "options": self.options.model_dump(mode="json")}
 
-    def refine(self, views: Sequence[View], T_first_object: Poses) -> list[RefinedPose]:
+    def refine(self, views: Sequence[View], T_first_object: Poses, prior: Prior | None = None) -> list[RefinedPose]:
         """Refine poses (K, 4, 4), metres, in the first touch's sensor frame, against all touches.
 
         A pose that would explain the touches worse after registration is returned unchanged and marked not converged.
+        A `prior` over these poses decides where the touches leave a pose open. It does not count in the covariances.
         """
         if not len(T_first_object):
             return []
-        found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
+        found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY, prior)
         after = _explain(views, found.T_first_object)
         before = np.ones_like(after)
         doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly the whole touch cannot be worse than before
@@ -87,18 +90,21 @@ class JointRegistration:
             results.append(pose)
         return found.add_to(results, np.flatnonzero(good))
 
-    def register_coarsely(self, views: Sequence[View], T_first_object: Poses, kept: int | None = None) -> Poses:
+    def register_coarsely(
+        self, views: Sequence[View], T_first_object: Poses, kept: int | None = None, prior: Prior | None = None
+    ) -> Poses:
         """Register many poses (K, 4, 4), metres, roughly, and return the registered poses (K, 4, 4), metres.
 
         Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before. With
         `kept`, only this many poses are returned: those that explain the touches best after the first EARLY steps.
+        `prior` is as for `refine`.
         """
         problem, scales_mm = self._pose_problem(views), self.list_scales_mm(self.options.iterations)
         if kept is not None and kept < len(T_first_object):
-            early = self._solve(problem, T_first_object, scales_mm[:EARLY])
+            early = self._solve(problem, T_first_object, scales_mm[:EARLY], prior=prior)
             T_first_object = early.T_first_object[np.argsort(early.registered.misfit, kind="stable")[:kept]]
             scales_mm = scales_mm[EARLY:]
-        return self._solve(problem, T_first_object, scales_mm).T_first_object
+        return self._solve(problem, T_first_object, scales_mm, prior=prior).T_first_object
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.
@@ -139,12 +145,17 @@ class JointRegistration:
         start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
-    def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> _Found:
+    def _register(
+        self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int, prior: Prior | None = None
+    ) -> _Found:
         """Register poses (K, 4, 4), metres, to touches. The last `finely` steps use all points."""
-        return self._solve(self._pose_problem(views), T, scales_mm, finely)
+        return self._solve(self._pose_problem(views), T, scales_mm, finely, prior)
 
-    def _solve(self, problem: Registration, T: Poses, scales_mm: Floats, finely: int = 0) -> _Found:
-        return _Found(problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride))
+    def _solve(
+        self, problem: Registration, T: Poses, scales_mm: Floats, finely: int = 0, prior: Prior | None = None
+    ) -> _Found:
+        pulled = [] if prior is None else _scale_pulls(fit_pulls(prior, T, problem.middle / MILLI))
+        return _Found(problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride, *pulled))
 
     def _pose_problem(self, views: Sequence[View]) -> Registration:
         from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
@@ -211,6 +222,12 @@ def _scale(T: Floats, unit: float) -> Floats:
     scaled = T.copy()
     scaled[..., :3, 3] *= unit
     return scaled
+
+
+def _scale_pulls(pulls: Pulls) -> tuple[Floats, Floats]:
+    """Return the peaks (K, 4, 4) and the information (K, 6, 6) of pulls, with lengths in mm."""
+    unit = np.array([1.0] * 3 + [1 / MILLI] * 3)
+    return _scale(pulls.T, MILLI), pulls.information * unit * unit[:, None]
 
 
 def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:

@@ -24,13 +24,14 @@ from tactile_loc.core.registration.small_matrices import (
 
 FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest rotation and translation of a step
 DAMPING = 1e-4
+DAMPING_PULLED = 1e-8  # where a prior pulls a pose, damping would only slow down the weak pull
 LEVER_MM = 10.0  # a rotation counts as the motion of a point at this distance from its axis
 
 
 @njit(fast=True)
 def register_poses(
     first, last, T, T_each, parts, moved, misfit, observed, triangles, samples, middle, T_sensor_first, spread, noise,
-    scales, finely, stride, settled,
+    scales, finely, stride, settled, peaks, pulls,
 ):  # fmt: skip
     """Move the object's poses T (K, 4, 4) from first to last, and its poses in each touch T_each (K, N, 4, 4).
 
@@ -38,21 +39,28 @@ def register_poses(
     (K, 2, 6, 6), the information from the first touch and from all others, and `misfit` (K,): see `build_equations`.
     `spread` (N, 6) has the variances of each touch's own error. `middle` (3,) is the object's centre. `scales` (I,) has
     the scale of the robust weights of each step. The last `finely` steps use all points; the others use one point out
-    of `stride`. A pose whose step is shorter than `settled`, mm, is not moved further.
+    of `stride`. A pose whose step is shorter than `settled`, mm, is not moved further. A prior pulls the poses to its
+    `peaks` (K, 4, 4) with the information `pulls` (K, 6, 6) about twists; both are empty without a prior.
     """
-    count = T_each.shape[1]
-    A, b = np.empty((count, 6, 6)), np.empty((count, 6))
+    count, pulled = T_each.shape[1], len(peaks) > 0
+    A, b, H, g = np.empty((count, 6, 6)), np.empty((count, 6)), np.empty((6, 6)), np.empty((6, 1))
     for k in range(first, last):
         every = stride
+        damping = DAMPING_PULLED if pulled and pulls[k].any() else DAMPING
         for number in range(len(scales)):
             if number + finely >= len(scales):
                 every = 1
             misfit[k] = build_equations(T_each[k], every, observed, triangles, samples, scales[number], noise, A, b)
+            H[:], g[:] = 0.0, 0.0
+            if damping < DAMPING:
+                add_pull(T[k], peaks[k], pulls[k], middle, H, g)
             if count == 1:
-                moved[k] = step_to_one(T[k], T_each[k], A, b, observed.centres, T_sensor_first, middle, parts[k])
+                moved[k] = step_to_one(
+                    T[k], T_each[k], A, b, observed.centres, T_sensor_first, middle, parts[k], H, g, damping
+                )
             else:
                 moved[k] = step_to_all(
-                    T[k], T_each[k], A, b, observed.centres, T_sensor_first, middle, spread, parts[k]
+                    T[k], T_each[k], A, b, observed.centres, T_sensor_first, middle, spread, parts[k], H, g, damping
                 )
             if scales[number] == scales[-1] and moved[k] < settled:
                 if every == 1 or finely == 0:
@@ -61,33 +69,49 @@ def register_poses(
 
 
 @njit(fast=True)
-def step_to_one(T, T_each, A, b, centres, T_sensor_first, middle, parts):
+def add_pull(T, peak, pull, middle, H, g):
+    """Add the pull (6, 6) of a prior's `peak` (4, 4) on the pose T (4, 4) to the equations H x = g (6, 1)."""
+    c0 = T[0, 0] * middle[0] + T[0, 1] * middle[1] + T[0, 2] * middle[2] + T[0, 3]
+    c1 = T[1, 0] * middle[0] + T[1, 1] * middle[1] + T[1, 2] * middle[2] + T[1, 3]
+    c2 = T[2, 0] * middle[0] + T[2, 1] * middle[1] + T[2, 2] * middle[2] + T[2, 3]
+    e = np.empty(6)
+    fill_difference(peak, T, c0, c1, c2, e)
+    for m in range(6):
+        for n in range(6):
+            H[m, n] += pull[m, n]
+            g[m, 0] += pull[m, n] * e[n]
+
+
+@njit(fast=True)
+def step_to_one(T, T_each, A, b, centres, T_sensor_first, middle, parts, H, g, damping):
     """Take the step of `step_to_all` for one touch. Return its length, mm.
 
     One touch cannot separate its own error from the object's pose, so only the pose moves.
     """
-    Ad, g = np.empty((6, 6)), np.zeros((6, 1))
+    Ad = np.empty((6, 6))
     fill_change(T_each[0], T_sensor_first[0], centres[0], middle, Ad)
     parts[:] = 0.0
     add_transformed(Ad, A[0], parts[0])
     add_turned(Ad, b[0], g)
-    x, far = solve_step(parts[0], g)
+    H += parts[0]
+    x, far = solve_step(H, g, damping)
     move_object(T, x, middle)
     multiply_transforms(T_sensor_first[0], T, T_each[0])
     return far
 
 
 @njit(fast=True)
-def step_to_all(T, T_each, A, b, centres, T_sensor_first, middle, spread, parts):
+def step_to_all(T, T_each, A, b, centres, T_sensor_first, middle, spread, parts, H, g, damping):
     """Take one step of the object's pose T (4, 4) and of its poses T_each (N, 4, 4). Return its length, mm.
 
     Touch i gives the equations A u = b for a twist u of its pose in T_each. Its present error is e. Its new error s
     has the covariance S, and the object's twist is x. Then u = Ad x - e + s. Eliminating s gives the equations for
-    Ad x: the matrix (1 + A S)^-1 A and the right side (1 + A S)^-1 (b + A e).
+    Ad x: the matrix (1 + A S)^-1 A and the right side (1 + A S)^-1 (b + A e). The pull of a prior is already in the
+    matrix H (6, 6) and the right side g (6, 1).
     """
     count = len(T_each)
     Ad, left, M = np.empty((count, 6, 6)), np.empty((count, 6, 7)), np.empty((6, 6))
-    e, s, H, g, nominal = np.empty(6), np.empty(6), np.zeros((6, 6)), np.zeros((6, 1)), np.empty((4, 4))
+    e, s, nominal = np.empty(6), np.empty(6), np.empty((4, 4))
     parts[:] = 0.0
     for i in range(count):
         multiply_transforms(T_sensor_first[i], T, nominal)
@@ -108,7 +132,7 @@ def step_to_all(T, T_each, A, b, centres, T_sensor_first, middle, spread, parts)
             add_transformed(Ad[i], left[i], parts[1])
         add_turned(Ad[i], left[i, :, 6], g)
     H += parts[1]
-    x, far = solve_step(H, g)
+    x, far = solve_step(H, g, damping)
     move_object(T, x, middle)
     for i in range(count):
         # the touch's new error s, given the object's twist: S (1 + A S)^-1 (b + A e - A Ad x)
@@ -153,15 +177,18 @@ def move_object(T, x, middle):
 
 
 @njit(fast=True)
-def solve_step(H, g):
-    """Solve H x = g (6, 1), slightly damped, for a twist x (6,) of limited size. Also return the length of x, mm."""
+def solve_step(H, g, damping):
+    """Solve H x = g (6, 1), damped by the share `damping` of H, for a twist x (6,) of limited size.
+
+    Also return the length of x, mm.
+    """
     damped, x = H.copy(), np.zeros(6)
     turn, shift = (H[0, 0] + H[1, 1] + H[2, 2]) / 3, (H[3, 3] + H[4, 4] + H[5, 5]) / 3
     if shift <= 0.0:
         return x, 0.0
     for n in range(3):
-        damped[n, n] += DAMPING * turn + 1e-9
-        damped[3 + n, 3 + n] += DAMPING * shift + 1e-9
+        damped[n, n] += damping * turn + 1e-9
+        damped[3 + n, 3 + n] += damping * shift + 1e-9
     solve(damped, g)
     for n in range(6):
         x[n] = g[n, 0]

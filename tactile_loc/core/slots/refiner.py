@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.scene import Scene, View
@@ -88,3 +89,13 @@ class Refiner(Component):
         ious = np.array([np.mean([view.imprint_ious(T) for view in views], axis=0) for T in poses])
         best = ious.argmax(axis=0)
         return [rows[b][k] for k, b in enumerate(best)]
+
+    def refine_expected(
+        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior
+    ) -> list[RefinedPose]:
+        """Refine candidates as `refine_together` does, given a `prior` over poses in the first touch's sensor frame.
+
+        By default, the prior is ignored. Override this method if the prior can decide where the touches leave a pose
+        open.
+        """
+        return self.refine_together(views, candidates)

@@ -50,7 +50,8 @@ class Localization:
     they contradict the others affect neither the posterior nor the hypotheses.
 
     `config` is the configuration of the localizer; None if a localisation was made by hand. `unlisted` are refined
-    hypotheses after the listed ones. They count for the verdict, but files do not keep them.
+    hypotheses after the listed ones. They count for the verdict, but files do not keep them. `unexpected` states
+    whether the prior makes the first pose very improbable.
     """
 
     touch: Touch
@@ -63,6 +64,7 @@ class Localization:
     left_out: tuple[Touch, ...] = ()
     config: RunConfig | None = None
     unlisted: tuple[Hypothesis, ...] = ()
+    unexpected: bool = False
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `result.json` and `result.npz`, the files of `tactile-loc run`, and return their paths.
@@ -101,7 +103,7 @@ class Localization:
             raise ResultError(f"{path} is damaged: {error}; locate the touches again") from error
         return cls(
             touch, posterior, hypotheses, dict(record.seconds), tuple(others), saved.build_pose_set(record),
-            saved.build_agreement(record), tuple(left_out), config,
+            saved.build_agreement(record), tuple(left_out), config, unexpected=record.unexpected,
         )  # fmt: skip
 
     @property
@@ -149,10 +151,10 @@ class Localization:
         """How far the first hypothesis can be trusted, in one word.
 
         It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. It is never
-        certain if another pose, not within the tolerance of the first one, explains the touches as well. Nor is it
-        certain if the covariance of the first pose leaves an error above the tolerance open, or if a touch has no
-        depths. The verdict is also "poor fit" if touches contradict each other, unless at least LEAST_AGREEING
-        of them agree.
+        certain if another pose, not within the tolerance of the first one, explains the touches as well, or if the
+        prior makes the first pose very improbable. Nor is it certain if the covariance of the first pose leaves an
+        error above the tolerance open, or if a touch has no depths. The verdict is also "poor fit" if touches
+        contradict each other, unless at least LEAST_AGREEING of them agree.
         """
         if self._is_contradicted:
             return Verdict.POOR_FIT
@@ -196,7 +198,8 @@ class Localization:
         share = compute_share_within(T, p, covariances, self.object, tolerance)
         own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
         gap = self._measure_gap(tolerance)
-        return Nearness(share, self.posterior.elsewhere, gap, own < LEAST_OWN or gap <= AS_WELL)
+        undetermined = own < LEAST_OWN or gap <= AS_WELL or self.unexpected
+        return Nearness(share, self.posterior.elsewhere, gap, undetermined)
 
     def _measure_gap(self, tolerance: Tolerance) -> float:
         """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it.

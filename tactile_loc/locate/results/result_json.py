@@ -211,6 +211,10 @@ class ResultRecord(Record):
         description="probability that the first hypothesis is within the tolerance of the true pose, 0 to 1; null in "
         "files of versions without it",
     )
+    unexpected: bool = Field(
+        default=False,
+        description="whether the prior makes the first hypothesis very improbable; then it is not certain",
+    )
     freedom: FreedomRecord | None = Field(
         default=None, description="what the touches leave open; null in files of versions without it"
     )
@@ -335,6 +339,10 @@ class Located(Protocol):
         """See Localization."""
 
     @property
+    def unexpected(self) -> bool:
+        """See Localization."""
+
+    @property
     def freedom(self) -> Freedom:
         """See Localization."""
 
@@ -367,6 +375,7 @@ def make_record(source: Configured, localization: Located, seconds: Mapping[str,
         verdict=localization.verdict,
         tolerance=str(localization.tolerance),
         probability_within=localization.probability_within(),
+        unexpected=localization.unexpected,
         freedom=_record_freedom(localization.freedom),
         next_step=name_next_step(localization.verdict, len(localization.touches)),
         grid_poses=len(posterior.grid),
