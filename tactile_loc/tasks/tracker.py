@@ -32,7 +32,7 @@ from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 Floats = NDArray[np.float64]
 
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
-LEAST_FOLLOWED = 10  # touches that a track must have followed before it can show a slip
+LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
 EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
 
 
@@ -88,7 +88,7 @@ class Tracker:
         self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
         # the search before a touch that no mode explains; the search under way then looks for another pose
         self._undoubted: KeySearch | None = None
-        self._followed = 0  # clear touches that the likeliest mode has explained as well as before
+        self._expected = 0  # touches where the likeliest mode expected them
         self._doubts = 0  # consecutive touches that the likeliest mode explains far worse than before
 
     def update(
@@ -123,7 +123,7 @@ class Tracker:
         clear = measure_contact_percent(touch) >= self.options.clear_percent
         certain = bool(self._modes) and self._trust.limit is Verdict.CERTAIN
         doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
-        self._followed += clear and not doubted
+        self._expected += certain and not doubted and self._modes[0].known.surprise < EXPECTED_SURPRISE
         self._doubts = self._doubts + doubted if doubted or not clear else 0
         slipped = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
         if clear and not doubted and self._undoubted is not None:
@@ -160,8 +160,8 @@ class Tracker:
 
     def _suspects_slip(self, doubted: bool) -> bool:
         """Return whether a certain mode's registration to the touch leads surprisingly far."""
-        surprise, settled = self._modes[0].known.surprise, self._followed >= LEAST_FOLLOWED
-        return settled and (surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE))
+        surprise, known = self._modes[0].known.surprise, self._expected >= LEAST_EXPECTED
+        return known and (surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE))
 
     def _slip(self, before: Sequence[Mode], touch: Touch, alike: float) -> bool:
         """Look for poses to which the modes may have slipped since `before`; return whether one was accepted."""
