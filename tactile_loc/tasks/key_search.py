@@ -6,22 +6,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.turns import Turns
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.core.turns import Turns, pause
+from tactile_loc.locate.hypotheses import compare_where_seen
+from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.tasks.key_touches import drop_nearest, measure_motion_m
+from tactile_loc.tasks.track_modes import Mode
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """A finished search of `keys`; `found` is None if no pose fits them."""
+    """A finished search of `keys`; `found` is None if no pose fits them.
+
+    The search may miss poses. `gains` (K,) state how much more imprint IoU each of the `known` modes has than the first
+    pose found, after it was registered to the keys; -inf if it is within the tolerance of that pose.
+    """
 
     keys: tuple[Touch, ...]
     found: Localization | None
+    known: tuple[Mode, ...]
+    gains: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +47,7 @@ class KeySearch:
     keys: tuple[Touch, ...] = ()
     prior: PosePrior | None = None
     begun: tuple[Touch, ...] = ()
-    turns: Turns[Localization | None] | None = None
+    turns: Turns[Searched] | None = None
 
     def is_new_place(self, touch: Touch) -> bool:
         """Return whether a touch's sensor pose is far from that of each key touch."""
@@ -62,16 +74,40 @@ class KeySearch:
         """Whether no search is under way and the key touches have changed since the last one."""
         return self.turns is None and bool(self.keys) and self.begun != self.keys
 
-    def begin(self) -> KeySearch:
-        """Return the search of the present key touches, before its first turn."""
-        localizer, keys, prior = self.localizer, self.keys, self.prior
-        return replace(self, begun=keys, turns=Turns(lambda: locate_keys(localizer, keys, prior)))
+    def begin(self, known: Sequence[Mode]) -> KeySearch:
+        """Return the search of the present key touches, before its first turn.
+
+        It compares the poses that it finds with the `known` modes.
+        """
+        localizer, keys, prior, modes = self.localizer, self.keys, self.prior, tuple(known)
+        return replace(self, begun=keys, turns=Turns(lambda: search_keys(localizer, keys, prior, modes)))
 
     def take_turn(self) -> tuple[KeySearch, Searched | None]:
         """Take one turn; return the search and, if it has finished, its result."""
         if self.turns is None or not self.turns.take():
             return self, None
-        return replace(self, turns=None), Searched(self.begun, self.turns.result)
+        return replace(self, turns=None), self.turns.result
+
+
+def search_keys(
+    localizer: Localizer, keys: tuple[Touch, ...], prior: PosePrior | None, known: tuple[Mode, ...]
+) -> Searched:  # fmt: skip
+    """Locate touches together, and compare the first pose with the `known` modes."""
+    found = locate_keys(localizer, keys, prior)
+    if found is None or not known:
+        return Searched(keys, found, (), np.zeros(0))
+    views = [make_view(keys[0], localizer, key) for key in keys]
+    T_first_object = invert(np.asarray(keys[0].T_base_sensor)) @ np.stack([mode.known.T_base_object for mode in known])
+    pause()
+    refined = localizer.refinement.registration.refine(views, T_first_object)
+    poses = np.stack([pose.T_sensor_object for pose in refined])
+    seen = np.stack([view.T_sensor_first @ poses for view in views], axis=1)
+    for k, pose in enumerate(refined):
+        if pose.T_sensors_object is not None:
+            seen[k] = pose.T_sensors_object
+    ious = compare_where_seen(views, poses, seen if len(keys) > 1 else None)[0].mean(axis=1)
+    same = localizer.config.tolerance.find_within(localizer.object, found.best.T_sensor_object, poses)
+    return Searched(keys, found, known, np.where(same, -np.inf, ious - found.best.imprint_iou))
 
 
 def locate_keys(localizer: Localizer, keys: Sequence[Touch], prior: PosePrior | None = None) -> Localization | None:

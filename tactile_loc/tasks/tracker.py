@@ -23,6 +23,7 @@ from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.rigid import require_covariance, require_rigid, rotate_covariance
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.results.freedom import AS_WELL
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.key_search import KeySearch, Searched
 from tactile_loc.tasks.key_touches import measure_motion_m
@@ -147,7 +148,7 @@ class Tracker:
     def _take_turns(self) -> bool:
         """Begin a search if one is due, take the turns of this frame, and return whether a search was under way."""
         if self._searches and self._search.is_due:
-            self._search = self._search.begin()
+            self._search = self._search.begin(self._modes)
         if self._search.turns is None:
             return False
         finished = None
@@ -179,6 +180,8 @@ class Tracker:
         """Take over the poses that a search found, and trust the first as far as the search does.
 
         If the modes were doubted, and the search found no pose that explains its touches clearly better, they stay.
+        They also stay if one of them explains the touches better, because then the search has missed it. A mode that
+        explains them as well makes the pose ambiguous.
         """
         found, keys = finished.found, finished.keys
         new = [] if found is None else self._filter.find_all(found, keys[0])
@@ -189,8 +192,18 @@ class Tracker:
             if (iou - max(tracked)) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
                 return  # a few bad touches do not end a track
             self._undoubted = None
-        self._modes = self._filter.view_from(self._filter.renew(self._modes, new), np.asarray(self._T_base_sensor))
-        self._trust = self._trust.restart(found.verdict, found.probability_within(), iou, len(keys))
+        elif finished.gains.max(initial=-np.inf) > AS_WELL:
+            return
+        missed = [
+            replace(mode, nats=new[0].nats)
+            for mode, gain in zip(finished.known, finished.gains, strict=True)
+            if gain >= -AS_WELL
+        ]
+        renewed = [*self._filter.renew(self._modes, new), *missed]
+        self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
+        verdict = Verdict.AMBIGUOUS if missed and found.verdict is Verdict.CERTAIN else found.verdict
+        right = found.probability_within() / (1 + len(missed))
+        self._trust = self._trust.restart(verdict, right, iou, len(keys))
         if self._trust.settled:
             self._modes = self._modes[:1]
         elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:

@@ -46,7 +46,7 @@ def test_of_too_many_key_touches_one_of_the_two_nearest_is_dropped(pin, touches)
 
 
 def test_the_turns_of_a_search_end_with_the_touches_located_together(pin, touches):
-    search = KeySearch(pin).add(touches[0]).begin()
+    search = KeySearch(pin).add(touches[0]).begin(())
     assert not search.is_due
     finished = None
     for _ in range(100):
@@ -62,7 +62,7 @@ def test_the_turns_of_a_search_end_with_the_touches_located_together(pin, touche
 
 
 def test_a_restart_forgets_the_key_touches(pin, touches):
-    search = KeySearch(pin).add(touches[0]).begin().restart(touches[5])
+    search = KeySearch(pin).add(touches[0]).begin(()).restart(touches[5])
     assert search.keys == (touches[5],)
     assert search.turns is None
     assert search.is_due
