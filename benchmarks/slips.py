@@ -19,6 +19,7 @@ import dataclasses
 import json
 import sys
 import tempfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +121,9 @@ def find_batch(localizer: Localizer, frames: Sequence[Frame]) -> int:
 
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Track:
     """Return one track through a slip."""
-    rng = np.random.default_rng([seed, CONDITIONS.index(condition), number, 2])
+    rng = np.random.default_rng(
+        [seed, zlib.crc32(localizer.object.name.encode()), CONDITIONS.index(condition), number, 2]
+    )
     frames, slip, at = draw_slip(localizer, condition, rng)
     old, new = (frames[k].T_base_sensor @ frames[k].T_sensor_object for k in (at - 1, at))
     tracker = Tracker(localizer)

@@ -24,6 +24,7 @@ import json
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,7 +132,7 @@ def locate_keys(localizer: Localizer, touches: Sequence[Touch]) -> tuple[float, 
 
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Slide:
     """Return one slide, tracked, and located by its key touches."""
-    rng = np.random.default_rng([seed, CONDITIONS.index(condition), number])
+    rng = np.random.default_rng([seed, zlib.crc32(localizer.object.name.encode()), CONDITIONS.index(condition), number])
     frames = draw_slide(localizer, condition, rng)
     slide = Slide(localizer.object.name, condition, number, [], [], [], [], [], [], [])
     tracker, batch = Tracker(localizer), (np.inf, False, False)

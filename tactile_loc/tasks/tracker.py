@@ -24,7 +24,7 @@ from tactile_loc.core.geometry.rigid import require_covariance, require_rigid, r
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.freedom import AS_WELL
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.results.verdict import LEAST_IOU, Verdict
 from tactile_loc.tasks.key_search import KeySearch, Searched
 from tactile_loc.tasks.key_touches import measure_motion_m
 from tactile_loc.tasks.track_modes import Mode, ModeFilter
@@ -126,19 +126,20 @@ class Tracker:
         doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
         self._expected += certain and not doubted and self._modes[0].known.surprise < EXPECTED_SURPRISE
         self._doubts = self._doubts + doubted if doubted or not clear else 0
-        slipped = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
+        fitted = self._trust.usual_iou >= LEAST_IOU  # a track that never fitted is corrected, and shows no slip
+        moved = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
         if clear and not doubted and self._undoubted is not None:
             self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad
-        if not slipped and self._doubts == MOST_DOUBTS and self._undoubted is None:
+        if not moved and self._doubts == MOST_DOUBTS and self._undoubted is None:
             self._search, self._undoubted = self._search.restart(touch), self._search
-        elif not slipped and self._searches and self._search.is_new_place(touch):
+        elif not moved and self._searches and self._search.is_new_place(touch):
             self._search = self._search.add(touch)
         searched = self._take_turns()
         if not self._modes:
             return self._result(0.0, searched)
         iou = self._modes[0].imprint_iou
         self._trust = self._trust.add_touch(iou)
-        return self._result(iou, searched, slipped=slipped)
+        return self._result(iou, searched, slipped=moved and fitted)
 
     @property
     def _searches(self) -> bool:
