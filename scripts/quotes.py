@@ -18,7 +18,6 @@ Values = Callable[[Results], Sequence[float]]
 DRAWN = ("same mesh", "scanned, 0.05 mm", "scanned, 0.1 mm", "decimated, 0.1 mm", "unseen noise")
 PARTS_APART = ("pin", "damping pin", "cotter")
 EXAMPLES = 15  # number of examples in each row of the table of outliers
-ONE_FACE = ("ten refined hypotheses of one", "only the most probable of these poses")  # rows of times
 PAPER = (
     ("pin", "best-1", "0.11"), ("damping pin", "best-1", "0.16"), ("head", "best-1", "0.18"),
     ("elbow pipe", "best-1", "0.87"), ("elbow pipe", "best-10", "0.26"), ("elbow pipe", "best-50", "0.08"),
@@ -48,6 +47,11 @@ def presses(column: str, way: int) -> Values:
 def range_of(run: str, number: int, column: str) -> Values:
     """Return a function for the least and the greatest number of a column."""
     return lambda r: ends(r.column(run, number, column))
+
+
+def times_of(step: str) -> Values:
+    """Return a function for the times of a step with two threads, ms, of the pin and the hook."""
+    return lambda r: [r.at("locate-times", 1, f"{name}, 2 threads, ms", step)[0] for name in ("pin", "hook")]
 
 
 def five_located(r: Results) -> list[float]:
@@ -174,12 +178,11 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: outside(r, 5, DRAWN[2], DRAWN[3], DRAWN[0]),
         "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
         "| fit its probabilities for one touch, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
-        "| locate: whole object, ten refined hypotheses | {} to {} s |":
-            lambda r: [ms / 1000 for ms in ends(r.column("search", 1, "median, ms"))],
+        "| locate: whole object, ten refined hypotheses | {} to {} ms |":
+            times_of("whole object, ten refined hypotheses"),
         "| locate: one face, ten refined hypotheses | {} to {} ms |\n"
         "| locate: one face, one refined pose | {} to {} ms |":
-            lambda r: [value for row, *_ in r["first-second"].table(1).rows if row.startswith(ONE_FACE)
-                       for value in r.at("first-second", 1, "time", row)],
+            lambda r: [*times_of("one face, ten refined hypotheses")(r), *times_of("one face, one refined pose")(r)],
         "draws {} to {} contact shapes a second": lambda r: renderer(r, -3, 0),
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
