@@ -41,7 +41,7 @@ def test_a_changed_table_cell_is_restored(before, after):
 
 def test_an_effect_of_a_removed_option_is_not_lost(tmp_path, monkeypatch):
     page = tmp_path / "tuning.md"
-    page.write_text(PAGE.replace("`tracker.modes` | 8", "`tracker.poses` | 8"), encoding="utf-8")
+    page.write_text(PAGE.replace("`tracker.modes` | 5", "`tracker.poses` | 5"), encoding="utf-8")
     monkeypatch.setattr(tuning, "PAGE", page)
     with pytest.raises(SystemExit, match=r"tracker\.poses"):
         tuning.main()
