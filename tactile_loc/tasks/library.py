@@ -4,13 +4,15 @@ A glance compares a touch, at a few yaws, with some places of each object, encod
 a thousandth of the time of locating the object, but is sensitive to noise. A rough search starts from the most similar
 places of an object. It registers a few poses roughly to all touches, and takes a thirtieth of the time of locating the
 object.
+
+A glance reads only the codes of one press depth from the store. An object's places are read when it is searched.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +25,13 @@ from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.locate.localizer import Localizer, make_view
 from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, encode_rotated, find_highest
+from tactile_loc.locate.stored_places import make_places_key
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-Codes = NDArray[np.float16]  # (levels, places, D)
+Codes = NDArray[np.float16]  # (places, D)
 
-STAGE, STAGE_VERSION = "glances", 1
+STAGE, STAGE_VERSION = "glances", 2
 LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and places are compared
 MOST_PLACES = 2000  # per object, evenly spread
 TURNS = 36
@@ -79,7 +82,7 @@ class Library:
             raise ObjectError(f"two objects are called {twice[0]}; give each its own name")
         listed = [model.object.name for model in self.models if not model.sampler.capabilities.places]
         if listed:
-            raise ConfigError(f"{listed[0]} has a grid of listed poses; to identify objects, choose the grid whole")
+            raise ConfigError(_explain_listed(listed[0]))
         if self.models[0].encoder.capabilities.needs_training:
             raise ConfigError(
                 "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
@@ -90,16 +93,9 @@ class Library:
     def __len__(self) -> int:
         return len(self.models)
 
-    @cached_property
-    def searches(self) -> list[PlaceSearch]:
-        """The search of each object; its places are stored, or found now."""
-        found = []
-        with self.progress.task("opening objects", len(self)) as advance:
-            for model in self.models:
-                if model.search is not None:
-                    found.append(model.search)
-                advance(1)
-        return found
+    def search(self, k: int) -> PlaceSearch:
+        """Return the search of object k. Its places are read from the store at first use, or found if not stored."""
+        return _open_search(self.models[k])
 
     def glance(self, touch: Touch) -> Glance:
         """Compare a touch with some places of each object. Raises TouchError for a touch of another sensor."""
@@ -115,7 +111,7 @@ class Library:
 
         If there are several touches, each needs `T_base_sensor`.
         """
-        model, search = self.models[k], self.searches[k]
+        model, search = self.models[k], self.search(k)
         views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
         poses = [
             invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
@@ -131,29 +127,44 @@ class Library:
         if level_m not in self._matchers:
             level, chosen = LEVELS_M.index(level_m), self.models[0].config.matcher
             self._matchers[level_m] = made = []
-            for codes in self._codes:
-                made.append(registry().create("matcher", chosen.name, chosen.options))
-                made[-1].index(codes[level].astype(np.float32))
+            with self.progress.task("opening objects", len(self)) as advance:
+                for model in self.models:
+                    made.append(registry().create("matcher", chosen.name, chosen.options))
+                    made[-1].index(_load_codes(model, level).astype(np.float32))
+                    advance(1)
         return self._matchers[level_m]
 
-    @cached_property
-    def _codes(self) -> list[Codes]:
-        return [_encode_places(model, search) for model, search in zip(self.models, self.searches, strict=True)]
 
+def _load_codes(model: Localizer, level: int) -> Codes:
+    """Return the codes (N, D) of some of an object's places, cut at LEVELS_M[level], stored or encoded now.
 
-def _encode_places(model: Localizer, search: PlaceSearch) -> Codes:
-    """Return the codes (L, N, D) of some of an object's places, cut at each of LEVELS_M, stored or encoded now."""
+    The codes of all levels are stored together, but only the file of this level is read and its checksum verified.
+    """
     key = StageKey(STAGE, STAGE_VERSION, {
-        "places": search.key.digest, "encoder": model.encoder.describe(), "levels_m": list(LEVELS_M),
-        "most": MOST_PLACES,
+        "places": make_places_key(model.sampler, model.scene).digest, "encoder": model.encoder.describe(),
+        "levels_m": list(LEVELS_M), "most": MOST_PLACES,
     }, model.object.name)  # fmt: skip
+    name = f"codes-{level}"
+    stored = model.store.build(key, partial(_save_codes, model), [f"{name}.npy"])
+    return stored.load_array(name)
+
+
+def _save_codes(model: Localizer, work: Workspace) -> None:
+    search = _open_search(model)
     some = slice(None, None, _step(search))
+    for level, press_m in enumerate(LEVELS_M):
+        codes = model.encoder.encode(search.places.depths(press_m, some), press_m, CAMERA)
+        work.save_array(f"codes-{level}", codes.astype(np.float16))
 
-    def save(work: Workspace) -> None:
-        levels = [model.encoder.encode(search.places.depths(m, some), m, CAMERA) for m in LEVELS_M]
-        work.save_array("codes", np.stack(levels).astype(np.float16))
 
-    return model.store.build(key, save).load_array("codes")
+def _open_search(model: Localizer) -> PlaceSearch:
+    if model.search is None:
+        raise ConfigError(_explain_listed(model.object.name))
+    return model.search
+
+
+def _explain_listed(name: str) -> str:
+    return f"{name} has a grid of listed poses; to identify objects, choose the grid whole"
 
 
 def _step(search: PlaceSearch) -> int:

@@ -129,7 +129,7 @@ def test_noisy_touches_fit_their_own_object_best(library, name):
 def test_a_glance_proposes_poses_near_the_true_pose(library, touches):
     for k, model in enumerate(library.models):
         touch = touches[model.object.name][0]
-        poses = library.glance(touch).poses(k, library.searches[k], 300)
+        poses = library.glance(touch).poses(k, library.search(k), 300)
         true = np.broadcast_to(touch.T_sensor_object, poses.shape)
         assert len(poses) == 300
         assert PoseMetric(model.object).symmetric_distance(poses, true).min() < 4e-3

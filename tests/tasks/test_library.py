@@ -1,0 +1,112 @@
+"""A library reads and verifies the stored parts of an object when they are used, not when it is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store import artifact as artifact_module
+from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.library import LEVELS_M, Library
+
+NAMES = ("plate", "rod")
+
+
+@pytest.fixture(scope="module")
+def objects(make_object) -> list:
+    plate, rod = trimesh.creation.box((0.03, 0.02, 0.006)), trimesh.creation.cylinder(0.004, 0.04, sections=32)
+    return [make_object(plate, "x2*y2", "plate"), make_object(rod, "zinf*x2", "rod")]
+
+
+@pytest.fixture
+def root(tmp_path) -> Path:
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def open_library(objects, root):
+    """Return a function that opens a library as a new process would."""
+    grid = {"name": "whole", "directions": 300, "turns": 24}
+    config = RunConfig.from_dict({"grid": grid, "sensor": "gelsight-mini", "temperature": 0.05})
+    return lambda: Library([Localizer(config, obj, StageStore(root)) for obj in objects])
+
+
+@pytest.fixture
+def touch(open_library):
+    """Return a touch of the plate; everything that it needs is stored."""
+    library = open_library()
+    (touch,) = library.models[0].simulate(1, seed=5, press_depth_m=9e-4)
+    glance = library.glance(touch)
+    for k in range(len(library)):
+        library.look_into(k, [glance])
+    return touch
+
+
+@pytest.fixture
+def hashed(monkeypatch) -> list[tuple[str, str]]:
+    """Return a list that grows by the stage and the file of each checksum that is computed."""
+    found: list[tuple[str, str]] = []
+    real = artifact_module.hash_file
+
+    def spy(path: Path) -> str:
+        found.append((path.parent.parent.name, path.name))
+        return real(path)
+
+    monkeypatch.setattr(artifact_module, "hash_file", spy)
+    return found
+
+
+def flip_last_byte(paths: list[Path]) -> None:
+    for path in paths:
+        content = bytearray(path.read_bytes())
+        content[-1] ^= 1
+        path.write_bytes(content)
+
+
+def test_checksums_are_verified_when_a_file_is_used(open_library, touch, hashed):
+    library = open_library()
+    assert hashed == []
+    glance = library.glance(touch)
+    level = max(k for k, press_m in enumerate(LEVELS_M) if press_m <= touch.press_depth_m)
+    assert hashed == [("glances", f"codes-{level}.npy")] * len(NAMES)
+    hashed.clear()
+    library.look_into(1, [glance])
+    assert {stage for stage, _ in hashed} == {"places"}
+    assert not any(model.store.built for model in library.models)
+    hashed.clear()
+    library.look_into(1, [glance])
+    assert hashed == []
+
+
+def test_damaged_codes_are_found_and_encoded_again_at_use(open_library, touch, root):
+    truth = open_library().glance(touch)
+    library = open_library()
+    flip_last_byte(list(root.glob("glances/*/codes-3.npy")))
+    found = library.glance(touch)
+    assert [model.store.built[0].stage for model in library.models] == ["glances"] * len(NAMES)
+    assert all(np.array_equal(*pair) for pair in zip(found.scores, truth.scores, strict=True))
+
+
+def test_damaged_codes_of_another_press_are_found_by_a_touch_of_this_press(open_library, touch, root):
+    flip_last_byte(list(root.glob("glances/*/codes-1.npy")))
+    library = open_library()
+    library.glance(touch)
+    assert not any(model.store.built for model in library.models)
+    (light,) = library.models[0].simulate(1, seed=5, press_depth_m=3e-4)
+    library.glance(light)
+    assert [len(model.store.built) for model in library.models] == [1, 1]
+
+
+def test_damaged_places_are_found_and_built_again_at_use(open_library, touch, root):
+    whole = open_library()
+    truth = whole.look_into(1, [whole.glance(touch)])
+    library = open_library()
+    glance = library.glance(touch)
+    flip_last_byte(list(root.glob("places/*/runs.npz")))
+    assert library.look_into(1, [glance]) == truth
+    assert [[key.stage for key in model.store.built] for model in library.models] == [[], ["places"]]
