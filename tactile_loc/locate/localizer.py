@@ -181,6 +181,18 @@ class Localizer:
         return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
     @property
+    def loaded_bytes(self) -> int:
+        """The memory, bytes, of the places and banks of a search of the whole object, which `release` frees."""
+        kept = [self.__dict__.get("source"), getattr(self.__dict__.get("probabilities"), "source", None)]
+        searches = {id(one): one.search for one in kept if isinstance(one, PlaceSource)}
+        return sum(search.nbytes for search in searches.values())
+
+    def release(self) -> None:
+        """Free the places, listed poses and banks. They are read from the store, or made, when they are next used."""
+        for part in ("source", "probabilities"):
+            self.__dict__.pop(part, None)
+
+    @property
     def search(self) -> PlaceSearch | None:
         """The search of the whole object; None if the grid lists poses."""
         return self.source.search if isinstance(self.source, PlaceSource) else None

@@ -221,12 +221,12 @@ class _Tried:
 
     def locate(self, k: int, scalings: Scalings | None = None) -> None:
         """Locate object k, with `scalings` instead of a fit, unless the user gave a temperature."""
-        model = self.library.models[k]
-        scalings = scalings if model.config.temperature is None else None
-        answer = _locate(model, self.touches, scalings)
+        with self.library.use(k) as model:
+            scalings = scalings if model.config.temperature is None else None
+            answer = _locate(model, self.touches, scalings)
+            self.misfits[k] = np.inf if answer is None else measure_misfit(model, answer)
         self.found.pop(k, None)
         self.unfitted.discard(k)
-        self.misfits[k] = np.inf if answer is None else measure_misfit(model, answer)
         if answer is not None:
             self.found[k] = answer
             if scalings is not None:

@@ -5,18 +5,23 @@ a thousandth of the time of locating the object, but is sensitive to noise. A ro
 places of an object. It registers a few poses roughly to all touches, and takes a thirtieth of the time of locating the
 object.
 
-A glance reads only the codes of one press depth from the store. An object's places are read when it is searched.
+A glance reads only the codes of one press depth from the store. An object's places are read when it is searched. The
+parts used last stay in memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.errors import ConfigError, ObjectError, quote
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.places import CAMERA
@@ -32,6 +37,8 @@ from tactile_loc.store.workspace import Workspace
 Codes = NDArray[np.float16]  # (places, D)
 
 STAGE, STAGE_VERSION = "glances", 2
+KEPT_BYTES = 2 * 2**30
+WHOLE = math.inf  # stands for an object's places and banks, beside the press depths of its codes
 LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and places are compared
 MOST_PLACES = 2000  # per object, evenly spread
 TURNS = 36
@@ -65,11 +72,13 @@ class Glance:
 class Library:
     """The objects that may have been touched, each with its localizer, all for one sensor.
 
-    The order of the objects does not matter. Raises TactileLocError if there are no objects, if two objects share a
-    name, or if a localizer does not suit identification.
+    The order of the objects does not matter. The objects' codes, places and banks that were used last are kept in
+    memory, up to `most_bytes` and the object in use. The rest is released, and read again from the store when it is
+    used. Raises TactileLocError if there are no objects, if two objects share a name, or if a localizer does not suit
+    identification.
     """
 
-    def __init__(self, models: Sequence[Localizer]) -> None:
+    def __init__(self, models: Sequence[Localizer], most_bytes: int = KEPT_BYTES) -> None:
         if not models:
             raise ObjectError("there is no object to identify; give at least one")
         others = [model for model in models if not isinstance(model, Localizer)]
@@ -88,14 +97,28 @@ class Library:
                 "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
             )
         self.progress = self.models[0].progress
-        self._matchers: dict[float, list[Matcher]] = {}
+        self._kept: ByteCache[tuple[int, float], _Codes | Localizer] = ByteCache(most_bytes, _count_bytes, _release)
 
     def __len__(self) -> int:
         return len(self.models)
 
+    @property
+    def nbytes(self) -> int:
+        """The memory of the objects' codes, places and banks that are kept, bytes."""
+        return self._kept.nbytes
+
+    @contextmanager
+    def use(self, k: int) -> Iterator[Localizer]:
+        """Yield the localizer of object k. Afterwards, objects used less recently are released if necessary."""
+        try:
+            yield self.models[k]
+        finally:
+            self._kept.keep((k, WHOLE), self.models[k])
+
     def search(self, k: int) -> PlaceSearch:
-        """Return the search of object k. Its places are read from the store at first use, or found if not stored."""
-        return _open_search(self.models[k])
+        """Return the search of object k. Its places are read from the store, or found if they are not stored."""
+        with self.use(k) as model:
+            return _open_search(model)
 
     def glance(self, touch: Touch) -> Glance:
         """Compare a touch with some places of each object. Raises TouchError for a touch of another sensor."""
@@ -104,35 +127,54 @@ class Library:
         level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
         press_m = min(level_m, touch.press_depth_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.models[0].encoder, press_m, YAWS_RAD)
-        return Glance(touch, T_sensor_anchor, tuple(matcher.scores(*codes) for matcher in self._matchers_of(level_m)))
+        scores = []
+        with self.progress.task("comparing objects", len(self)) as advance:
+            for k in range(len(self)):
+                scores.append(self._open_codes(k, level_m).scores(*codes))
+                advance(1)
+        return Glance(touch, T_sensor_anchor, tuple(scores))
 
     def look_into(self, k: int, glances: Sequence[Glance]) -> float:
         """Search object k roughly, starting from the touches' glances; return the best mean imprint IoU, 0 to 1.
 
         If there are several touches, each needs `T_base_sensor`.
         """
-        model, search = self.models[k], self.search(k)
-        views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
-        poses = [
-            invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
-            for view, glance in zip(views, glances, strict=True)
-        ]
-        return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
+        with self.use(k) as model:
+            search = _open_search(model)
+            views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
+            poses = [
+                invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
+                for view, glance in zip(views, glances, strict=True)
+            ]
+            return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
 
-    def _matchers_of(self, level_m: float) -> list[Matcher]:
-        """Return a matcher for each object, which compares touches with the object's places at a press depth.
+    def _open_codes(self, k: int, level_m: float) -> Matcher:
+        """Return a matcher that compares touches with places of object k, cut at a press depth (metres)."""
+        model, chosen = self.models[k], self.models[0].config.matcher
 
-        The matchers of a press depth are made at first use.
-        """
-        if level_m not in self._matchers:
-            level, chosen = LEVELS_M.index(level_m), self.models[0].config.matcher
-            self._matchers[level_m] = made = []
-            with self.progress.task("opening objects", len(self)) as advance:
-                for model in self.models:
-                    made.append(registry().create("matcher", chosen.name, chosen.options))
-                    made[-1].index(_load_codes(model, level).astype(np.float32))
-                    advance(1)
-        return self._matchers[level_m]
+        def index() -> _Codes:
+            codes = _load_codes(model, LEVELS_M.index(level_m)).astype(np.float32)
+            matcher: Matcher = registry().create("matcher", chosen.name, chosen.options)
+            matcher.index(codes)
+            return _Codes(matcher, codes.nbytes)
+
+        return cast(_Codes, self._kept.get((k, level_m), index)).matcher
+
+
+class _Codes(NamedTuple):
+    """A matcher of codes, and the bytes of these codes."""
+
+    matcher: Matcher
+    nbytes: int
+
+
+def _count_bytes(kept: _Codes | Localizer) -> int:
+    return kept.loaded_bytes if isinstance(kept, Localizer) else kept.nbytes
+
+
+def _release(kept: _Codes | Localizer) -> None:
+    if isinstance(kept, Localizer):
+        kept.release()
 
 
 def _load_codes(model: Localizer, level: int) -> Codes:

@@ -1,4 +1,4 @@
-"""A library reads and verifies the stored parts of an object when they are used, not when it is opened."""
+"""A library reads and verifies the stored parts of an object when they are used, and keeps those used last."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store import artifact as artifact_module
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.identify import identify
 from tactile_loc.tasks.library import LEVELS_M, Library
 
 NAMES = ("plate", "rod")
@@ -33,7 +35,7 @@ def open_library(objects, root):
     """Return a function that opens a library as a new process would."""
     grid = {"name": "whole", "directions": 300, "turns": 24}
     config = RunConfig.from_dict({"grid": grid, "sensor": "gelsight-mini", "temperature": 0.05})
-    return lambda: Library([Localizer(config, obj, StageStore(root)) for obj in objects])
+    return lambda **limits: Library([Localizer(config, obj, StageStore(root)) for obj in objects], **limits)
 
 
 @pytest.fixture
@@ -110,3 +112,41 @@ def test_damaged_places_are_found_and_built_again_at_use(open_library, touch, ro
     flip_last_byte(list(root.glob("places/*/runs.npz")))
     assert library.look_into(1, [glance]) == truth
     assert [[key.stage for key in model.store.built] for model in library.models] == [[], ["places"]]
+
+
+def test_what_is_kept_in_memory_stays_below_the_bound(open_library, touch, monkeypatch):
+    free = open_library()
+    truth = identify([touch], free)
+    one = max(model.loaded_bytes for model in free.models)
+    everything = sum(model.loaded_bytes for model in free.models)
+    assert one < everything < free.nbytes, "the codes count, too"
+    bound = one + 1000
+    held: list[int] = []
+    real = ByteCache.keep
+
+    def keep(cache: ByteCache, key: object, value: object) -> None:
+        real(cache, key, value)
+        held.append(library.nbytes)
+
+    library = open_library(most_bytes=bound)
+    monkeypatch.setattr(ByteCache, "keep", keep)
+    for _ in range(2):
+        said = identify([touch], library)
+        assert sum(model.loaded_bytes for model in library.models) <= library.nbytes <= bound
+        assert [(o.name, o.probability, o.misfit, o.rough_iou) for o in said.objects] == [
+            (o.name, o.probability, o.misfit, o.rough_iou) for o in truth.objects
+        ]
+        assert np.array_equal(said.best.found.best.T_sensor_object, truth.best.found.best.T_sensor_object)
+    assert 0 < max(held) <= bound
+
+
+def test_a_released_localizer_gives_the_same_answer(open_library, touch):
+    model = open_library().models[0]
+    first = model.localize(touch)
+    assert model.loaded_bytes > model.search.places.patches.nbytes
+    model.release()
+    assert model.loaded_bytes == 0
+    again = model.localize(touch)
+    assert not model.store.built
+    assert [h.probability for h in again.hypotheses] == [h.probability for h in first.hypotheses]
+    assert np.array_equal(again.best.T_sensor_object, first.best.T_sensor_object)
