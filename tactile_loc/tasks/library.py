@@ -150,10 +150,11 @@ class Library:
 
     def _open_codes(self, k: int, level_m: float) -> Matcher:
         """Return a matcher that compares touches with places of object k, cut at a press depth (metres)."""
-        model, chosen = self.models[k], self.models[0].config.matcher
+        chosen = self.models[0].config.matcher
 
         def index() -> _Codes:
-            codes = _load_codes(model, LEVELS_M.index(level_m)).astype(np.float32)
+            with self.use(k) as model:  # the places are opened if the codes are not stored yet
+                codes = _load_codes(model, LEVELS_M.index(level_m)).astype(np.float32)
             matcher: Matcher = registry().create("matcher", chosen.name, chosen.options)
             matcher.index(codes)
             return _Codes(matcher, codes.nbytes)

@@ -150,3 +150,11 @@ def test_a_released_localizer_gives_the_same_answer(open_library, touch):
     assert not model.store.built
     assert [h.probability for h in again.hypotheses] == [h.probability for h in first.hypotheses]
     assert np.array_equal(again.best.T_sensor_object, first.best.T_sensor_object)
+
+
+def test_encoding_all_objects_stays_below_the_bound(open_library):
+    library = open_library(most_bytes=1)
+    (touch,) = library.models[0].simulate(1, seed=5, press_depth_m=9e-4)
+    library.glance(touch)
+    assert all("glances" in [key.stage for key in model.store.built] for model in library.models)
+    assert [model.loaded_bytes for model in library.models] == [0, 0]
