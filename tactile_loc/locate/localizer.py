@@ -41,6 +41,7 @@ from tactile_loc.locate.expected_poses import add_expected_modes, is_unexpected
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
 from tactile_loc.locate.place_banks import PlaceBanks
+from tactile_loc.locate.probabilities import Scalings, TemperatureScaling
 from tactile_loc.locate.refinement import Refinement
 from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis, JudgedHypothesis
 from tactile_loc.locate.results.localization import Localization
@@ -181,6 +182,18 @@ class Localizer:
         return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
     @property
+    def loaded_bytes(self) -> int:
+        """The memory, bytes, of the places and banks of a search of the whole object, which `release` frees."""
+        kept = [self.__dict__.get("source"), getattr(self.__dict__.get("probabilities"), "source", None)]
+        searches = {id(one): one.search for one in kept if isinstance(one, PlaceSource)}
+        return sum(search.nbytes for search in searches.values())
+
+    def release(self) -> None:
+        """Free the places, listed poses and banks. They are read from the store, or made, when they are next used."""
+        for part in ("source", "probabilities"):
+            self.__dict__.pop(part, None)
+
+    @property
     def search(self) -> PlaceSearch | None:
         """The search of the whole object; None if the grid lists poses."""
         return self.source.search if isinstance(self.source, PlaceSource) else None
@@ -292,15 +305,17 @@ class Localizer:
 
     @use_one_blas_thread()
     def posteriors(
-        self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
-    ) -> list[PosePosterior]:
+        self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None,
+        scaling: TemperatureScaling | None = None,
+    ) -> list[PosePosterior]:  # fmt: skip
         """Return each touch's own posterior over the grid's poses, before fusion. Adds stage durations to `times`.
 
-        A `prior` only guides the search of a whole object. Raises TouchError for a touch of another sensor.
+        A `prior` only guides the search of a whole object. `scaling` is used instead of the fitted one. Raises
+        TouchError for a touch of another sensor.
         """
         for touch in touches:
             self.require_own(touch)
-        scaling = self.probabilities.temperature_scaling
+        scaling = scaling or self.probabilities.temperature_scaling
         scored = self.source.score(touches, times or StageTimes(), prior)
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
@@ -346,14 +361,15 @@ Observation = tuple[Localizer, Touch]
 @use_one_blas_thread()
 def localize_together(
     observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
-    coverage: float | None = None,
+    coverage: float | None = None, scalings: Scalings | None = None,
 ) -> Localization:  # fmt: skip
     """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
     Each touch comes with the localizer of its object and its sensor; sensors may differ. If there are several touches,
     each needs `T_base_sensor` (4, 4), metres. Poses are in the first touch's sensor frame, and the posterior is over
     the first localizer's grid. `prior` maps poses (N, 4, 4) of this grid to log-weights (N,). `coverage` is as for
-    `Localizer.localize`. Raises TactileLocError if no pose fits all touches.
+    `Localizer.localize`. With `scalings`, nothing is fitted to the object: its probabilities are then rough, and the
+    setting `coverage` has no effect. Raises TactileLocError if no pose fits all touches.
 
     `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
@@ -361,7 +377,7 @@ def localize_together(
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
-    query = _Query.of(observations, prior, top, coverage, StageTimes())
+    query = _Query.of(observations, prior, top, coverage, StageTimes(), scalings)
     while True:
         scored = query.score_each()
         try:
@@ -410,28 +426,32 @@ class _Query:
     top: int
     coverage: float | None
     times: StageTimes
+    scalings: Scalings | None = None
 
     @classmethod
     def of(
         cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
-        times: StageTimes,
+        times: StageTimes, scalings: Scalings | None = None,
     ) -> _Query:  # fmt: skip
         """Make a query; if `top` or `coverage` is None, the first localizer's setting is used.
 
-        Raises TactileLocError if `top` is below 1, or if one of several touches has no sensor pose.
+        With `scalings`, nothing is fitted, so the setting `coverage` has no effect. Raises TactileLocError if `top` is
+        below 1, if one of several touches has no sensor pose, or if a coverage cannot be promised.
         """
         first, touch = observations[0]
         top = first.config.top if top is None else top
         if top < 1:
             raise ConfigError(f"cannot list {top} hypotheses; set `top` to 1 or more")
-        coverage = first.config.coverage if coverage is None else coverage
+        if coverage is not None and scalings is not None:
+            raise ConfigError(f"no `coverage` of {coverage:g} can be promised without a fit; leave out `scalings`")
+        coverage = first.config.coverage if coverage is None and scalings is None else coverage
         masks = [touch.name for _, touch in observations if not touch.has_depths]
         if coverage is not None and masks:
             raise ConfigError(f"no `coverage` can be promised for {masks[0]}, which is a contact mask; leave it out")
         if len(observations) > 1:
             require_sensor_poses([touch.T_base_sensor for _, touch in observations])
         views = [make_view(touch, localizer, other) for localizer, other in observations]
-        return cls(observations, views, prior, top, coverage, times)
+        return cls(observations, views, prior, top, coverage, times, scalings)
 
     @property
     def first(self) -> Localizer:
@@ -440,6 +460,10 @@ class _Query:
     @property
     def touches(self) -> list[Touch]:
         return [touch for _, touch in self.observations]
+
+    def choose_scalings(self, localizer: Localizer) -> Scalings | FittedProbabilities:
+        """Return the given scalings or, if there are none, those that are fitted to the localizer's object."""
+        return self.scalings or localizer.probabilities
 
     @property
     def start_radius_m(self) -> float:
@@ -452,16 +476,17 @@ class _Query:
         """
         searches = [localizer.search for localizer, _ in self.observations]
         if len(searches) == 1 or not any(searches):
-            return _Scored(
-                [localizer.posteriors([touch], self.times, self.prior)[0] for localizer, touch in self.observations]
-            )
+            return _Scored([
+                one.posteriors([touch], self.times, self.prior, self.choose_scalings(one).temperature_scaling)[0]
+                for one, touch in self.observations
+            ])  # fmt: skip
         together = [search for search in searches if search is not None]
         if len(together) < len(searches):
             raise ConfigError("some localizers search the whole object and others a grid of listed poses; give all of "
                               "them the grid whole, or none")  # fmt: skip
         found = search_together(self.views, together, self.times, self.prior)
-        scalings = [localizer.probabilities.temperature_scaling for localizer, _ in self.observations]
-        elsewhere = self.first.probabilities.fused_scaling.elsewhere(found.best, len(self.views))
+        scalings = [self.choose_scalings(localizer).temperature_scaling for localizer, _ in self.observations]
+        elsewhere = self.choose_scalings(self.first).fused_scaling.elsewhere(found.best, len(self.views))
         return _Scored(found.posteriors(self.views, scalings, elsewhere), found.matched)
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
@@ -470,7 +495,7 @@ class _Query:
         All posteriors are tempered for the number of touches.
         """
         count = len(alone) + count_touches(self.prior)
-        powers = [localizer.probabilities.fused_scaling.power(count) if count > 1 else 1.0
+        powers = [self.choose_scalings(localizer).fused_scaling.power(count) if count > 1 else 1.0
                   for localizer, _ in self.observations]  # fmt: skip
         with self.times.stage("fuse"):
             each = [posterior.temper(power) for posterior, power in zip(alone, powers, strict=True)]
@@ -512,7 +537,7 @@ class _Query:
         told = count_touches(self.prior)
         if self.prior is None or not told:
             return self.prior
-        power = self.first.probabilities.fused_scaling.power
+        power = self.choose_scalings(self.first).fused_scaling.power
         return temper(self.prior, lambda count: power(len(self.observations) + told) / power(count))
 
     def _choose_set(self, found: Localization) -> PoseSet | None:
@@ -570,7 +595,7 @@ class _Query:
         prior = self.prior
         if prior is not None and after is not before:
             prior = SeenFrom(prior, invert(np.asarray(before.T_base_sensor)) @ np.asarray(after.T_base_sensor))
-        return _Query.of(left, prior, self.top, self.coverage, self.times)
+        return _Query.of(left, prior, self.top, self.coverage, self.times, self.scalings)
 
 
 def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:

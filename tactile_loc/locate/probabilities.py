@@ -153,6 +153,14 @@ class FusedScaling:
         return _elsewhere(self.found, touches * best)
 
 
+@dataclass(frozen=True)
+class Scalings:
+    """The scaling of each touch's scores, and the tempering of several touches, which need no fit."""
+
+    temperature_scaling: TemperatureScaling
+    fused_scaling: FusedScaling
+
+
 class FusedExample(NamedTuple):
     """Several `touches` of known pose, fused.
 

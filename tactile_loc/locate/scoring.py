@@ -62,12 +62,14 @@ class GridScores:
         with self._choosing:
             kept = self._matchers.pop(press_m, None) or self._index(press_m)
             self._matchers[press_m] = kept  # the last used comes last
-            while len(self._matchers) > FEWEST_MATCHERS and self._count_bytes() > KEPT_BYTES:
+            while len(self._matchers) > FEWEST_MATCHERS and self.nbytes > KEPT_BYTES:
                 del self._matchers[next(iter(self._matchers))]
         return kept[0]
 
-    def _count_bytes(self) -> int:
-        return sum(size for _, size in self._matchers.values())
+    @property
+    def nbytes(self) -> int:
+        """The memory of the banks of all kept matchers, bytes."""
+        return sum(size for _, size in list(self._matchers.values()))
 
     def bank_press_m(self, press_depth_m: float) -> float:
         """Return the press depth, metres, at which a touch and the bank are compared.

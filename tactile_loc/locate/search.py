@@ -85,6 +85,14 @@ class PlaceSearch:
         self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
         self._mask_banks = GridScores(encoder, new_matcher, mask_bank, HIGHEST_M, follow=True)
 
+    @property
+    def nbytes(self) -> int:
+        """The memory of the places, their banks, and the poses proposed for touches that still exist, bytes."""
+        proposed = [matched for known in list(self._alike.values()) for matched in list(known.values())]
+        remembered = sum(poses.nbytes + scores.nbytes for poses, scores in proposed)
+        places = self.places.T_place_object.nbytes + self.places.patches.nbytes
+        return places + remembered + self._banks.nbytes + self._mask_banks.nbytes
+
     def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
         """Return the likeliest poses of a touch, and their imprint IoUs (K,) in coarse renders.
 

@@ -16,16 +16,21 @@ FILE_FORMAT = 2  # increase if the same places are stored as other files
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
-    """Return the places of the scene's object, stored or built now, and their key.
+    """Return the places of the scene's object, stored or built now, and their key."""
+    key = make_places_key(sampler, scene)
+    file_key = StageKey(STAGE, STAGE_VERSION, {**key.inputs, "format": FILE_FORMAT}, key.label)
+    stored = store.build(file_key, lambda work: _save(sampler.places(scene.object, progress), work))
+    return _load(stored), key
+
+
+def make_places_key(sampler: GridSampler, scene: Scene) -> StageKey:
+    """Return the key of the places of the scene's object.
 
     Everything that is made from the places is found by this key. The key does not contain the format of the files, so
     encoders that were trained on the places stay valid when only the format changes.
     """
     obj = scene.object
-    inputs = {"object": obj.describe(), "sampler": sampler.describe()}
-    file_key = StageKey(STAGE, STAGE_VERSION, {**inputs, "format": FILE_FORMAT}, obj.name)
-    stored = store.build(file_key, lambda work: _save(sampler.places(obj, progress), work))
-    return _load(stored), StageKey(STAGE, STAGE_VERSION, inputs, obj.name)
+    return StageKey(STAGE, STAGE_VERSION, {"object": obj.describe(), "sampler": sampler.describe()}, obj.name)
 
 
 def _save(places: Places, work: Workspace) -> None:

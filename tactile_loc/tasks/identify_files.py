@@ -18,18 +18,19 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.stored_object import SELF_CONTAINED, load_stored_object
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.identify import Identification
+from tactile_loc.tasks.identify import LEAST_REPORTED, Identification
 from tactile_loc.tasks.library import Library
 
 SCHEMA_VERSION = 1
 NONE_OF_THESE = "none of these"
-LEAST_NAMED = 0.05  # least probability of an object that the summary names
 
 
 class PoseRecord(Record):
     """A pose of an object, assuming that this object was touched."""
 
-    probability: float = Field(description="of this pose, given this object, 0 to 1")
+    probability: float | None = Field(
+        description="of this pose, given this object, 0 to 1; null: the object is too improbable to compute it"
+    )
     T_sensor_object: Matrix = Field(description="(4, 4), m, in the first touch's sensor frame")
     imprint_iou: float = Field(description="how well it explains the touches, 0 to 1")
 
@@ -66,7 +67,7 @@ class IdentificationRecord(Record):
         """Return the verdict and the probable objects, such as "ambiguous: hook 39 %, head 31 %"."""
         shares = [(NONE_OF_THESE, self.none), *((one.name, one.probability) for one in self.objects)]
         first, *others = sorted(shares, key=lambda share: -share[1])
-        named = ", ".join(f"{name} {format_percent(p)}" for name, p in (first, *others) if p >= LEAST_NAMED)
+        named = ", ".join(f"{name} {format_percent(p)}" for name, p in (first, *others) if p >= LEAST_REPORTED)
         why = "; the best pose does not explain the touches" if self.verdict == Verdict.POOR_FIT else ""
         return f"{self.verdict or 'no verdict'}: {named or 'no object is probable'}{why}"
 
@@ -101,7 +102,8 @@ def make_identification_record(found: Identification, touches: list[str]) -> Ide
                 misfit_nats=one.misfit if np.isfinite(one.misfit) else None,
                 poses=[
                     PoseRecord(
-                        probability=h.probability, T_sensor_object=h.T_sensor_object.tolist(), imprint_iou=h.imprint_iou
+                        probability=h.probability if one.fitted else None,
+                        T_sensor_object=h.T_sensor_object.tolist(), imprint_iou=h.imprint_iou,
                     )
                     for h in (one.found.hypotheses if one.found else ())
                 ],

@@ -4,17 +4,24 @@ A glance compares a touch, at a few yaws, with some places of each object, encod
 a thousandth of the time of locating the object, but is sensitive to noise. A rough search starts from the most similar
 places of an object. It registers a few poses roughly to all touches, and takes a thirtieth of the time of locating the
 object.
+
+A glance reads only the codes of one press depth from the store. An object's places are read when it is searched. The
+parts used last stay in memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.errors import ConfigError, ObjectError, quote
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.places import CAMERA
@@ -23,12 +30,15 @@ from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.locate.localizer import Localizer, make_view
 from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, encode_rotated, find_highest
+from tactile_loc.locate.stored_places import make_places_key
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-Codes = NDArray[np.float16]  # (levels, places, D)
+Codes = NDArray[np.float16]  # (places, D)
 
-STAGE, STAGE_VERSION = "glances", 1
+STAGE, STAGE_VERSION = "glances", 2
+KEPT_BYTES = 2 * 2**30
+WHOLE = math.inf  # stands for an object's places and banks, beside the press depths of its codes
 LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and places are compared
 MOST_PLACES = 2000  # per object, evenly spread
 TURNS = 36
@@ -62,11 +72,13 @@ class Glance:
 class Library:
     """The objects that may have been touched, each with its localizer, all for one sensor.
 
-    The order of the objects does not matter. Raises TactileLocError if there are no objects, if two objects share a
-    name, or if a localizer does not suit identification.
+    The order of the objects does not matter. The objects' codes, places and banks that were used last are kept in
+    memory, up to `most_bytes` and the object in use. The rest is released, and read again from the store when it is
+    used. Raises TactileLocError if there are no objects, if two objects share a name, or if a localizer does not suit
+    identification.
     """
 
-    def __init__(self, models: Sequence[Localizer]) -> None:
+    def __init__(self, models: Sequence[Localizer], most_bytes: int = KEPT_BYTES) -> None:
         if not models:
             raise ObjectError("there is no object to identify; give at least one")
         others = [model for model in models if not isinstance(model, Localizer)]
@@ -79,27 +91,34 @@ class Library:
             raise ObjectError(f"two objects are called {twice[0]}; give each its own name")
         listed = [model.object.name for model in self.models if not model.sampler.capabilities.places]
         if listed:
-            raise ConfigError(f"{listed[0]} has a grid of listed poses; to identify objects, choose the grid whole")
+            raise ConfigError(_explain_listed(listed[0]))
         if self.models[0].encoder.capabilities.needs_training:
             raise ConfigError(
                 "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
             )
         self.progress = self.models[0].progress
-        self._matchers: dict[float, list[Matcher]] = {}
+        self._kept: ByteCache[tuple[int, float], _Codes | Localizer] = ByteCache(most_bytes, _count_bytes, _release)
 
     def __len__(self) -> int:
         return len(self.models)
 
-    @cached_property
-    def searches(self) -> list[PlaceSearch]:
-        """The search of each object; its places are stored, or found now."""
-        found = []
-        with self.progress.task("opening objects", len(self)) as advance:
-            for model in self.models:
-                if model.search is not None:
-                    found.append(model.search)
-                advance(1)
-        return found
+    @property
+    def nbytes(self) -> int:
+        """The memory of the objects' codes, places and banks that are kept, bytes."""
+        return self._kept.nbytes
+
+    @contextmanager
+    def use(self, k: int) -> Iterator[Localizer]:
+        """Yield the localizer of object k. Afterwards, objects used less recently are released if necessary."""
+        try:
+            yield self.models[k]
+        finally:
+            self._kept.keep((k, WHOLE), self.models[k])
+
+    def search(self, k: int) -> PlaceSearch:
+        """Return the search of object k. Its places are read from the store, or found if they are not stored."""
+        with self.use(k) as model:
+            return _open_search(model)
 
     def glance(self, touch: Touch) -> Glance:
         """Compare a touch with some places of each object. Raises TouchError for a touch of another sensor."""
@@ -108,52 +127,87 @@ class Library:
         level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
         press_m = min(level_m, touch.press_depth_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.models[0].encoder, press_m, YAWS_RAD)
-        return Glance(touch, T_sensor_anchor, tuple(matcher.scores(*codes) for matcher in self._matchers_of(level_m)))
+        scores = []
+        with self.progress.task("comparing objects", len(self)) as advance:
+            for k in range(len(self)):
+                scores.append(self._open_codes(k, level_m).scores(*codes))
+                advance(1)
+        return Glance(touch, T_sensor_anchor, tuple(scores))
 
     def look_into(self, k: int, glances: Sequence[Glance]) -> float:
         """Search object k roughly, starting from the touches' glances; return the best mean imprint IoU, 0 to 1.
 
         If there are several touches, each needs `T_base_sensor`.
         """
-        model, search = self.models[k], self.searches[k]
-        views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
-        poses = [
-            invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
-            for view, glance in zip(views, glances, strict=True)
-        ]
-        return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
+        with self.use(k) as model:
+            search = _open_search(model)
+            views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
+            poses = [
+                invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
+                for view, glance in zip(views, glances, strict=True)
+            ]
+            return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
 
-    def _matchers_of(self, level_m: float) -> list[Matcher]:
-        """Return a matcher for each object, which compares touches with the object's places at a press depth.
+    def _open_codes(self, k: int, level_m: float) -> Matcher:
+        """Return a matcher that compares touches with places of object k, cut at a press depth (metres)."""
+        chosen = self.models[0].config.matcher
 
-        The matchers of a press depth are made at first use.
-        """
-        if level_m not in self._matchers:
-            level, chosen = LEVELS_M.index(level_m), self.models[0].config.matcher
-            self._matchers[level_m] = made = []
-            for codes in self._codes:
-                made.append(registry().create("matcher", chosen.name, chosen.options))
-                made[-1].index(codes[level].astype(np.float32))
-        return self._matchers[level_m]
+        def index() -> _Codes:
+            with self.use(k) as model:  # the places are opened if the codes are not stored yet
+                codes = _load_codes(model, LEVELS_M.index(level_m)).astype(np.float32)
+            matcher: Matcher = registry().create("matcher", chosen.name, chosen.options)
+            matcher.index(codes)
+            return _Codes(matcher, codes.nbytes)
 
-    @cached_property
-    def _codes(self) -> list[Codes]:
-        return [_encode_places(model, search) for model, search in zip(self.models, self.searches, strict=True)]
+        return cast(_Codes, self._kept.get((k, level_m), index)).matcher
 
 
-def _encode_places(model: Localizer, search: PlaceSearch) -> Codes:
-    """Return the codes (L, N, D) of some of an object's places, cut at each of LEVELS_M, stored or encoded now."""
+class _Codes(NamedTuple):
+    """A matcher of codes, and the bytes of these codes."""
+
+    matcher: Matcher
+    nbytes: int
+
+
+def _count_bytes(kept: _Codes | Localizer) -> int:
+    return kept.loaded_bytes if isinstance(kept, Localizer) else kept.nbytes
+
+
+def _release(kept: _Codes | Localizer) -> None:
+    if isinstance(kept, Localizer):
+        kept.release()
+
+
+def _load_codes(model: Localizer, level: int) -> Codes:
+    """Return the codes (N, D) of some of an object's places, cut at LEVELS_M[level], stored or encoded now.
+
+    The codes of all levels are stored together, but only the file of this level is read and its checksum verified.
+    """
     key = StageKey(STAGE, STAGE_VERSION, {
-        "places": search.key.digest, "encoder": model.encoder.describe(), "levels_m": list(LEVELS_M),
-        "most": MOST_PLACES,
+        "places": make_places_key(model.sampler, model.scene).digest, "encoder": model.encoder.describe(),
+        "levels_m": list(LEVELS_M), "most": MOST_PLACES,
     }, model.object.name)  # fmt: skip
+    name = f"codes-{level}"
+    stored = model.store.build(key, partial(_save_codes, model), [f"{name}.npy"])
+    return stored.load_array(name)
+
+
+def _save_codes(model: Localizer, work: Workspace) -> None:
+    search = _open_search(model)
     some = slice(None, None, _step(search))
+    for level, press_m in enumerate(LEVELS_M):
+        codes = model.encoder.encode(search.places.depths(press_m, some), press_m, CAMERA)
+        work.save_array(f"codes-{level}", codes.astype(np.float16))
 
-    def save(work: Workspace) -> None:
-        levels = [model.encoder.encode(search.places.depths(m, some), m, CAMERA) for m in LEVELS_M]
-        work.save_array("codes", np.stack(levels).astype(np.float16))
 
-    return model.store.build(key, save).load_array("codes")
+def _open_search(model: Localizer) -> PlaceSearch:
+    if model.search is None:
+        raise ConfigError(_explain_listed(model.object.name))
+    return model.search
+
+
+def _explain_listed(name: str) -> str:
+    return f"{name} has a grid of listed poses; to identify objects, choose the grid whole"
 
 
 def _step(search: PlaceSearch) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from message_helpers import naming
-from store_helpers import KEY, Five, contents, flip, folder_of
+from store_helpers import KEY, Five, contents, flip, folder_of, forbidden
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
@@ -125,6 +125,29 @@ def test_checksums_are_read_once_while_the_files_are_unchanged(
     os.utime(built.find_file("sum.npy"), (1e9, 1e9 + 1))
     assert store.get(KEY) == built
     assert len(hashed) == 2 * len(built.names)
+
+
+def test_only_the_files_that_are_read_are_verified(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    built = store.build(KEY, Five())
+    for path in built.path.iterdir():
+        os.utime(path, (1e9, 1e9))
+    hashed: list[str] = []
+    real = artifact_module.hash_file
+    monkeypatch.setattr(artifact_module, "hash_file", lambda path: hashed.append(path.name) or real(path))
+    for files in (["sum.npy"], ["sum.npy"], ["piece0.npy", "sum.npy"]):
+        assert store.get(KEY, files) == built
+    assert hashed == ["sum.npy", "piece0.npy"]
+    assert store.build(KEY, forbidden) == built
+    assert sorted(hashed) == list(built.names)
+
+
+def test_damage_is_found_when_the_file_is_needed(store: StageStore) -> None:
+    truth = contents(store.build(KEY, Five()).path)
+    flip("sum.npy", -1)(folder_of(store))
+    assert store.get(KEY, ["piece0.npy"]) is not None
+    five = Five()
+    assert contents(store.build(KEY, five, ["sum.npy"]).path) == truth
+    assert five.computed == [0, 1, 2, 3, 4]
 
 
 def test_pickled_arrays_are_refused(store: StageStore) -> None:

@@ -16,10 +16,13 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.store.store import StageStore
 from tactile_loc.tasks import identify as module
 from tactile_loc.tasks.identify import (
+    LEAST_REPORTED,
     Identification,
     KnownAnswer,
     KnownObject,
@@ -126,10 +129,73 @@ def test_noisy_touches_fit_their_own_object_best(library, name):
 def test_a_glance_proposes_poses_near_the_true_pose(library, touches):
     for k, model in enumerate(library.models):
         touch = touches[model.object.name][0]
-        poses = library.glance(touch).poses(k, library.searches[k], 300)
+        poses = library.glance(touch).poses(k, library.search(k), 300)
         true = np.broadcast_to(touch.T_sensor_object, poses.shape)
         assert len(poses) == 300
         assert PoseMetric(model.object).symmetric_distance(poses, true).min() < 4e-3
+
+
+@pytest.fixture
+def unfitted(models) -> Library:
+    """Return a library whose objects have no temperature yet."""
+    config = models[0].config.model_copy(update={"temperature": None})
+    return Library([Localizer(config, model.object, model.store) for model in models])
+
+
+def test_probabilities_are_fitted_only_to_probable_objects(unfitted, touches, monkeypatch):
+    asked: set[str] = set()
+    fitted = Scalings(TemperatureScaling(0.05), FusedScaling())
+    monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.add(self.object.name) or fitted))
+    said = identify(touches["ring"], unfitted, null=CLEAN)
+    probable = {one.name for one in said.objects if one.probability >= LEAST_REPORTED}
+    assert asked == probable == {"ring"}
+    assert {one.name for one in said.objects if one.fitted} == probable
+    alone = localize_together([(unfitted.models[1], touch) for touch in touches["ring"]])
+    assert unfitted.names[1] == "ring"
+    assert said.objects[0].found.best.probability == alone.best.probability
+    asked.clear()
+    assert identify(touches["ring"], Library([unfitted.models[0]]), null=CLEAN).best is None
+    assert asked == set()
+
+
+def test_an_object_that_becomes_probable_by_the_fits_is_fitted_too(unfitted, touches, monkeypatch):
+    asked: list[str] = []
+    fitted, misfits = Scalings(TemperatureScaling(0.05), FusedScaling()), {"ring": 0.0, "plate": 3.0, "rod": 9.0}
+
+    def measure(model: Localizer, _: object) -> float:
+        name = model.object.name
+        return 50.0 if name == "ring" and name in asked else misfits[name]
+
+    monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.append(self.object.name) or fitted))
+    monkeypatch.setattr(module, "measure_misfit", measure)
+    said = identify(touches["ring"], unfitted, null=NullEvidence(alone=5.0, together=5.0, temperature=0.5))
+    assert list(dict.fromkeys(asked)) == ["ring", "plate"]
+    assert [(one.name, one.misfit, one.fitted) for one in said.objects] == [
+        ("plate", 3.0, True), ("rod", 9.0, False), ("ring", 50.0, True),
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_misfits_hardly_depend_on_the_scalings(models, unfitted, touches):
+    for name, seen in touches.items():
+        for some in (seen, seen[:1]):
+            given, typical = (
+                {one.name: one.misfit for one in identify(some, library, null=NullEvidence(1e-3, 1e-3, 1e-3)).objects}
+                for library in (Library(models), unfitted)
+            )
+            assert typical[name] == pytest.approx(given[name], abs=0.1)
+            assert min(typical, key=typical.get) == min(given, key=given.get) == name
+
+
+@pytest.mark.slow
+def test_a_probable_object_has_probabilities_fitted_to_it(unfitted, touches, tmp_path):
+    store = StageStore(tmp_path)
+    library = Library([Localizer(model.config, model.object, store) for model in unfitted.models])
+    said = identify(touches["ring"], library, null=CLEAN)
+    built = [key.stage for key in store.built]
+    assert (built.count("temperature"), built.count("fused-temperature")) == (1, 1)
+    alone = localize_together([(library.models[1], touch) for touch in touches["ring"]])
+    assert [h.probability for h in said.objects[0].found.hypotheses] == [h.probability for h in alone.hypotheses]
 
 
 def test_several_touches_need_the_poses_of_their_sensors(library, touches):
@@ -188,12 +254,12 @@ def test_the_null_evidence_is_fitted_to_known_and_unknown_objects():
 
 
 def test_a_full_store_is_an_error_and_not_a_misfit(monkeypatch):
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise StoreError("full")
 
     monkeypatch.setattr(module, "localize_together", full)
     with pytest.raises(StoreError, match="full"):
-        module._locate(None, [])
+        module._locate(None, [], None)
 
 
 def test_invalid_touches_and_libraries_are_refused(models, touches, library):

@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
 
 MOST_CELLS = 6_000_000
+KEPT_BYTES = 512 * 2**20  # of fields in memory
 FAR = 255  # value of a distance of `reach_m` or more
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
@@ -52,6 +53,11 @@ class SurfaceField:
         distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
         triangles = NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners))
         return cls(triangles, reach_m, distances)
+
+    @property
+    def nbytes(self) -> int:
+        """The memory of the field's arrays, bytes."""
+        return self.distances.nbytes + sum(part.nbytes for part in self.triangles if isinstance(part, np.ndarray))
 
     def to_unit(self, per_m: float) -> NearestTriangles:
         """Return the arrays for compiled code in another unit of length. A metre has `per_m` of these units."""
@@ -108,10 +114,12 @@ def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], N
     return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
 
 
-@lru_cache(maxsize=64)  # as many as the objects of a library that are searched together
+_fields: ByteCache[TriangleMesh, SurfaceField] = ByteCache(KEPT_BYTES, lambda field: field.nbytes)
+
+
 def build_surface_field(mesh: TriangleMesh) -> SurfaceField:
-    """Return the field of a mesh. It is built at its first use."""
-    return SurfaceField.of(mesh)
+    """Return the field of a mesh, built at its first use. The fields used last are kept, up to KEPT_BYTES."""
+    return _fields.get(mesh, lambda: SurfaceField.of(mesh))
 
 
 @njit

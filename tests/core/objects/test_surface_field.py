@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from tactile_loc.core.byte_cache import ByteCache
+from tactile_loc.core.objects import surface_field as module
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.objects.surface_field import SurfaceField, find_closest_on_triangle
+from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field, find_closest_on_triangle
 
 SOLIDS = {
     "ball": trimesh.creation.icosphere(3, 0.008),
@@ -34,6 +36,18 @@ def test_the_nearest_point_agrees_with_trimesh(name):
     assert np.median(off_m) < 1e-9
     assert np.quantile(off_m, 0.95) < 2e-4
     assert off_m.max() < 5e-4
+
+
+def test_the_fields_used_last_are_kept_within_a_number_of_bytes(monkeypatch):
+    meshes = [TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)) for solid in SOLIDS.values()]
+    sizes = [build_surface_field(mesh).nbytes for mesh in meshes]
+    assert all(size > SurfaceField.of(mesh).distances.nbytes for size, mesh in zip(sizes, meshes, strict=True))
+    monkeypatch.setattr(module, "_fields", ByteCache(sum(sizes) - 1, lambda field: field.nbytes))
+    first, second, third = map(build_surface_field, meshes)
+    assert module._fields.nbytes == sizes[1] + sizes[2]
+    assert build_surface_field(meshes[1]) is second
+    assert build_surface_field(meshes[2]) is third
+    assert build_surface_field(meshes[0]) is not first
 
 
 def test_no_point_is_found_beyond_the_reach():
