@@ -43,6 +43,7 @@ from track_starts import (
 )
 
 from tactile_loc.benchmark.suite import read_split
+from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.tolerance import measure_surface_distances
@@ -53,6 +54,7 @@ from tactile_loc.tasks.key_touches import choose_key_touches
 from tactile_loc.tasks.tracker import Tracker
 
 SHOWN, IN_TIME = 0.1, 3
+MOST_DRAWS = 20  # slides until one has a slip that stays on the gel
 BEFORE_S, AFTER_S = (0.4, 1.2), 1.0  # seconds before and after the slip
 SLIP_MM, TURN_DEG = (1.0, 4.0), (3.0, 15.0)
 
@@ -121,10 +123,16 @@ def find_batch(localizer: Localizer, frames: Sequence[Frame]) -> int:
 
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Track:
     """Return one track through a slip."""
-    rng = np.random.default_rng(
-        [seed, zlib.crc32(localizer.object.name.encode()), CONDITIONS.index(condition), number, 2]
-    )
-    frames, slip, at = draw_slip(localizer, condition, rng)
+    for attempt in range(MOST_DRAWS):
+        name = zlib.crc32(localizer.object.name.encode())
+        rng = np.random.default_rng([seed, name, CONDITIONS.index(condition), number, attempt])
+        try:
+            frames, slip, at = draw_slip(localizer, condition, rng)
+            break
+        except TouchError:  # the slip leaves the gel
+            continue
+    else:
+        raise SystemExit(f"hardly any slip of {localizer.object.name} stays on the gel")
     old, new = (frames[k].T_base_sensor @ frames[k].T_sensor_object for k in (at - 1, at))
     tracker = Tracker(localizer)
     first = frames[0].T_base_sensor @ frames[0].T_sensor_object
