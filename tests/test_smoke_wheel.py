@@ -38,6 +38,7 @@ doctor) exit {doctor} ;;
 --version) ;;
 *--camera*) refuse camera ;;
 benchmark*) refuse benchmark ;;
+*--finger*) refuse clearance ;;
 *kiss-icp*) refuse kiss ;;
 *moco*) refuse learned ;;
 replay*) refuse recordings ;;

@@ -11,7 +11,7 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.slots.refiner import RefinedPose
-from tactile_loc.io.options import CERTAIN, TrackerOptions
+from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.results.localization import Agreement
 from tactile_loc.locate.results.result_json import ResultRecord, make_record
 from tactile_loc.locate.results.verdict import (
@@ -52,7 +52,6 @@ def test_no_contact_takes_precedence_over_every_other_verdict():
 
 def test_the_caller_sets_the_thresholds():
     assert judge(0.6, 0.3, certain=0.5, least_iou=0.25) is Verdict.CERTAIN
-    assert TrackerOptions().certain == CERTAIN
 
 
 def test_every_verdict_has_a_meaning():
