@@ -32,7 +32,6 @@ from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.protocol import measure_contact_share
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
@@ -100,7 +99,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
         except TactileLocError:
             seconds, said, searched_m = time.perf_counter() - start, Located(), np.inf
         if number >= 0:  # the first call warms up
-            one = {"seconds": seconds, "area": measure_contact_share(touch), "searched_mm": 1e3 * searched_m}
+            one = {"seconds": seconds, "area": touch.contact_share, "searched_mm": 1e3 * searched_m}
             found.append({**said._asdict(), **one})
     return found
 

@@ -208,12 +208,7 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
             rows.append(evaluator.measure(touch, np.random.default_rng(source.seed_touch(number, 1))))
             advance(1)
     measured = (np.stack([getattr(row, name) for row in rows]) for name in MEASURED)
-    return [*measured, ambiguity, np.array([measure_contact_share(touch) for touch in touches]), np.array(refused)]
-
-
-def measure_contact_share(touch: Touch) -> float:
-    """Return the share of a touch's observed pixels in contact, 0 to 1."""
-    return float(touch.contact_shape.contact[touch.geometry.observed_mask].mean())
+    return [*measured, ambiguity, np.array([touch.contact_share for touch in touches]), np.array(refused)]
 
 
 def save_in_shards(

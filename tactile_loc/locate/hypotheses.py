@@ -64,7 +64,7 @@ def find_hypotheses(
             refined = [*refined, *refine(seen, candidates[:PULLED], prior)]
             modes = [*modes, *(dataclasses.replace(mode, probability=0.0) for mode in modes[:PULLED])]
     with times.stage("choose"):
-        ious = _compare(views, refined, trusted)
+        ious = compare_refined(views, refined, trusted)
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -78,13 +78,15 @@ def find_hypotheses(
         return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
 
 
-def _compare(views: Sequence[View], refined: Sequence[RefinedPose], trusted: Sequence[int]) -> NDArray[np.float64]:
+def compare_refined(
+    views: Sequence[View], refined: Sequence[RefinedPose], trusted: Sequence[int]
+) -> NDArray[np.float64]:
     """Return the imprint IoUs (K, N), 0 to 1, of refined poses with each of N touches; NaN if it is not trusted."""
     if len(views) == 1 and all(pose.imprint_iou is not None for pose in refined):
         return np.array([[pose.imprint_iou] for pose in refined])  # the refiner has drawn the poses already
     T = np.stack([pose.T_sensor_object for pose in refined])
     some = [views[number] for number in trusted]
-    seen = None if len(views) == 1 else _find_seen_poses(some, refined)
+    seen = None if len(views) == 1 else find_seen_poses(some, refined)
     ious = np.full((len(T), len(views)), np.nan)
     ious[:, trusted] = compare_where_seen(some, T, seen, views[0])[0]
     return ious
@@ -212,11 +214,14 @@ def keep_likeliest(
     return [modes[k] for k in best], ious[best]
 
 
-def _find_seen_poses(views: Sequence[View], refined: Sequence[RefinedPose]) -> NDArray[np.float64]:
-    """Return the refined poses in the frame of each sensor, (K, N, 4, 4), metres, as the refiner gives them."""
+def find_seen_poses(views: Sequence[View], refined: Sequence[RefinedPose]) -> NDArray[np.float64]:
+    """Return refined poses in the frame of each of N sensors, (K, N, 4, 4), metres, as the refiner gives them.
+
+    If the refiner gives none for these sensors, they follow from the reported sensor poses.
+    """
     seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
     for k, pose in enumerate(refined):
-        if pose.T_sensors_object is not None:
+        if pose.T_sensors_object is not None and len(pose.T_sensors_object) == len(views):
             seen[k] = pose.T_sensors_object
     return seen
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.sensing.places import PRESS_STEP_M
 from tactile_loc.core.sensing.touch import Touch
@@ -20,6 +21,20 @@ NewMatcher = Callable[[], Matcher]
 
 # The FEWEST_MATCHERS matchers used last are kept in memory, and more as long as their banks need at most KEPT_BYTES.
 FEWEST_MATCHERS, KEPT_BYTES = 8, 128 * 2**20
+
+
+class BankMatcher(NamedTuple):
+    """A matcher of a bank, and the bytes of this bank."""
+
+    matcher: Matcher
+    nbytes: int
+
+
+def index_bank(new_matcher: NewMatcher, bank: Any) -> BankMatcher:
+    """Return a matcher of a bank (N, D)."""
+    matcher = new_matcher()
+    matcher.index(bank)
+    return BankMatcher(matcher, bank.nbytes)
 
 
 class GridScores:
@@ -35,7 +50,9 @@ class GridScores:
     ) -> None:  # fmt: skip
         self.follow = follow or encoder.capabilities.follows_press_depth
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
-        self._matchers: dict[float, tuple[Matcher, int]] = {}  # with the size of the bank, bytes
+        self._matchers: ByteCache[float, BankMatcher] = ByteCache(
+            KEPT_BYTES, lambda kept: kept.nbytes, fewest=FEWEST_MATCHERS
+        )
         self._choosing = Lock()
 
     def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
@@ -59,17 +76,13 @@ class GridScores:
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
-        with self._choosing:
-            kept = self._matchers.pop(press_m, None) or self._index(press_m)
-            self._matchers[press_m] = kept  # the last used comes last
-            while len(self._matchers) > FEWEST_MATCHERS and self.nbytes > KEPT_BYTES:
-                del self._matchers[next(iter(self._matchers))]
-        return kept[0]
+        with self._choosing:  # each bank is built once
+            return self._matchers.get(press_m, lambda: index_bank(self.new_matcher, self.bank(press_m))).matcher
 
     @property
     def nbytes(self) -> int:
         """The memory of the banks of all kept matchers, bytes."""
-        return sum(size for _, size in list(self._matchers.values()))
+        return self._matchers.nbytes
 
     def bank_press_m(self, press_depth_m: float) -> float:
         """Return the press depth, metres, at which a touch and the bank are compared.
@@ -79,11 +92,6 @@ class GridScores:
         if not self.follow:
             return self.max_depth_m
         return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
-
-    def _index(self, press_m: float) -> tuple[Matcher, int]:
-        matcher, bank = self.new_matcher(), self.bank(press_m)
-        matcher.index(bank)
-        return matcher, bank.nbytes
 
     def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
         """Return the embedding (1, D) of a touch, compared with a bank for presses of `press_depth_m` metres."""

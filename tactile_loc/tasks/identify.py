@@ -26,8 +26,8 @@ from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, To
 from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.common_poses import require_sensor_poses
-from tactile_loc.core.slots.scene import IOU_PX, View
-from tactile_loc.locate.hypotheses import compare_where_seen
+from tactile_loc.core.slots.scene import IOU_PX
+from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.results.localization import Localization
@@ -237,7 +237,7 @@ def measure_misfit(model: Localizer, found: Localization) -> float:
     """Return the evidence, nats, that the best hypothesis lacks to explain the touches fully."""
     views = [make_view(found.touch, model, touch) for touch in found.touches]
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
-    seen = None if len(views) == 1 else _find_seen_poses(views, found)
+    seen = None if len(views) == 1 else find_seen_poses(views, [h.refined for h in found.hypotheses])
     evidence = compare_where_seen(views, poses, seen)[1].sum(axis=1)
     fully = sum(map(_compute_full_evidence, (*found.touches, *found.left_out)))  # no pose explains the left-out ones
     return max(0.0, fully - float(evidence.max()))
@@ -261,20 +261,6 @@ def _locate(model: Localizer, touches: Sequence[Touch], scalings: Scalings | Non
         raise
     except TactileLocError:
         return None
-
-
-def _find_seen_poses(views: Sequence[View], found: Localization) -> Float64:
-    """Return K hypotheses in the frames of N sensors, (K, N, 4, 4), metres.
-
-    These are the refiner's poses for each sensor. If the refiner gives none, they follow from the reported sensor
-    poses.
-    """
-    return np.stack([
-        np.stack([view.T_sensor_first @ h.T_sensor_object for view in views])
-        if h.refined.T_sensors_object is None or len(h.refined.T_sensors_object) != len(views)
-        else h.refined.T_sensors_object
-        for h in found.hypotheses
-    ])  # fmt: skip
 
 
 def _compute_full_evidence(touch: Touch) -> float:

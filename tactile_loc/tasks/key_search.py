@@ -13,7 +13,7 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.turns import Turns, pause
-from tactile_loc.locate.hypotheses import compare_where_seen
+from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.tasks.key_touches import drop_nearest, measure_motion_m
@@ -100,12 +100,8 @@ def search_keys(
     T_first_object = invert(np.asarray(keys[0].T_base_sensor)) @ np.stack([mode.known.T_base_object for mode in known])
     pause()
     refined = localizer.refinement.registration.refine(views, T_first_object)
+    ious = compare_refined(views, refined, range(len(views))).mean(axis=1)
     poses = np.stack([pose.T_sensor_object for pose in refined])
-    seen = np.stack([view.T_sensor_first @ poses for view in views], axis=1)
-    for k, pose in enumerate(refined):
-        if pose.T_sensors_object is not None:
-            seen[k] = pose.T_sensors_object
-    ious = compare_where_seen(views, poses, seen if len(keys) > 1 else None)[0].mean(axis=1)
     same = localizer.config.tolerance.find_within(localizer.object, found.best.T_sensor_object, poses)
     return Searched(keys, found, known, np.where(same, -np.inf, ious - found.best.imprint_iou))
 

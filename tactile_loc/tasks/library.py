@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.locate.localizer import Localizer, make_view
+from tactile_loc.locate.scoring import BankMatcher, index_bank
 from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, encode_rotated, find_highest
 from tactile_loc.locate.stored_places import make_places_key
 from tactile_loc.store.keys import StageKey
@@ -97,7 +98,9 @@ class Library:
                 "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
             )
         self.progress = self.models[0].progress
-        self._kept: ByteCache[tuple[int, float], _Codes | Localizer] = ByteCache(most_bytes, _count_bytes, _release)
+        self._kept: ByteCache[tuple[int, float], BankMatcher | Localizer] = ByteCache(
+            most_bytes, _count_bytes, _release
+        )
 
     def __len__(self) -> int:
         return len(self.models)
@@ -152,28 +155,19 @@ class Library:
         """Return a matcher that compares touches with places of object k, cut at a press depth (metres)."""
         chosen = self.models[0].config.matcher
 
-        def index() -> _Codes:
+        def index() -> BankMatcher:
             with self.use(k) as model:  # the places are opened if the codes are not stored yet
                 codes = _load_codes(model, LEVELS_M.index(level_m)).astype(np.float32)
-            matcher: Matcher = registry().create("matcher", chosen.name, chosen.options)
-            matcher.index(codes)
-            return _Codes(matcher, codes.nbytes)
+            return index_bank(lambda: registry().create("matcher", chosen.name, chosen.options), codes)
 
-        return cast(_Codes, self._kept.get((k, level_m), index)).matcher
+        return cast(BankMatcher, self._kept.get((k, level_m), index)).matcher
 
 
-class _Codes(NamedTuple):
-    """A matcher of codes, and the bytes of these codes."""
-
-    matcher: Matcher
-    nbytes: int
-
-
-def _count_bytes(kept: _Codes | Localizer) -> int:
+def _count_bytes(kept: BankMatcher | Localizer) -> int:
     return kept.loaded_bytes if isinstance(kept, Localizer) else kept.nbytes
 
 
-def _release(kept: _Codes | Localizer) -> None:
+def _release(kept: BankMatcher | Localizer) -> None:
     if isinstance(kept, Localizer):
         kept.release()
 

@@ -175,9 +175,8 @@ class ModeFilter:
 
     def renew(self, modes: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
         """Return the modes that a search found; those near a followed mode take over its pose, from more touches."""
-        renewed = []
+        renewed, T = [], np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
         for new in found:
-            T = np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
             far_m = self._metric.symmetric_distance(T, np.broadcast_to(new.known.T_base_object, T.shape))
             k = int(far_m.argmin()) if len(T) else -1
             near = k >= 0 and far_m[k] < self.localizer.merge_radius_m

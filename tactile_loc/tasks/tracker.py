@@ -121,7 +121,7 @@ class Tracker:
         """Follow the modes to a touch, look for a slip, and search on."""
         before, alike = self._modes, self._alike
         self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
-        clear = measure_contact_percent(touch) >= self.options.clear_percent
+        clear = 100 * touch.contact_share >= self.options.clear_percent
         certain = bool(self._modes) and self._trust.limit is Verdict.CERTAIN
         doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
         self._expected += certain and not doubted and self._modes[0].known.surprise < EXPECTED_SURPRISE
@@ -188,13 +188,14 @@ class Tracker:
         new = [] if found is None else self._filter.find_all(found, keys[0])
         if found is None or not new:
             return
-        iou, *tracked = self._filter.explain([new[0], *self._modes], keys)
+        if self._undoubted is None and finished.gains.max(initial=-np.inf) > AS_WELL:
+            return
+        (iou,) = self._filter.explain(new[:1], keys)
         if self._undoubted is not None:
-            if (iou - max(tracked)) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
+            tracked = max(self._filter.explain(self._modes, keys))
+            if (iou - tracked) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
                 return  # a few bad touches do not end a track
             self._undoubted = None
-        elif finished.gains.max(initial=-np.inf) > AS_WELL:
-            return
         missed = [
             replace(mode, nats=new[0].nats)
             for mode, gain in zip(finished.known, finished.gains, strict=True)
@@ -251,9 +252,3 @@ class Tracker:
             p = self._trust.share(np.exp([mode.nats - self._modes[0].nats for mode in self._modes]))
         verdict = self._trust.judge(bool(self._modes), imprint_iou, touched)
         return TrackedPose(self._time_s, verdict, T, covariances, p, imprint_iou, searched, slipped)
-
-
-def measure_contact_percent(touch: Touch) -> float:
-    """Return the share of the observed pixels that are in contact, percent."""
-    observed = touch.geometry.observed_mask
-    return float(100 * (touch.contact_shape.contact & observed).sum() / observed.sum())

@@ -354,7 +354,7 @@ def test_a_hotter_temperature_is_less_certain(store, coarse):
 
 
 def test_only_the_most_recent_matchers_stay_in_memory(coarse, monkeypatch):
-    monkeypatch.setattr(scoring, "KEPT_BYTES", 0)
+    monkeypatch.setattr(coarse.listed.banks._matchers, "most_bytes", 0)
     kept = coarse.listed.matcher(0.002)
     for step in range(1, FEWEST_MATCHERS + 3):
         coarse.listed.matcher(step * 1e-4)

@@ -232,6 +232,11 @@ class Touch:
         return self.contact_shape.depths_known
 
     @property
+    def contact_share(self) -> float:
+        """The share of the observed pixels that are in contact, 0 to 1."""
+        return float(self.contact_shape.contact[self.geometry.observed_mask].mean())
+
+    @property
     def press_depth_m(self) -> float:
         """Press depth of the contact shape, metres."""
         return self.contact_shape.press_depth_m
