@@ -14,43 +14,33 @@ slip. Meshes are given as FILE[:UNITS] or a demo object's name. `--out` keeps th
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
-import json
-import sys
-import tempfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from sequences import START_STD
 from track_starts import (
-    APART_MM,
-    CONDITIONS,
     ELASTIC,
     ELASTIC_RATE_HZ,
-    KEYS,
-    LEVER_M,
     MM,
     RATE_HZ,
     RIGHT_MM,
-    locate_keys,
-    make_localizer,
+    Drawn,
+    collect,
+    locate_by_keys,
+    make_parser,
+    make_seed,
     make_sliding,
+    measure_off_mm,
+    print_table,
     soften,
 )
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.evaluation.sequences import Frame, Slip
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.key_touches import choose_key_touches
 from tactile_loc.tasks.tracker import Tracker
 
 SHOWN, IN_TIME = 0.1, 3
@@ -60,16 +50,13 @@ SLIP_MM, TURN_DEG = (1.0, 4.0), (3.0, 15.0)
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(Drawn):
     """A track through a slip. `shown` is the imprint IoU that the touches show; frames are numbered from the slip.
 
     `flags` are the frames with a report. `right_from` and `batch_from` are the frames from which the tracker's and the
     batch's pose are right at once; -1 if never. `wrong` counts frames that are certain and wrong, of `frames`.
     """
 
-    object: str
-    condition: str
-    number: int
     slip_mm: float
     turn_deg: float
     shown: float
@@ -103,29 +90,16 @@ def explain(localizer: Localizer, T_base_object: np.ndarray, frames: Sequence[Fr
     return float(np.mean(ious)) if ious else 0.0
 
 
-def measure_off_mm(localizer: Localizer, T: np.ndarray, frame: Frame) -> float:
-    """Return the surface distance, mm, of a pose (4, 4), metres, in a frame's sensor frame."""
-    return MM * float(measure_surface_distances(localizer.object.mesh, T[None], frame.T_sensor_object)[0])
-
-
 def find_batch(localizer: Localizer, frames: Sequence[Frame]) -> int:
     """Return the first frame at which the key touches of the frames so far are located right; -1 if there is none."""
-    known: set[str] = set()
-    for number in range(len(frames)):
-        touches = [f.touch for f in frames[: number + 1] if f.touch is not None]
-        keys = choose_key_touches(touches, KEYS, APART_MM / MM, LEVER_M)
-        if keys and {key.name for key in keys} != known:
-            known = {key.name for key in keys}
-            if locate_keys(localizer, keys)[0] < RIGHT_MM:
-                return number
-    return -1
+    located = enumerate(locate_by_keys(localizer, frames))
+    return next((number for number, (off_mm, *_) in located if off_mm < RIGHT_MM), -1)
 
 
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Track:
     """Return one track through a slip."""
     for attempt in range(MOST_DRAWS):
-        name = zlib.crc32(localizer.object.name.encode())
-        rng = np.random.default_rng([seed, name, CONDITIONS.index(condition), number, attempt])
+        rng = np.random.default_rng([*make_seed(localizer, condition, number, seed), attempt])
         try:
             frames, slip, at = draw_slip(localizer, condition, rng)
             break
@@ -139,9 +113,7 @@ def track(localizer: Localizer, condition: str, number: int, seed: int) -> Track
     tracker.start(move(first, START_STD * rng.normal(size=6)), np.diag(START_STD**2))
     found = [tracker.update(f.time_s, f.touch, f.T_base_sensor) for f in frames]
     soon, after = frames[at : at + IN_TIME], frames[at:]
-    off_mm = [
-        measure_off_mm(localizer, np.asarray(one.T_sensor_object), f) for one, f in zip(found[at:], after, strict=True)
-    ]
+    off_mm = [measure_off_mm(localizer, one.T_sensor_object, f) for one, f in zip(found[at:], after, strict=True)]
     right = np.array(off_mm) < RIGHT_MM
     certain = np.array([one.verdict == "certain" for one in found[at:]])
     return Track(
@@ -174,36 +146,7 @@ HEAD = (
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
-    parser.add_argument("--slips", type=int, default=4, help="slips of each object and condition")
-    parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=CONDITIONS)
-    parser.add_argument("--seed", type=int, default=8)
-    parser.add_argument("--store", type=Path)
-    parser.add_argument("--out", type=Path, help="JSON lines of tracks")
-    arguments = parser.parse_args()
-    store = StageStore(arguments.store)
-    with tempfile.TemporaryDirectory() as folder:
-        out = arguments.out or Path(folder) / "tracks.jsonl"
-        tracks = [Track(**json.loads(line)) for line in out.read_text().splitlines()] if out.exists() else []
-        known = {(one.object, one.condition, one.number) for one in tracks}
-        for mesh in arguments.meshes:
-            name = Path(mesh.partition(":")[0]).stem
-            for condition in arguments.conditions:
-                missing = [n for n in range(arguments.slips) if (name, condition, n) not in known]
-                localizer = make_localizer(mesh, condition, store) if missing else None
-                for number in missing:
-                    assert localizer is not None
-                    tracks.append(track(localizer, condition, number, arguments.seed))
-                    with out.open("a") as file:
-                        file.write(json.dumps(dataclasses.asdict(tracks[-1])) + "\n")
-                    print(f"{name} {condition} {number}: flags {tracks[-1].flags}", file=sys.stderr, flush=True)
-    print(HEAD)
-    for condition in arguments.conditions:
-        some = [one for one in tracks if one.condition == condition]
-        if some:
-            print(write_row(condition, some))
-    print(write_row("all", tracks))
+    print_table(HEAD, write_row, collect(make_parser(__doc__, "slips", 4, 8).parse_args(), Track, track))
 
 
 if __name__ == "__main__":

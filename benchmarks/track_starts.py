@@ -20,18 +20,21 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from reliability import add_noise
+from sequences import SENSOR_STD_M, SENSOR_STD_RAD
 
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError, TouchError
@@ -54,23 +57,31 @@ RIGHT_MM = 1.0
 KEYS, APART_MM, LEVER_M = 5, 2.0, 0.01
 LISTED = 30  # poses among which a rival of the true pose is sought
 SENSOR = "gelsight-mini"
-SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 DURATION_S, RATE_HZ, ELASTIC_RATE_HZ = 2.0, 100.0, 25.0
 LAYER = Gel(4e-3, 0.48)
 CLEAN, NOISY, ELASTIC = CONDITIONS = ("clean", "noisy", "elastic")
 
 
 @dataclass(frozen=True)
-class Slide:
+class Drawn:
+    """What identifies an example: its object, its condition and its number."""
+
+    object: str
+    condition: str
+    number: int
+
+
+Example = TypeVar("Example", bound=Drawn)
+
+
+@dataclass(frozen=True)
+class Slide(Drawn):
     """One slide: a row of lists for its F frames.
 
     `off_mm` is the surface distance of the tracker's first pose, infinite without a pose, and `batch_mm` that of the
     key touches located together. `determined` states whether these touches determine the pose.
     """
 
-    object: str
-    condition: str
-    number: int
     verdicts: list[str]
     off_mm: list[float]
     searched: list[bool]
@@ -130,29 +141,42 @@ def locate_keys(localizer: Localizer, touches: Sequence[Touch]) -> tuple[float, 
     return MM * float(off_m[0]), found.verdict is Verdict.CERTAIN, determined
 
 
+def measure_off_mm(localizer: Localizer, T: np.ndarray | None, frame: Frame) -> float:
+    """Return the surface distance, mm, of a pose (4, 4), metres, in a frame's sensor frame; infinite without a pose."""
+    if T is None:
+        return np.inf
+    return MM * float(measure_surface_distances(localizer.object.mesh, T[None], frame.T_sensor_object)[0])
+
+
+def locate_by_keys(localizer: Localizer, frames: Sequence[Frame]) -> Iterator[tuple[float, bool, bool]]:
+    """Yield what `locate_keys` returns for the key touches of the frames so far, for each frame."""
+    keys: list[str] = []
+    batch = (np.inf, False, False)
+    for k in range(len(frames)):
+        touches = [frame.touch for frame in frames[: k + 1] if frame.touch is not None]
+        chosen = choose_key_touches(touches, KEYS, APART_MM / MM, LEVER_M)
+        if [touch.name for touch in chosen] != keys:
+            keys, batch = [touch.name for touch in chosen], locate_keys(localizer, chosen)
+        yield batch
+
+
+def make_seed(localizer: Localizer, condition: str, number: int, seed: int) -> list[int]:
+    """Return the seed of an example."""
+    return [seed, zlib.crc32(localizer.object.name.encode()), CONDITIONS.index(condition), number]
+
+
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Slide:
     """Return one slide, tracked, and located by its key touches."""
-    rng = np.random.default_rng([seed, zlib.crc32(localizer.object.name.encode()), CONDITIONS.index(condition), number])
-    frames = draw_slide(localizer, condition, rng)
+    frames = draw_slide(localizer, condition, np.random.default_rng(make_seed(localizer, condition, number, seed)))
     slide = Slide(localizer.object.name, condition, number, [], [], [], [], [], [], [])
-    tracker, batch = Tracker(localizer), (np.inf, False, False)
-    keys: list[str] = []
-    for k, frame in enumerate(frames):
+    tracker = Tracker(localizer)
+    for frame, batch in zip(frames, locate_by_keys(localizer, frames), strict=True):
         start = time.perf_counter()
         found = tracker.update(frame.time_s, frame.touch, frame.T_base_sensor)
         slide.ms.append(1e3 * (time.perf_counter() - start))
         slide.verdicts.append(str(found.verdict))
         slide.searched.append(found.searched)
-        off_m = np.inf
-        if found.T_sensor_object is not None:
-            (off_m,) = measure_surface_distances(
-                localizer.object.mesh, found.T_sensor_object[None], frame.T_sensor_object
-            )
-        slide.off_mm.append(MM * float(off_m))
-        some = [one.touch for one in frames[: k + 1] if one.touch is not None]
-        chosen = choose_key_touches(some, KEYS, APART_MM / MM, LEVER_M)
-        if [touch.name for touch in chosen] != keys:
-            keys, batch = [touch.name for touch in chosen], locate_keys(localizer, chosen)
+        slide.off_mm.append(measure_off_mm(localizer, found.T_sensor_object, frame))
         for values, value in zip((slide.batch_mm, slide.batch_certain, slide.determined), batch, strict=True):
             values.append(value)  # type: ignore[attr-defined]
     return slide
@@ -186,38 +210,53 @@ HEAD = (
 )
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def make_parser(about: str | None, counted: str, count: int, seed: int) -> argparse.ArgumentParser:
+    """Return the options of a benchmark that draws `counted` examples of each object and condition."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=read_split("demo"))
-    parser.add_argument("--slides", type=int, default=2, help="slides of each object and condition")
+    parser.add_argument(f"--{counted}", dest="count", type=int, default=count, help="of each object and condition")
     parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=CONDITIONS)
-    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--seed", type=int, default=seed)
     parser.add_argument("--store", type=Path)
-    parser.add_argument("--out", type=Path, help="JSON lines of slides")
-    arguments = parser.parse_args()
+    parser.add_argument("--out", type=Path, help="JSON lines of examples, from which the same command continues")
+    return parser
+
+
+def collect(
+    arguments: argparse.Namespace, kind: type[Example], measure: Callable[[Localizer, str, int, int], Example]
+) -> list[Example]:
+    """Return all examples; measure those that the file of examples lacks, and append them to it."""
     store = StageStore(arguments.store)
     with tempfile.TemporaryDirectory() as folder:
-        out = arguments.out or Path(folder) / "slides.jsonl"
-        slides = [Slide(**json.loads(line)) for line in out.read_text().splitlines()] if out.exists() else []
-        known = {(slide.object, slide.condition, slide.number) for slide in slides}
-        for mesh in arguments.meshes:
-            for condition in arguments.conditions:
-                name = Path(mesh.partition(":")[0]).stem
-                missing = [n for n in range(arguments.slides) if (name, condition, n) not in known]
-                localizer = make_localizer(mesh, condition, store) if missing else None
-                for number in missing:
-                    assert localizer is not None
-                    slides.append(track(localizer, condition, number, arguments.seed))
-                    with out.open("a") as file:
-                        file.write(json.dumps(dataclasses.asdict(slides[-1])) + "\n")
-                    print(f"{name} {condition} {number}: {slides[-1].off_mm[-1]:.2f} mm", file=sys.stderr, flush=True)
-    print(HEAD)
-    for condition in arguments.conditions:
-        some = [slide for slide in slides if slide.condition == condition]
+        out = arguments.out or Path(folder) / "examples.jsonl"
+        examples = [kind(**json.loads(line)) for line in out.read_text().splitlines()] if out.exists() else []
+        known = {(one.object, one.condition, one.number) for one in examples}
+        for mesh, condition in itertools.product(arguments.meshes, arguments.conditions):
+            name = Path(mesh.partition(":")[0]).stem
+            missing = [n for n in range(arguments.count) if (name, condition, n) not in known]
+            localizer = make_localizer(mesh, condition, store) if missing else None
+            for number in missing:
+                assert localizer is not None
+                examples.append(measure(localizer, condition, number, arguments.seed))
+                with out.open("a") as file:
+                    file.write(json.dumps(dataclasses.asdict(examples[-1])) + "\n")
+                print(f"{name} {condition} {number}: done", file=sys.stderr, flush=True)
+    return examples
+
+
+def print_table(head: str, write: Callable[[str, Sequence[Example]], str], examples: Sequence[Example]) -> None:
+    """Print a table with a row for each condition, and one for all."""
+    print(head)
+    for condition in CONDITIONS:
+        some = [one for one in examples if one.condition == condition]
         if some:
-            print(write_row(condition, some))
-    print(write_row("all", slides))
+            print(write(condition, some))
+    print(write("all", examples))
+
+
+def main() -> None:
+    """Print the table."""
+    print_table(HEAD, write_row, collect(make_parser(__doc__, "slides", 2, 7).parse_args(), Slide, track))
 
 
 if __name__ == "__main__":
