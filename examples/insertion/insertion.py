@@ -68,7 +68,7 @@ def choose_goal(robot: Robot, T_gripper_part: Pose, part: Part) -> Pose:
 
 
 def measure_depth_m(robot: Robot) -> float:
-    """Return how deep the tip is below the plate's surface, metres; 0 if it is beside the hole."""
+    """Return the depth of the tip below the plate's surface, metres; 0 beside the hole."""
     tip_m = robot.T_world_part @ [0, 0, TIP_Z_M, 1]
     return float(max(0.0, -tip_m[2])) if np.hypot(*tip_m[:2]) < 2e-3 else 0.0
 

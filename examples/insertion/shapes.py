@@ -27,9 +27,9 @@ class Part:
     """A part to insert.
 
     `pieces` are the corners (K, 3), metres, of convex pieces, whose union is the part. `shank` (K, 2), metres, is the
-    outline that goes into the hole. `yaws_deg` and `shifts_m` (N, 2) are the placements in which the gripper can hold
-    the handle: rotations about the part's z axis, and shifts along the gripper's x axis and the part's z axis. The
-    shank fits into its hole at `fits` equally spaced rotations about z.
+    outline that goes into the hole. The gripper can hold the handle at rotations `yaws_deg` about the part's z axis,
+    and at shifts `shifts_m` (N, 2) along the gripper's x axis and the part's z axis. The shank fits into its hole at
+    `fits` equally spaced rotations about z.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Part:
 
     @property
     def depth_m(self) -> float:
-        """How far the seated shank is in the hole, metres."""
+        """The depth of the seated shank in the hole, metres."""
         return SEAT_Z_M - TIP_Z_M
 
 

@@ -102,7 +102,7 @@ class Camera:
 
 
 def draw_gel(touch: Touch | None) -> Image.Image:
-    """Return a picture of how far a gel is pressed in; its top is up."""
+    """Return a picture of a gel's indentation; the top of the gel is up."""
     colours = colormaps["viridis"]
     if touch is None:
         return Image.new("RGB", GEL_PX, tuple(int(255 * c) for c in colours(0.0)[:3]))

@@ -13,7 +13,7 @@ from store_helpers import KEY, Five, contents, flip, folder_of, forbidden
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
-from tactile_loc.store.artifact import MANIFEST, DamagedError, read_artifact
+from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.keys import StageKey, hash_json
 from tactile_loc.store.store import StageStore
 
@@ -110,15 +110,21 @@ def test_an_artifact_moved_to_another_key_is_not_read(store: StageStore) -> None
     assert not folder_of(store, other).exists()
 
 
-def test_checksums_are_read_once_while_the_files_are_unchanged(
-    store: StageStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def build_old(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> tuple[Artifact, list[str]]:
+    """Build an artifact with files of long ago; return it, and the list of all files that will be hashed."""
     built = store.build(KEY, Five())
     for path in built.path.iterdir():
         os.utime(path, (1e9, 1e9))
     hashed: list[str] = []
     real = artifact_module.hash_file
     monkeypatch.setattr(artifact_module, "hash_file", lambda path: hashed.append(path.name) or real(path))
+    return built, hashed
+
+
+def test_checksums_are_read_once_while_the_files_are_unchanged(
+    store: StageStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built, hashed = build_old(store, monkeypatch)
     for _ in range(3):
         assert store.get(KEY) == built
     assert sorted(hashed) == list(built.names)
@@ -128,12 +134,7 @@ def test_checksums_are_read_once_while_the_files_are_unchanged(
 
 
 def test_only_the_files_that_are_read_are_verified(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    built = store.build(KEY, Five())
-    for path in built.path.iterdir():
-        os.utime(path, (1e9, 1e9))
-    hashed: list[str] = []
-    real = artifact_module.hash_file
-    monkeypatch.setattr(artifact_module, "hash_file", lambda path: hashed.append(path.name) or real(path))
+    built, hashed = build_old(store, monkeypatch)
     for files in (["sum.npy"], ["sum.npy"], ["piece0.npy", "sum.npy"]):
         assert store.get(KEY, files) == built
     assert hashed == ["sum.npy", "piece0.npy"]

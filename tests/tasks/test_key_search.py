@@ -6,18 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from track_settings import SETTINGS
 
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.tasks.key_search import KeySearch, locate_keys
 
-SETTINGS = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]}, "tracker": {"keyframes": 3},
-            "grid": {"name": "face", "min_contact_percent": 2.0, "spacing_mm": 4.0}, "temperature": 0.005}  # fmt: skip
-
 
 @pytest.fixture(scope="module")
 def pin(store) -> Localizer:
-    return Localizer.create("pin", store=store, **SETTINGS)
+    return Localizer.create("pin", store=store, tracker={"keyframes": 3}, **SETTINGS)
 
 
 @pytest.fixture(scope="module")

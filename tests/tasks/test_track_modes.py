@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from track_settings import SETTINGS
 
 from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.core.poses.metric import PoseMetric
@@ -13,8 +14,6 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tasks.track_modes import ModeFilter, SlipPrior
 
-SETTINGS = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]},
-            "grid": {"name": "face", "min_contact_percent": 2.0, "spacing_mm": 4.0}, "temperature": 0.005}  # fmt: skip
 STD = np.array([2e-4] * 3 + [5e-3] * 3)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from message_helpers import naming
+from track_settings import SETTINGS
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
@@ -24,8 +25,6 @@ from tactile_loc.tasks.tracked_pose import TrackTrust
 from tactile_loc.tasks.tracker import Motion, Tracker
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
-SETTINGS = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]},
-            "grid": {"name": "face", "min_contact_percent": 2.0, "spacing_mm": 4.0}, "temperature": 0.005}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
