@@ -25,6 +25,11 @@ def pause() -> None:
         worker.pause()
 
 
+def takes_turns() -> bool:
+    """Return whether the calling work is done in turns, so that it has to pause often."""
+    return _working.get() is not None
+
+
 @contextmanager
 def without_pauses() -> Iterator[None]:
     """Let `pause` do nothing until the block ends."""

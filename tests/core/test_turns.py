@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.turns import Turns, pause, without_pauses
+from tactile_loc.core.turns import Turns, pause, takes_turns, without_pauses
 
 
 def count_to(most: int, seen: list[int]) -> int:
@@ -33,9 +33,13 @@ def test_pauses_do_nothing_outside_turns_and_where_they_are_switched_off():
     assert count_to(2, seen) == 2
 
     def work() -> int:
+        assert takes_turns()
         with without_pauses():
+            assert not takes_turns()
             count_to(5, seen)
         return count_to(1, seen)
+
+    assert not takes_turns()
 
     turns = Turns(work)
     assert not turns.take()

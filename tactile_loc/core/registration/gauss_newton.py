@@ -17,7 +17,7 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
-from tactile_loc.core.turns import pause
+from tactile_loc.core.turns import pause, takes_turns
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
 AT_ONCE = 750  # steps of single poses with single touches in one turn, a few milliseconds
@@ -78,7 +78,7 @@ class Registration:
         T, count = np.array(T), len(T)
         T_each = self.T_sensor_first @ T[:, None]
         parts, moved, misfit = np.zeros((count, 2, 6, 6)), np.full(count, np.inf), np.full(count, np.inf)
-        at_once = max(1, AT_ONCE // (len(scales) * len(self.T_sensor_first)))
+        at_once = max(1, AT_ONCE // (len(scales) * len(self.T_sensor_first)) if takes_turns() else count)
         for some in (slice(first, first + at_once) for first in range(0, count, at_once)):
             pause()
             run_in_threads(
