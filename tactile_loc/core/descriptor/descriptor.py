@@ -1,0 +1,67 @@
+"""The descriptor: a place and a touch that shows it have similar unit vectors, whatever the yaw, the gel and the press.
+
+It was trained by contrast (Oord et al., 2018) on generated parts, by `benchmarks/train_descriptor.py`. There are two
+networks, because a touch shows only a part of a place: one for places, and a larger one for touches.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.descriptor.features import encode_places, encode_touch
+from tactile_loc.core.descriptor.network import Tower
+from tactile_loc.core.sensing.touch import Touch
+
+Float32 = NDArray[np.float32]
+
+WEIGHTS = "descriptor.safetensors"
+AT_ONCE = 256  # places that are described together
+SHARPEST = 0.01  # least temperature of the training
+
+
+class Descriptor:
+    """Computes vectors of places and touches from trained weights, the content of a safetensors file."""
+
+    def __init__(self, content: bytes) -> None:
+        from safetensors.numpy import load
+
+        weights = {name: array.astype(np.float32) for name, array in load(content).items()}
+        self._places, self._touches = Tower(weights, "keys"), Tower(weights, "queries")
+        self.temperature = max(SHARPEST, float(weights["temperature"][0]))
+        self.digest = hashlib.sha256(content).hexdigest()
+
+    @property
+    def dimensions(self) -> int:
+        """The length of a vector."""
+        return self._places.dimensions
+
+    def describe_places(self, patches: NDArray[np.uint8]) -> Float32:
+        """Return the unit vectors (N, D) of places with patches (N, PATCH_PX, PATCH_PX): see `Places`."""
+        vectors = np.empty((len(patches), self.dimensions), np.float32)
+        for start in range(0, len(patches), AT_ONCE):
+            some = slice(start, start + AT_ONCE)
+            vectors[some] = self._places(encode_places(patches[some]))
+        return vectors
+
+    def describe_touch(self, touch: Touch) -> Float32:
+        """Return the unit vector (D,) of a touch with depths."""
+        from tactile_loc.core.sensing.rotated_patches import (
+            find_anchor,
+            rotate_patches,
+        )  # numba takes a while to import
+
+        press_m = touch.press_depth_m
+        depth_m, seen = rotate_patches(touch, *find_anchor(touch), np.zeros(1), touch.find_known(press_m))
+        vector: Float32 = self._touches(encode_touch(depth_m, seen, press_m))[0]
+        return vector
+
+
+@cache
+def load_descriptor() -> Descriptor:
+    """Return the descriptor with the weights that come with the package."""
+    return Descriptor(files("tactile_loc.data").joinpath(WEIGHTS).read_bytes())

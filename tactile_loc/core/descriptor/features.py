@@ -1,0 +1,65 @@
+"""Polar features of contact shapes: heights on rings around the place, on ramps of several lengths.
+
+A rotation of the contact shifts the features along the angles.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.sensing.places import PATCH_PX, PITCH_M, cut_patches
+
+Float32 = NDArray[np.float32]
+
+RADII_M = (np.arange(16) + 0.5) * 6.25e-4
+ANGLES = 48
+RAMPS_M = (1e-4, 2.5e-4, 6e-4, 1.5e-3)  # a height has the value 1 from the end of a ramp
+
+
+def encode_places(patches: NDArray[np.uint8]) -> Float32:
+    """Return the features (N, ANGLES, C) of the patches (N, PATCH_PX, PATCH_PX) of places."""
+    numbers, weights = _find_samples()
+    heights_m = cut_patches(patches, RAMPS_M[-1]).reshape(len(patches), -1)
+    sampled = np.einsum("nsk,sk->ns", heights_m[:, numbers], weights)
+    return _stack(sampled, [np.minimum(sampled / np.float32(ramp), 1) for ramp in RAMPS_M])
+
+
+def encode_touch(depth_m: Float32, seen: NDArray[np.bool_], press_m: float) -> Float32:
+    """Return the features (N, ANGLES, 2 C) of touches' patches (N, PATCH_PX, PATCH_PX), metres.
+
+    The second half of the features states what is known. In contact, the height is known. Beside the contact, it is
+    known to be at least the press depth, and a ramp is known if it is shorter than the press.
+    """
+    numbers, weights = _find_samples()
+    press = np.float32(press_m)
+    depths = np.minimum(depth_m.reshape(len(depth_m), -1), press)
+    sampled = np.einsum("nsk,sk->ns", depths[:, numbers], weights)
+    nearest = np.take_along_axis(numbers, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    visible = seen.reshape(len(seen), -1)[:, nearest]
+    touched = sampled < press * np.float32(1 - 1e-6)
+    values = [np.minimum(sampled / np.float32(ramp), 1) * visible for ramp in RAMPS_M]
+    known = [(visible & (touched | (press >= ramp))).astype(np.float32) for ramp in RAMPS_M]
+    return _stack(sampled, values + known)
+
+
+def _stack(sampled: Float32, planes: list[Float32]) -> Float32:
+    """Return planes (N, rings * ANGLES) as features (N, ANGLES, planes * rings)."""
+    stacked = np.stack(planes, axis=1).reshape(len(sampled), len(planes) * len(RADII_M), ANGLES)
+    return np.ascontiguousarray(stacked.swapaxes(1, 2))
+
+
+@cache
+def _find_samples() -> tuple[NDArray[np.int64], Float32]:
+    """Return the numbers (S, 4) and weights (S, 4) of the pixels between which each polar sample is interpolated."""
+    angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
+    x, y = (np.outer(RADII_M, f(angles)).ravel() / PITCH_M + PATCH_PX // 2 for f in (np.cos, np.sin))
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    right, below = x - column, y - row
+    numbers = np.stack([(row + i) * PATCH_PX + column + j for i in (0, 1) for j in (0, 1)], axis=1)
+    weights = np.stack([
+        (below if i else 1 - below) * (right if j else 1 - right) for i in (0, 1) for j in (0, 1)
+    ], axis=1)  # fmt: skip
+    return numbers, weights.astype(np.float32)
