@@ -32,7 +32,7 @@ from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, judge
-from tactile_loc.tasks.library import Glance, Library
+from tactile_loc.tasks.library import Comparison, Library
 
 Float64 = NDArray[np.float64]
 
@@ -181,9 +181,9 @@ def identify(
         raise ConfigError(f"the number of objects to locate cannot be {located}; give 1 or more")
     if len(touches) > 1:
         require_sensor_poses([touch.T_base_sensor for touch in touches])
-    glances = [library.glance(touch) for touch in touches]
-    alike = np.mean([glance.alike for glance in glances], axis=0)
-    rough = _look_into(library, glances, np.argsort(-alike, kind="stable")[:LOOKED_INTO])
+    comparison = library.compare(touches)
+    alike = comparison.alike
+    rough = _look_into(library, comparison, np.argsort(-alike, kind="stable")[:LOOKED_INTO])
     chosen = np.lexsort((-alike, -rough))[:located]
     tried = _Tried(library, touches)
     with library.progress.task("locating objects", len(chosen)) as advance:
@@ -243,12 +243,12 @@ def measure_misfit(model: Localizer, found: Localization) -> float:
     return max(0.0, fully - float(evidence.max()))
 
 
-def _look_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np.int64]) -> Float64:
+def _look_into(library: Library, comparison: Comparison, chosen: NDArray[np.int64]) -> Float64:
     """Search the chosen objects roughly; return the mean imprint IoUs (K,) of all objects, 0 for those not chosen."""
     rough = np.zeros(len(library))
     with library.progress.task("looking into objects", len(chosen)) as advance:
         for k in chosen:
-            rough[k] = library.look_into(int(k), glances)
+            rough[k] = library.look_into(int(k), comparison)
             advance(1)
     return rough
 
