@@ -115,7 +115,8 @@ class Tracker:
         if touch is None:
             self._alike = 0.0  # the next contact will have new errors
             return self._result(math.nan, self._take_turns(), touched=False)
-        return self._update_touched(replace(touch, T_base_sensor=T))
+        same = touch.T_base_sensor is not None and np.array_equal(touch.T_base_sensor, T)
+        return self._update_touched(touch if same else replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
         """Follow the modes to a touch, look for a slip, and search on."""

@@ -89,14 +89,16 @@ class Registration:
             )  # fmt: skip
         return Registered(self._view_from_first(T, T_each[:, 0]), T_each, T, moved, misfit, parts)
 
-    def inform(self, T: Floats, parts: Floats) -> tuple[Floats, Floats]:
-        """Return the information (K, 6, 6) about twists of `Registered.T`, and that of `Registered.T_reported`.
+    def inform(self, T: Floats, parts: Floats) -> Floats:
+        """Return the information (K, 6, 6) about twists of `Registered.T`.
 
         T (K, 4, 4) are the poses `Registered.T_reported`, and `parts` (K, 2, 6, 6) their information.
         """
-        press, sensor = self.press[0], self.sensor[0]
-        reported = self._marginalise_first(parts, T, press + sensor, np.zeros(6))
-        return self._marginalise_first(parts, T, press, sensor), reported
+        return self._marginalise_first(parts, T, self.press[0], self.sensor[0])
+
+    def inform_reported(self, T: Floats, parts: Floats) -> Floats:
+        """Return the information (K, 6, 6) about twists of `Registered.T_reported`, given what `inform` is given."""
+        return self._marginalise_first(parts, T, self.press[0] + self.sensor[0], np.zeros(6))
 
     def _marginalise_first(self, parts: Floats, T: Floats, own: Floats, others: Floats) -> Floats:
         """Return the information (K, 6, 6) about a twist of the object, along the axes of the first sensor.
@@ -122,6 +124,8 @@ class Registration:
         shows, in the frame of its sensor. The difference is the sum of both errors, and is divided between them in
         proportion to their variances. If the touch of the first sensor is left out, the first other touch counts.
         """
+        if not self.sensor[0].any():
+            return T
         allowed = self.sensor[0] + self.press[0]
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
         centre, here = self.observed.centres[0], self.T_sensor_first[0]
