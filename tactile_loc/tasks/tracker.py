@@ -205,8 +205,7 @@ class Tracker:
         renewed = [*self._filter.renew(self._modes, new), *missed]
         self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
         verdict = Verdict.AMBIGUOUS if missed and found.verdict is Verdict.CERTAIN else found.verdict
-        right = found.probability_within() / (1 + len(missed))
-        self._trust = self._trust.restart(verdict, right, iou, len(keys))
+        self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
         if self._trust.settled:
             self._modes = self._modes[:1]
         elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:
