@@ -28,7 +28,7 @@ from tactile_loc.core.slots.common_poses import compute_prior_weights
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
-from tactile_loc.core.turns import pause
+from tactile_loc.core.turns import pause_before, split_into_turns
 from tactile_loc.io.options import SearchOptions
 from tactile_loc.locate.expected_poses import (
     EXPECTED_SHARE,
@@ -50,6 +50,8 @@ ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
+# rotated places that are scored, chosen by their scores, and compared with the surface of an elastic gel, in one turn
+SCORED, CHOSEN, COMPARED = 700_000, 40_000, 20_000
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
 
 Matched = tuple[Poses, NDArray[np.float64]]  # rotated places similar to a touch, and their scores (K,)
@@ -104,7 +106,6 @@ class PlaceSearch:
             groups = self.propose(touch, options.candidates, prior)
         with times.stage("register"):
             poses = np.concatenate([self._register_group(view, *group, len(groups)) for group in groups])
-            pause()
             ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
             kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
             if len(groups) > 1 and prior is not None:
@@ -166,7 +167,6 @@ class PlaceSearch:
         """Return what `alike` returns, computed once for each touch."""
         known = self._alike.setdefault(touch, {})
         if count not in known:
-            pause()
             known[count] = self.alike(touch, count)
         return known[count]
 
@@ -176,10 +176,11 @@ class PlaceSearch:
             return self._match_mask(touch, count)
         compared_m = touch.geometry.gel.find_compared_m(touch.press_depth_m)
         matcher = self._banks.matcher(compared_m)
-        pause()
+        pause_before(len(self.yaws_rad) * len(self.places) / SCORED)
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.encoder, cut_m, self.yaws_rad)
         similar = matcher.scores(*codes)
+        pause_before(count / CHOSEN)
         elastic = touch.geometry.gel.is_elastic
         yaw, number = find_highest(similar, max(count, self.options.compared_again) if elastic else count)
         scores = similar[yaw, number]
@@ -270,7 +271,11 @@ def measure_touch_excess(
     beyond_m = surface_m - np.float32(SLACK * touch.indentation_m)
     low_m = np.where(touching, surface_m, np.where(seen, beyond_m, -far))
     high_m = np.where(touching, surface_m, far)
-    return measure_excess(places, numbers, yaws, low_m, high_m, MOST_EXCESS * touch.indentation_m)
+    most_m = MOST_EXCESS * touch.indentation_m
+    return np.concatenate([
+        measure_excess(places, numbers[some], yaws[some], low_m, high_m, most_m)
+        for some in split_into_turns(len(numbers), COMPARED)
+    ])  # fmt: skip
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
