@@ -43,12 +43,13 @@ from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
 
-SEARCH_VERSION = 8
+SEARCH_VERSION = 9
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
+SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
 WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
 # rotated places that are scored, chosen by their scores, and compared with the surface of an elastic gel, in one turn
 SCORED, CHOSEN, COMPARED = 700_000, 40_000, 20_000
@@ -81,6 +82,7 @@ class PlaceSearch:
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
         # the least distance between starts, and the largest distance at which the true pose counts as found
         self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
+        self.spread_m = SPREAD * spacing_m  # the same for half of the poses moved to several touches
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         # poses proposed for touches that still exist; more touches are often located together with earlier ones
         self._alike: WeakKeyDictionary[Touch, dict[int, Matched]] = WeakKeyDictionary()
@@ -347,7 +349,7 @@ def search_together(
         ])  # fmt: skip
         grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
         expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
-        poses = _keep_nearest(views, search, poses, options.registered_widely)
+        poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
     with times.stage("register"):
         registered, ious = _register_in_batches(views, search, poses)
         if len(expected):
@@ -385,16 +387,20 @@ def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, 
 
     Only the `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
     """
-    _, ious = _register(views, search, _keep_nearest(views, search, poses, count))
+    _, ious = _register(views, search, _keep_nearest(views, search, poses, 0, count))
     return float(ious.mean(axis=1).max())
 
 
-def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
-    """Return the `count` poses whose surface is nearest to the touches, none near a better one.
+def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, spread: int, count: int) -> Poses:
+    """Return at most `count` poses whose surface is near to the touches.
 
-    `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
+    The first `spread` poses are far apart, so that they lead to different places of the object. Then follow the poses
+    nearest to the touches. `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
     """
-    return poses[keep_apart(poses, -estimate_gaps(views, poses), search.metric, search.radius_m, count)]
+    worth = -estimate_gaps(views, poses)
+    first = keep_apart(poses, worth, search.metric, search.spread_m, spread)
+    nearest = keep_apart(poses, worth, search.metric, search.radius_m, count)
+    return poses[np.concatenate([first, nearest[~np.isin(nearest, first)]])[:count]]
 
 
 def _register(
