@@ -38,8 +38,11 @@ KEPT_BYTES = 2 * 2**30
 MOST_PLACES = 3000  # per object, evenly spread
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
-# in a rough search: places that are compared in detail, and poses that are kept, for each touch; registered poses
-EXAMINED, PROPOSED, REGISTERED = 60, 300, 30
+# of each object, for each touch: places that are compared in detail, and poses that are kept; then registered poses
+COMPARED, PROPOSED, REGISTERED = 60, 300, 30
+# The log-likelihood falls by EXCESS_NATS log(EXCESS_FREE + x) if the best place leaves the bounds of a touch by as much as
+# x pixels of a patch at the full press. Both numbers were fitted to clean and noisy touches of generated and real parts.
+EXCESS_NATS, EXCESS_FREE = 8.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,17 @@ class Comparison:
     def alike(self) -> NDArray[np.float64]:
         """The mean similarity (K,) of the touches and the most similar places of each object; at most 1, unitless."""
         return self.nats * self.temperature / len(self.touches)
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Likely `poses` of an object for each touch, (PROPOSED, 4, 4), metres, in the touch's sensor frame.
+
+    `nats` is the log-likelihood of the touches, apart from a constant that all objects share.
+    """
+
+    poses: tuple[Poses, ...]
+    nats: float
 
 
 class Library:
@@ -127,24 +141,25 @@ class Library:
                 advance(1)
         return Comparison(tuple(touches), asked, nats, descriptor.temperature)
 
-    def look_into(self, k: int, comparison: Comparison) -> float:
-        """Search object k roughly, starting from the touches' votes; return the best mean imprint IoU, 0 to 1."""
+    def examine(self, k: int, comparison: Comparison) -> Examined:
+        """Compare the touches in detail with the places of object k for which they voted, without registration."""
+        search = self.search(k)
+        votes = join_votes(self.describe(k), comparison.asked, comparison.temperature)
+        poses, nats = [], float(comparison.nats[k])
+        for touch, numbers, likely in zip(comparison.touches, votes.numbers, votes.nats, strict=True):
+            some = numbers[np.argsort(-likely, kind="stable")[:COMPARED]] * _step(search)
+            proposed, excess = _rotate_places(touch, search, some)
+            poses.append(proposed)
+            nats -= EXCESS_NATS * np.log(EXCESS_FREE + excess.min() / touch.press_depth_m**2)
+        return Examined(tuple(poses), nats)
+
+    def look_into(self, k: int, comparison: Comparison, examined: Examined) -> float:
+        """Search object k roughly, starting from the examined poses; return the best mean imprint IoU, 0 to 1."""
         with self.use(k) as model:
             first, *_ = touches = comparison.touches
             views = [make_view(first, model, touch) for touch in touches]
-            proposed = self.propose(k, comparison)
-            poses = [invert(view.T_sensor_first) @ some for view, some in zip(views, proposed, strict=True)]
+            poses = [invert(view.T_sensor_first) @ some for view, some in zip(views, examined.poses, strict=True)]
             return compute_rough_iou(views, _open_search(model), np.concatenate(poses), REGISTERED)
-
-    def propose(self, k: int, comparison: Comparison) -> list[Poses]:
-        """Return likely poses (PROPOSED, 4, 4) of object k for each touch, metres, in the touch's sensor frame."""
-        search = self.search(k)
-        votes = join_votes(self.describe(k), comparison.asked, comparison.temperature)
-        proposed = []
-        for touch, numbers, nats in zip(comparison.touches, votes.numbers, votes.nats, strict=True):
-            likely = numbers[np.argsort(-nats, kind="stable")[:EXAMINED]] * _step(search)
-            proposed.append(_rotate_places(touch, search, likely))
-        return proposed
 
     def describe(self, k: int) -> DescribedPlaces:
         """Return the places of object k with their descriptors, stored or computed now."""
@@ -183,13 +198,17 @@ def _save_description(model: Localizer, work: Workspace) -> None:
         work.save_array(name, getattr(described, name))
 
 
-def _rotate_places(touch: Touch, search: PlaceSearch, numbers: NDArray[np.int64]) -> Poses:
-    """Return the poses (K, 4, 4), metres, of those rotated places `numbers` that explain a touch best."""
+def _rotate_places(touch: Touch, search: PlaceSearch, numbers: NDArray[np.int64]) -> tuple[Poses, NDArray[np.float32]]:
+    """Return the poses (K, 4, 4), metres, of those rotated places `numbers` that explain a touch best.
+
+    Also returns how far they leave the bounds of the touch (K,), square metres: see `measure_touch_excess`.
+    """
     anchor_m, R_sensor_gel = find_anchor(touch)
     place, yaw = (of.ravel() for of in np.meshgrid(numbers, np.arange(TURNS), indexing="ij"))
     excess = measure_touch_excess(touch, search.places, place, yaw, YAWS_RAD)
     best = np.argsort(excess, kind="stable")[:PROPOSED]
-    return np.asarray(make_transform(R_sensor_gel, anchor_m) @ search.places.poses(place[best], YAWS_RAD[yaw[best]]))
+    poses = make_transform(R_sensor_gel, anchor_m) @ search.places.poses(place[best], YAWS_RAD[yaw[best]])
+    return np.asarray(poses), excess[best]
 
 
 def _open_search(model: Localizer) -> PlaceSearch:
