@@ -40,8 +40,8 @@ TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
 # of each object, for each touch: places that are compared in detail, and poses that are kept; then registered poses
 COMPARED, PROPOSED, REGISTERED = 60, 300, 30
-# The log-likelihood falls by EXCESS_NATS log(EXCESS_FREE + x) if the best place leaves the bounds of a touch by as much as
-# x pixels of a patch at the full press. Both numbers were fitted to clean and noisy touches of generated and real parts.
+# The log-likelihood falls by EXCESS_NATS log(EXCESS_FREE + x) if the best place leaves the bounds of a touch by as much
+# as x pixels of a patch at the full press. Both numbers were fitted to touches of generated and real parts.
 EXCESS_NATS, EXCESS_FREE = 8.0, 0.5
 
 
