@@ -25,6 +25,7 @@ LAYERS: tuple[dict[str, float], ...] = (
     {"imaging": 1.4, "io": 2.8},
     {"calibration": 2},
     {"plugins": 0, "locate": 3.6},
+    {"library": 3.6},
     {"tasks": 2.8},
     {"drawing": 2.8},
     {"evaluation": 2.8, "testing": 4.6},

@@ -77,6 +77,7 @@ CHEAPER = {
     "mount": ["-o", "temperature=0.001", "-o", "grid.directions=300"],
     "replay": [*COARSE, "-o", "temperature=0.001"],
     "identify": ["-o", "temperature=0.05", "-o", "grid.directions=300"],
+    "library build": ["--directions", "100", "--workers", "1"],
     "live": [*COARSE, "-o", "temperature=0.001", "--port", "0"],
 }
 Block = tuple[str, str]
@@ -197,7 +198,7 @@ def run(words: list[str]) -> None:
         assert words[1:5] == ["--nproc-per-node", "4", "--no-python", "tactile-loc"]
         words = words[4:]
     assert words[0] == "tactile-loc", f"no test knows how to run {words[0]}"
-    cheaper = CHEAPER.get(words[1], [])
+    cheaper = CHEAPER.get(" ".join(words[1:3]), CHEAPER.get(words[1], []))
     if words[1] == "simulate" and "--together" in words:  # this gives the number of touches
         cheaper = COARSE
     if "--touches" in words:  # your own touches have their own number

@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from tactile_loc_cli.command import Quiet, Verbose, make_command
+from tactile_loc_cli.commands import library as library_commands
 from tactile_loc_cli.commands import store as store_commands
 from tactile_loc_cli.commands.app import app as serve_app
 from tactile_loc_cli.commands.benchmark import benchmark
@@ -76,6 +77,7 @@ def _make_app(**settings: Any) -> typer.Typer:
 
 app = _make_app(cls=PlainErrors, invoke_without_command=True)
 store = _make_app(help="List, measure or prune the built models.")
+library = _make_app(help="Build, change or check a library of parts.")
 
 
 def _show_version(asked: bool) -> None:
@@ -112,7 +114,10 @@ for command in (
     app.command()(make_command(command))
 for name, command in store_commands.COMMANDS.items():
     store.command(name)(make_command(command))
+for name, command in library_commands.COMMANDS.items():
+    library.command(name)(make_command(command))
 app.command("app")(make_command(serve_app))
+app.add_typer(library, name="library")
 app.add_typer(store, name="store")
 app.command()(make_command(doctor))
 

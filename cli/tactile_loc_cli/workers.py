@@ -9,7 +9,7 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc_cli.options import declare
 
 if TYPE_CHECKING:
-    from tactile_loc.sweeps.sweep import Workers
+    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers
 
 Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
 Threads = Annotated[
@@ -20,7 +20,9 @@ Scheduler = Annotated[
 ]
 
 
-def choose_workers(out: Path, processes: int | None, scheduler: str | None, threads: int | None = None) -> Workers:
+def choose_workers(
+    out: Path, processes: int | None, scheduler: str | None, threads: int | None = None
+) -> LocalWorkers | DaskWorkers:
     """Return the workers of a scheduler, or local ones whose log is in the folder `out`.
 
     Raises ConfigError if local processes or threads are given with a scheduler.

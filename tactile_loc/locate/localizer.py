@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
+from tactile_loc.core.sensing.places import Places
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import TouchNoise, make_noise
 from tactile_loc.core.simulation.resting_touches import draw_resting_touches
@@ -50,7 +51,7 @@ from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import Matched, PlaceSearch, search_together
 from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
 from tactile_loc.locate.stored_object import load_stored_object
-from tactile_loc.locate.stored_places import build_places
+from tactile_loc.locate.stored_places import build_places, make_places_key
 from tactile_loc.store.store import StageStore
 
 
@@ -59,13 +60,15 @@ class Localizer:
     """Locates one object with one sensor. Build it once, then use it for any number of touches.
 
     Several threads may use one localizer. A localizer can be pickled, for instance for other processes. The copy loads
-    what is in the store, so the store's folder must exist there.
+    what is in the store, so the store's folder must exist there. `find_places`, if given, returns the object's places
+    for a grid that lists places. Otherwise, they are found once and stored.
     """
 
     def __init__(
-        self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None
-    ) -> None:
-        self.config, self.object = config, obj
+        self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None,
+        find_places: Callable[[], Places] | None = None,
+    ) -> None:  # fmt: skip
+        self.config, self.object, self._find_places = config, obj, find_places
         self.store, self.progress = store or StageStore(), progress or Progress()
         self.sensor = self._create("sensor")
         self.sampler = self._create("grid")
@@ -96,7 +99,7 @@ class Localizer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only what the localizer was made from. The copy makes its components and loads the rest, if stored."""
-        return type(self), (self.config, self.object, self.store, self.progress)
+        return type(self), (self.config, self.object, self.store, self.progress, self._find_places)
 
     def _create(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)
@@ -173,7 +176,10 @@ class Localizer:
                 self.sampler, self.coarse_scene, self.encoder, new_matcher, self.store, self.progress,
                 config.hypotheses, self.mode_radius_m,
             )  # fmt: skip
-        places, key = build_places(self.sampler, self.scene, self.store, self.progress)
+        if self._find_places is None:
+            places, key = build_places(self.sampler, self.scene, self.store, self.progress)
+        else:
+            places, key = self._find_places(), make_places_key(self.sampler, self.scene)
         banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
         search = PlaceSearch(
             places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank,

@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 class Workers(Protocol):
     """Runs jobs: `LocalWorkers` or `DaskWorkers`."""
 
-    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job[ObjectModel]], objects: Mapping[str, ObjectModel]) -> Outcomes:
         """Yield the outcome of every job when it ends; `objects` maps each job's key to its object."""
         ...
 

@@ -15,10 +15,9 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError, fold_line
-from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import detached
@@ -40,7 +39,20 @@ class ClusterError(TactileLocError):
     """A Dask cluster cannot be reached or started, or has stopped."""
 
 
-class Job(Protocol):
+class Named(Protocol):
+    """What a job works on, such as an `ObjectModel`. Equal names mean equal values."""
+
+    @property
+    def name(self) -> str:
+        """The name."""
+        ...
+
+
+Subject = TypeVar("Subject", bound=Named)
+Measured = TypeVar("Measured", bound=Named, contravariant=True)
+
+
+class Job(Protocol[Measured]):
     """Work for one process: it measures one object. A job is pickled, so it holds only plain values.
 
     `key` identifies the job, and `store` is the folder of the stage store that all workers share.
@@ -56,7 +68,7 @@ class Job(Protocol):
         """The folder of the stage store."""
         ...
 
-    def measure(self, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
+    def measure(self, obj: Measured, store: StageStore, /) -> dict[str, Any]:
         """Return the measured values, as JSON values. Raises TactileLocError if the job is impossible."""
         ...
 
@@ -113,7 +125,7 @@ def _locate_journal(store: Path, key: str) -> Path:
     return store / JOURNALS / f"{key}.txt"
 
 
-def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
+def evaluate_job(job: Job[Subject], obj: Subject) -> Outcome:
     """Do a job on its object. An error is returned in the outcome."""
     with _ALONE:
         store = StageStore(job.store)
@@ -139,7 +151,7 @@ class LocalWorkers:
     threads: int
     log: Path
 
-    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job[Subject]], objects: Mapping[str, Subject]) -> Outcomes:
         """Yield the outcome of every job when it ends; `objects` maps each job's key to its object.
 
         The workers end with the iteration. Raises MissingLibraryError, ClusterError, or OutputError if the log cannot
@@ -156,7 +168,7 @@ class DaskWorkers:
 
     address: str
 
-    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job[Subject]], objects: Mapping[str, Subject]) -> Outcomes:
         """Yield the outcome of every job when it ends; `objects` maps each job's key to its object.
 
         Raises MissingLibraryError or ClusterError.
@@ -182,14 +194,14 @@ def count_cores() -> int:
 
 
 def _run_twice(
-    client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], why: str, at_once: int | None = None
+    client: Any, jobs: Sequence[Job[Subject]], objects: Mapping[str, Subject], why: str, at_once: int | None = None
 ) -> Outcomes:
     """Yield the outcome of every job.
 
     Dask gives up a job if its workers died, but another job may have killed the workers. So each such job is tried once
     more, alone.
     """
-    given_up: list[Job] = []
+    given_up: list[Job[Subject]] = []
     for some in itertools.chain([jobs], ([job] for job in given_up)):
         with closing(_run(client, some, objects, at_once)) as running:
             for job, outcome in running:
@@ -200,8 +212,8 @@ def _run_twice(
 
 
 def _run(
-    client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], at_once: int | None
-) -> Generator[tuple[Job, Outcome | None], None, None]:
+    client: Any, jobs: Sequence[Job[Subject]], objects: Mapping[str, Subject], at_once: int | None
+) -> Generator[tuple[Job[Subject], Outcome | None], None, None]:
     """Yield each job with its outcome, or with None if too many workers died. Cancels all jobs at the end.
 
     At most `at_once` jobs are submitted at a time, so that few jobs are on a worker that dies.
@@ -210,7 +222,7 @@ def _run(
 
     token = uuid.uuid4().hex[:8]
     held: dict[str, Any] = {}  # each object is sent once, as the result of a task that Dask can repeat
-    futures: dict[Any, Job] = {}
+    futures: dict[Any, Job[Subject]] = {}
     waiting, running = deque(jobs), as_completed(loop=client.loop)
     try:
         while waiting or futures:
@@ -235,7 +247,7 @@ def _run(
         client.cancel(list(futures))
 
 
-def _read_outcome(future: Any, job: Job, address: str) -> Outcome | None:
+def _read_outcome(future: Any, job: Job[Any], address: str) -> Outcome | None:
     from distributed import KilledWorker
 
     if future.status == "cancelled":
@@ -249,7 +261,7 @@ def _read_outcome(future: Any, job: Job, address: str) -> Outcome | None:
     return outcome
 
 
-def _return_object(obj: ObjectModel) -> ObjectModel:
+def _return_object(obj: Subject) -> Subject:
     return obj
 
 
@@ -381,5 +393,5 @@ def _require_dask() -> None:
         import distributed  # noqa: F401
     except ImportError as error:
         raise MissingLibraryError(
-            "a sweep needs dask.distributed, which is not installed: pip install 'tactile-loc[sweep]'"
+            "workers need dask.distributed, which is not installed: pip install 'tactile-loc[sweep]'"
         ) from error

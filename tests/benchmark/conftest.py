@@ -19,7 +19,7 @@ from tactile_loc.sweeps.workers import Job, Outcomes, evaluate_job
 class InProcess:
     """Workers that do the jobs in this process."""
 
-    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job[ObjectModel]], objects: Mapping[str, ObjectModel]) -> Outcomes:
         for job in jobs:
             yield evaluate_job(job, objects[job.key])
 

@@ -219,10 +219,11 @@ LIBRARIES = (
     Library("safetensors", ("safetensors",), "learned models", "pip install 'tactile-loc[learned]'"),
     Library("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
     Library("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
-    Library("distributed", ("distributed",), "sweeps over several machines", "pip install 'tactile-loc[sweep]'"),
+    Library("distributed", ("distributed",), "sweeps and libraries of parts, by several processes",
+            "pip install 'tactile-loc[sweep]'"),
     Library("mcap", ("mcap",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
     Library("rosbags", ("rosbags",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
-    Library("pyarrow", ("pyarrow",), "sweep tables as Parquet", "pip install 'tactile-loc[sweep]'"),
+    Library("pyarrow", ("pyarrow",), "sweep tables as Parquet, libraries of parts", "pip install 'tactile-loc[sweep]'"),
 )  # fmt: skip
 
 

@@ -1,0 +1,36 @@
+"""Localizers of parts of a library, whose places are read from the record instead of being found again."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tactile_loc.core.errors import ConfigError, LibraryError
+from tactile_loc.core.progress import Progress
+from tactile_loc.io.config import RunConfig
+from tactile_loc.library.record import PLACES_VERSION, PartRecord
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
+
+
+def open_localizer(
+    record: PartRecord, sensor: str | dict[str, Any] = "gelslim", store: StageStore | str | Path | None = None,
+    progress: Progress | None = None, **settings: Any,
+) -> Localizer:  # fmt: skip
+    """Return a localizer of a part for a sensor. Its places are those of the record.
+
+    `settings` are as in `Localizer.create`, except `grid`, which is that of the record. Raises LibraryError if another
+    version of tactile-loc made the record, and TactileLocError for bad settings.
+    """
+    if "grid" in settings:
+        raise ConfigError("the grid of a part is that of its library; leave out `grid`")
+    named = {key: value for key, value in record.grid.items() if key != "name"}
+    grid = {"name": record.grid["name"], **record.grid["options"]}
+    values = {"object": {"path": record.source}, "sensor": sensor, "grid": grid, **settings}
+    config = RunConfig.from_dict(values, "open_localizer")
+    store = store if isinstance(store, StageStore) else StageStore(store)
+    localizer = Localizer(config, record.object, store, progress, partial(getattr, record, "places"))
+    if localizer.sampler.describe() != named or record.places_version != PLACES_VERSION:
+        raise LibraryError(f"another version of tactile-loc made the places of {record.name}; build the library again")
+    return localizer

@@ -1,0 +1,205 @@
+"""The record of a part: its surface, its places and the vectors of its places. It does not depend on a sensor.
+
+A packed record is a body, the placements and the vectors, one after another. The body is a header and a zlib stream of
+the surface and the patches. Equal records give equal bytes. The placements and vectors are not compressed, so a shard
+can hold them as arrays that a search maps into memory: see `shards.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.blas import use_one_blas_thread
+from tactile_loc.core.descriptor.descriptor import load_descriptor
+from tactile_loc.core.errors import LibraryError
+from tactile_loc.core.geometry.rigid import align_to_z, make_transform
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import PATCH_PX, Places
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.locate.stored_places import STAGE_VERSION as PLACES_VERSION
+from tactile_loc.store.keys import write_canonical_json
+
+VERSION = 1  # increase if the same part gives another record
+MAGIC = b"tactile-loc part"
+LEVEL = 6  # of zlib; level 9 takes several times as long for a few percent
+STEPS = 127  # of a vector's component from 0 to 1
+PLACED = 6  # numbers of a placement
+AXIS_TOLERANCE = 1e-3  # radians; a grid whose places have other axes cannot be stored
+
+_HEAD = struct.Struct("<16sI")  # MAGIC, and the length of the header in bytes
+
+
+class Header(NamedTuple):
+    """The header of a packed record, and the lengths (bytes) of the record's parts."""
+
+    values: Mapping[str, Any]
+    start: int
+    body: int
+    placements: int
+    vectors: int
+
+
+@dataclass(frozen=True, eq=False)
+class PartRecord:
+    """A part of a library.
+
+    `vertices_m` (V, 3), float32, metres, in the object frame, and `faces` (F, 3), int32, are the surface. `symmetry`
+    and its `centre_m` (3,), metres, are as in `SymmetryGroup.parse`. `source` is the name of the mesh file, and
+    `source_sha256` is its checksum. `units` is the unit that was given for the file.
+
+    The N places are those of `grid`: the name of a grid, and what identifies its places. `placements` (N, 6), float32,
+    are the position of each place, metres, and the unit direction that points from the sensor into the part, both in
+    the object frame. `patches` (N, PATCH_PX, PATCH_PX) are as in `Places`. `vectors` (N, D), int8, are the places' unit
+    vectors, times STEPS, computed by the descriptor with the digest `descriptor`.
+    """
+
+    name: str
+    vertices_m: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    units: str
+    symmetry: str
+    centre_m: tuple[float, float, float]
+    source: str
+    source_sha256: str
+    grid: Mapping[str, Any]
+    placements: NDArray[np.float32]
+    patches: NDArray[np.uint8]
+    vectors: NDArray[np.int8]
+    descriptor: str
+    places_version: int = PLACES_VERSION
+
+    @cached_property
+    def object(self) -> ObjectModel:
+        """The part as an object to locate."""
+        mesh = TriangleMesh(self.vertices_m.astype(float), self.faces.astype(np.int64))
+        return ObjectModel(self.name, mesh, SymmetryGroup.parse(self.symmetry, self.centre_m), (), self.source)
+
+    @cached_property
+    def places(self) -> Places:
+        """The places of the part. Their poses differ by a few nanometres from those that the grid computed."""
+        position_m, direction = np.split(self.placements.astype(float), 2, axis=1)
+        distinct, number = np.unique(direction, axis=0, return_inverse=True)
+        R = np.stack([align_to_z(one) for one in distinct])[number.ravel()]
+        return Places(make_transform(R, -np.einsum("nij,nj->ni", R, position_m)), self.patches)
+
+    def pack(self) -> bytes:
+        """Return the record as bytes."""
+        values = {
+            "version": VERSION, "name": self.name, "units": self.units, "symmetry": self.symmetry,
+            "centre_m": list(self.centre_m), "source": self.source, "source_sha256": self.source_sha256,
+            "grid": self.grid, "places_version": self.places_version, "descriptor": self.descriptor,
+            "size_m": np.ptp(self.vertices_m, axis=0).astype(float).tolist(), "vertices": len(self.vertices_m),
+            "faces": len(self.faces), "places": len(self.patches), "dimensions": self.vectors.shape[1],
+        }  # fmt: skip
+        faces = np.diff(self.faces.ravel(), prepend=np.int32(0))
+        streams = (self.vertices_m.astype("<f4"), faces.astype("<i4"), _differentiate(self.patches))
+        stream = zlib.compress(b"".join(one.tobytes() for one in streams), LEVEL)
+        header = write_canonical_json({**values, "stream": len(stream)}).encode()
+        tail = self.placements.astype("<f4").tobytes() + self.vectors.tobytes()
+        return b"".join([_HEAD.pack(MAGIC, len(header)), header, stream, tail])
+
+    @classmethod
+    def unpack(cls, packed: bytes) -> PartRecord:
+        """Return the record that `pack` wrote. Raises LibraryError if the bytes are no record of this version."""
+        values, start, body, *_ = read_header(packed)
+        try:
+            stream = zlib.decompress(packed[start:body])
+            vertices_m, faces, patches = _split(
+                stream, ("<f4", (values["vertices"], 3)), ("<i4", (values["faces"], 3)),
+                ("u1", (values["places"], PATCH_PX, PATCH_PX)),
+            )  # fmt: skip
+            placed, described = _split(
+                packed[body:], ("<f4", (values["places"], PLACED)), ("i1", (values["places"], values["dimensions"]))
+            )
+        except (zlib.error, ValueError) as error:
+            raise LibraryError(f"the record of {values['name']} is damaged ({error}); build it again") from error
+        x, y, z = values["centre_m"]
+        return cls(
+            values["name"], vertices_m, np.cumsum(faces, dtype=np.int32).reshape(-1, 3), values["units"],
+            values["symmetry"], (x, y, z), values["source"], values["source_sha256"], values["grid"], placed,
+            _integrate(patches), described, values["descriptor"], values["places_version"],
+        )  # fmt: skip
+
+
+def make_record(obj: ObjectModel, sampler: GridSampler, name: str, units: str, source_sha256: str) -> PartRecord:
+    """Return the record of an object, with the places of `sampler`, a grid that is registered under `name`.
+
+    The surface is rounded to float32 first, so that the places are those of the record's surface. Raises the errors of
+    `GridSampler.places`, and LibraryError if the grid rotates its places in another way than the grid `whole`.
+    """
+    vertices_m = obj.mesh.vertices_m.astype(np.float32)
+    rounded = replace(obj, mesh=TriangleMesh(vertices_m.astype(float), obj.mesh.faces))
+    places = sampler.places(rounded, Progress())
+    R, t = places.T_place_object[:, :3, :3], places.T_place_object[:, :3, 3]
+    placements = np.concatenate([-np.einsum("nji,nj->ni", R, t), R[:, 2]], axis=1).astype(np.float32)
+    descriptor = load_descriptor()
+    with use_one_blas_thread():  # the sums of several threads may differ in the last bit
+        vectors = descriptor.describe_places(places.patches)
+    x, y, z = (float(coordinate) for coordinate in obj.symmetry.centre_m)
+    record = PartRecord(
+        obj.name, vertices_m, obj.mesh.faces.astype(np.int32), units, str(obj.symmetry), (x, y, z),
+        obj.source.rpartition("/")[2], source_sha256, {"name": name, **sampler.describe()},
+        placements, places.patches, np.rint(STEPS * vectors).astype(np.int8), descriptor.digest,
+    )  # fmt: skip
+    if np.abs(record.places.T_place_object[:, :3, :3] - R).max(initial=0.0) > AXIS_TOLERANCE:
+        raise LibraryError(f"the places of the grid {name!r} cannot be stored; choose the grid whole")
+    return record
+
+
+def read_header(packed: bytes) -> Header:
+    """Read the header of a packed record, or of its body. Raises LibraryError if the record has another version."""
+    try:
+        magic, length = _HEAD.unpack_from(packed)
+        if magic != MAGIC:
+            raise ValueError("it does not begin as one")
+        start = _HEAD.size + length
+        values = json.loads(packed[_HEAD.size : start])
+        version, places = values["version"], values["places"]
+        body = start + values["stream"]
+        found = Header(values, start, body, 4 * PLACED * places, values["dimensions"] * places)
+    except (struct.error, ValueError, KeyError, TypeError) as error:
+        raise LibraryError(f"these bytes are no record of a part ({error}); build the part again") from error
+    if version != VERSION:
+        raise LibraryError(f"the record of {values['name']} has format {version}, not {VERSION}; build it again")
+    return found
+
+
+def hash_record(packed: bytes) -> str:
+    """Return the SHA-256 (hex) of a packed record."""
+    return hashlib.sha256(packed).hexdigest()
+
+
+def _differentiate(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the differences, modulo 256, of patches (N, S, S) along both axes. They compress well."""
+    zero = np.uint8(0)
+    return np.diff(np.diff(patches, axis=1, prepend=zero), axis=2, prepend=zero)
+
+
+def _integrate(differences: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the patches (N, S, S) with these differences: see `_differentiate`."""
+    across = np.cumsum(differences, axis=2, dtype=np.uint8)
+    return np.cumsum(across, axis=1, dtype=np.uint8)
+
+
+def _split(content: bytes, *arrays: tuple[str, tuple[int, ...]]) -> list[NDArray[Any]]:
+    """Return consecutive arrays of these types and shapes. Raises ValueError unless they fill the content."""
+    found, at = [], 0
+    for kind, shape in arrays:
+        count = int(np.prod(shape))
+        found.append(np.frombuffer(content, kind, count, at).reshape(shape))
+        at += found[-1].nbytes
+    if at != len(content):
+        raise ValueError(f"{len(content) - at} bytes are left")
+    return found

@@ -1,0 +1,92 @@
+"""The table of a library's parts, one row a part: where its record is, and what it was made from."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+
+from tactile_loc.core.errors import LibraryError, MissingLibraryError
+from tactile_loc.library.record import hash_record, read_header
+
+
+@dataclass(frozen=True)
+class PartRow:
+    """A part of a library.
+
+    The body of the part's packed record is in the records of the shard `shard`: `length` bytes, from `offset` on. The
+    part's `places` placements and vectors are rows of the shard's arrays, from row `first` on. `sha256` is the checksum
+    of the whole packed record. `key` is a hash of everything that the record was made from; empty if that is unknown.
+    The other columns describe the part, and the box around it in the object frame, mm.
+    """
+
+    name: str
+    shard: str
+    offset: int
+    length: int
+    first: int
+    places: int
+    sha256: str
+    key: str
+    source: str
+    source_sha256: str
+    units: str
+    symmetry: str
+    x_mm: float
+    y_mm: float
+    z_mm: float
+
+    @classmethod
+    def of(cls, packed: bytes, key: str) -> PartRow:
+        """Return the row of a packed record that is in no shard yet. Raises LibraryError if it is no record."""
+        header = read_header(packed)
+        values = header.values
+        if len(packed) != header.body + header.placements + header.vectors:
+            raise LibraryError(f"the record of {values['name']} is incomplete; build it again")
+        x_mm, y_mm, z_mm = (1e3 * size_m for size_m in values["size_m"])
+        return cls(
+            values["name"], "", 0, header.body, 0, values["places"], hash_record(packed), key, values["source"],
+            values["source_sha256"], values["units"], values["symmetry"], x_mm, y_mm, z_mm,
+        )  # fmt: skip
+
+
+def write_table(rows: Sequence[PartRow]) -> bytes:
+    """Return rows as a Parquet file. Raises MissingLibraryError without pyarrow."""
+    require_pyarrow()
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    kinds = {"str": pa.string(), "int": pa.int64(), "float": pa.float64()}
+    columns = list(zip(*map(astuple, rows), strict=True)) or [()] * len(fields(PartRow))
+    arrays = {
+        field.name: pa.array(column, kinds[str(field.type)])
+        for field, column in zip(fields(PartRow), columns, strict=True)
+    }
+    file = io.BytesIO()
+    parquet.write_table(pa.table(arrays), file)
+    return file.getvalue()
+
+
+def read_table(content: bytes) -> list[PartRow]:
+    """Return the rows of a Parquet file. Raises ValueError if it holds none, or MissingLibraryError."""
+    require_pyarrow()
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    names = [field.name for field in fields(PartRow)]
+    try:
+        found = parquet.read_table(pa.BufferReader(content), columns=names, use_threads=False)
+        columns = [found.column(name).to_pylist() for name in names]
+    except (pa.ArrowException, KeyError) as error:
+        raise ValueError(str(error)) from error
+    return [PartRow(*values) for values in zip(*columns, strict=True)]
+
+
+def require_pyarrow() -> None:
+    """Raise MissingLibraryError if pyarrow is not installed."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise MissingLibraryError(
+            "a library of parts needs pyarrow, which is not installed: pip install 'tactile-loc[library]'"
+        ) from error
