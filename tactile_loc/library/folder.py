@@ -18,6 +18,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import LibraryError, advise_choice
@@ -132,6 +134,14 @@ class LibraryFolder:
             )
         return packed
 
+    def map_arrays(self, row: PartRow) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+        """Return the vectors (N, D) and placements (N, 6) of a part, mapped from the disk: see `PartRecord`.
+
+        They are not compared with a checksum. Raises LibraryError if they cannot be read.
+        """
+        shard, some = self._find_shard(row), slice(row.first, row.first + row.places)
+        return shard.vectors[some], shard.placements[some]
+
     def is_intact(self, row: PartRow) -> bool:
         """Return whether the record of a part can be read and matches its checksum."""
         try:
@@ -186,11 +196,14 @@ class LibraryFolder:
             raise LibraryError(f"there is no part {name!r} in {self.path}; {advice}")
         return self.rows[name]
 
-    def _read_unverified(self, row: PartRow) -> bytes:
+    def _find_shard(self, row: PartRow) -> Shard:
         shard = self._shards_by_name.get(row.shard)
         if shard is None:
             raise LibraryError(f"the shard of {row.name} is not in {self.path / MANIFEST}; build the library again")
-        return shard.read_packed(row)
+        return shard
+
+    def _read_unverified(self, row: PartRow) -> bytes:
+        return self._find_shard(row).read_packed(row)
 
     def item(self, row: PartRow) -> Item:
         """Return a part of the library as an item to write."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from tactile_loc.core.errors import ConfigError, LibraryError
 from tactile_loc.core.progress import Progress
-from tactile_loc.io.config import RunConfig
+from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig
 from tactile_loc.library.record import PLACES_VERSION, PartRecord
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
@@ -25,11 +25,21 @@ def open_localizer(
     """
     if "grid" in settings:
         raise ConfigError("the grid of a part is that of its library; leave out `grid`")
-    named = {key: value for key, value in record.grid.items() if key != "name"}
-    grid = {"name": record.grid["name"], **record.grid["options"]}
-    values = {"object": {"path": record.source}, "sensor": sensor, "grid": grid, **settings}
+    values = {"object": {"path": record.source}, "sensor": sensor, **settings}
     config = RunConfig.from_dict(values, "open_localizer")
-    store = store if isinstance(store, StageStore) else StageStore(store)
+    return make_localizer(record, config, store if isinstance(store, StageStore) else StageStore(store), progress)
+
+
+def make_localizer(
+    record: PartRecord, config: RunConfig, store: StageStore, progress: Progress | None = None
+) -> Localizer:
+    """Return a localizer of a part with the settings of `config`, except its object and grid.
+
+    Raises LibraryError if another version of tactile-loc made the record.
+    """
+    named = {key: value for key, value in record.grid.items() if key != "name"}
+    grid = SlotConfig(name=record.grid["name"], options=record.grid["options"])
+    config = config.model_copy(update={"object": ObjectConfig(path=record.source), "grid": grid})
     localizer = Localizer(config, record.object, store, progress, partial(getattr, record, "places"))
     if localizer.sampler.describe() != named or record.places_version != PLACES_VERSION:
         raise LibraryError(f"another version of tactile-loc made the places of {record.name}; build the library again")

@@ -39,7 +39,7 @@ Float64 = NDArray[np.float64]
 LEAST_LOOKED_INTO, LOOKED_INTO = 8, 64  # least and largest number of objects that are searched roughly
 # By as many nats may the true object be less likely than the likeliest one, after the votes and after the examination.
 # About 98 of 100 clean and noisy examples are nearer.
-MOST_VOTES_BEHIND, MOST_BEHIND = 25.0, 12.0
+MOST_VOTES_BEHIND, MOST_BEHIND = 13.0, 6.5
 LOCATED = 8  # objects that are located: the ones that explain the touches best in the rough search
 LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
 # The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.

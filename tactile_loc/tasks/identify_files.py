@@ -8,18 +8,20 @@ from pathlib import Path
 import numpy as np
 from pydantic import AliasChoices, Field
 
-from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.errors import ConfigError, ObjectError
 from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.progress import Progress
-from tactile_loc.io.config import RunConfig
+from tactile_loc.io.config import ObjectConfig, RunConfig
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
+from tactile_loc.library.folder import MANIFEST, LibraryFolder
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.stored_object import SELF_CONTAINED, load_stored_object
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification
 from tactile_loc.tasks.library import Library
+from tactile_loc.tasks.library_parts import StoredParts
 
 SCHEMA_VERSION = 1
 NONE_OF_THESE = "none of these"
@@ -73,11 +75,15 @@ class IdentificationRecord(Record):
 
 
 def read_library(folder: Path, config: RunConfig, store: StageStore, progress: Progress) -> Library:
-    """Open the meshes of a folder as a library.
+    """Open a folder with a library of parts, or with meshes.
 
     `config` has all settings of the localizers except the object. Raises ObjectError if there is no such folder, or no
-    mesh in it.
+    mesh in it, and LibraryError if a library cannot be read.
     """
+    if (folder / MANIFEST).exists():
+        if config.object.model_copy(update={"path": ObjectConfig().path}) != ObjectConfig():
+            raise ConfigError(f"{folder} is a library, which states units and symmetries; leave out both options")
+        return Library(StoredParts(LibraryFolder.open(folder), config, store, progress))
     if not os.path.isdir(folder):
         raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import njit
 from tactile_loc.core.descriptor.descriptor import Descriptor
+from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.sensing.places import Places
 from tactile_loc.core.sensing.rotated_patches import find_anchor
 from tactile_loc.core.sensing.touch import Touch
@@ -40,18 +41,20 @@ class DescribedPlaces:
 
     `vectors` (N, D), int8, are descriptors times SCALE. `at` (N, 6) has the positions, metres, and the unit directions
     of the places, in the object frame: a place is touched along its direction. `copies` (E, 4, 4), metres, are the
-    motions that map the object onto itself, the identity first.
+    motions that map the object onto itself, the identity first. Described place n is place n * `step` of the object.
     """
 
     vectors: NDArray[np.int8]
     at: Float32
     copies: Float64
+    step: int = 1
 
     @classmethod
-    def of(cls, places: Places, copies: Float64, descriptor: Descriptor, some: slice = slice(None)) -> DescribedPlaces:
-        """Describe the places `some` of an object."""
+    def of(cls, places: Places, copies: Float64, descriptor: Descriptor, step: int = 1) -> DescribedPlaces:
+        """Describe every `step`-th place of an object."""
+        some = slice(None, None, step)
         vectors = np.rint(SCALE * descriptor.describe_places(places.patches[some])).astype(np.int8)
-        return cls(vectors, locate_places(places, some), copies)
+        return cls(vectors, locate_places(places.T_place_object[some]), copies, step)
 
     def __len__(self) -> int:
         return len(self.vectors)
@@ -69,10 +72,9 @@ class DescribedPlaces:
         return np.concatenate([positions, np.einsum("eij,kj->kei", R, at[:, 3:])], axis=2).reshape(-1, 6)
 
 
-def locate_places(places: Places, some: slice = slice(None)) -> Float32:
-    """Return the positions, metres, and directions (K, 6) of the places `some` in the object frame."""
-    T = places.T_place_object[some]
-    R, t = T[:, :3, :3], T[:, :3, 3]
+def locate_places(T_place_object: Poses) -> Float32:
+    """Return the positions, metres, and the directions (N, 6) of places in the object frame: see `Places`."""
+    R, t = T_place_object[:, :3, :3], T_place_object[:, :3, 3]
     return np.concatenate([-np.einsum("nij,ni->nj", R, t), R[:, 2]], axis=1).astype(np.float32)
 
 
@@ -111,7 +113,7 @@ class Votes:
 def join_votes(places: DescribedPlaces, asked: Asked, temperature: float) -> Votes:
     """Return the votes of T touches for the places of an object; see `Votes`.
 
-    The temperature of the similarities, unitless, is that of the descriptor's training.
+    A similarity divided by the `temperature`, unitless, is a log-likelihood, apart from a constant.
     """
     numbers, alone = _vote(places, asked, temperature)
     nats = alone.copy()

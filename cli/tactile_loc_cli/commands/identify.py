@@ -16,7 +16,8 @@ DEFAULT_OUT = Path("tactile-loc-identify")
 NONE_OF_THESE = 1
 
 Objects = Annotated[
-    Path, options.declare("--objects", "FOLDER", "Folder of the objects' mesh files (stl, obj, ply, off, step).")
+    Path,
+    options.declare("--objects", "FOLDER", "Folder of mesh files (stl, obj, ply, off, step), or a library of parts."),
 ]
 Touches = Annotated[
     str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")

@@ -1,0 +1,164 @@
+"""The parts of a library: localizers that are given, or records of a library on disk, which are opened when needed."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.descriptor.descriptor import load_descriptor
+from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, quote
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.config import WHOLE, RunConfig
+from tactile_loc.library.folder import LibraryFolder
+from tactile_loc.library.localizers import make_localizer
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.search import PlaceSearch
+from tactile_loc.locate.stored_places import make_places_key
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+from tactile_loc.tasks.votes import STEP_RAD, DescribedPlaces
+
+STAGE, STAGE_VERSION = "descriptions", 1
+MOST_PLACES = 3000  # of a given localizer's object, evenly spread
+
+Use = Callable[[], AbstractContextManager[Localizer]]
+
+
+class Parts(Sequence[Localizer]):
+    """The localizers of the parts, all for one sensor, sorted by name."""
+
+    names: Sequence[str]
+    progress: Progress
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @abstractmethod
+    def describe(self, k: int, use: Use) -> DescribedPlaces:
+        """Return places of part k with their descriptors. `use` opens its localizer, if necessary."""
+
+    @abstractmethod
+    def require_own(self, touch: Touch) -> None:
+        """Raise TouchError if a touch is of another sensor."""
+
+
+class GivenParts(Parts):
+    """Localizers that are given. Their descriptors are stored, or computed when they are first used."""
+
+    def __init__(self, models: Sequence[Localizer]) -> None:
+        if not models:
+            raise ObjectError("there is no object to identify; give at least one")
+        others = [model for model in models if not isinstance(model, Localizer)]
+        if others:
+            raise ObjectError(f"{quote(others[0])} is not a Localizer; make one for each object with Localizer.create")
+        self._models = tuple(sorted(models, key=lambda model: model.object.name))
+        self.names = [model.object.name for model in self._models]
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise ObjectError(f"two objects are called {twice[0]}; give each its own name")
+        listed = [model.object.name for model in self._models if not model.sampler.capabilities.places]
+        if listed:
+            raise ConfigError(_explain_listed(listed[0]))
+        _require_untrained(self._models[0])
+        self.progress = self._models[0].progress
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._models[k]
+
+    def describe(self, k: int, use: Use) -> DescribedPlaces:
+        """Return some places of part k with their descriptors, stored or computed now."""
+        with use() as model:  # the places are opened if their descriptors are not stored yet
+            key = StageKey(STAGE, STAGE_VERSION, {
+                "places": make_places_key(model.sampler, model.scene).digest,
+                "descriptor": load_descriptor().digest, "most": MOST_PLACES,
+            }, model.object.name)  # fmt: skip
+            stored = model.store.build(key, partial(_save_description, model))
+            vectors, at, copies, step = (stored.load_array(name) for name in ("vectors", "at", "copies", "step"))
+            return DescribedPlaces(vectors, at, copies, int(step))
+
+    def require_own(self, touch: Touch) -> None:
+        """Raise TouchError if a touch is of another sensor than a localizer."""
+        for model in self._models:
+            model.require_own(touch)
+
+
+class StoredParts(Parts):
+    """The parts of a library on disk, for the sensor and the other settings of `config`.
+
+    Localizers are opened one by one, when they are used. The descriptors are mapped from the disk. Raises ConfigError
+    if the settings do not suit identification, and LibraryError if the library is empty or of another version.
+    """
+
+    def __init__(
+        self, folder: LibraryFolder, config: RunConfig, store: StageStore | None = None,
+        progress: Progress | None = None,
+    ) -> None:  # fmt: skip
+        if not len(folder):
+            raise LibraryError(f"the library {folder.path} has no part; add one with `tactile-loc library add`")
+        if folder.manifest.descriptor != load_descriptor().digest:
+            raise LibraryError(
+                f"another version of tactile-loc computed the vectors of {folder.path}; build the library again"
+            )
+        if config.grid != WHOLE:
+            raise ConfigError(f"the grid of the library {folder.path} is fixed; leave out the options of `grid`")
+        self.folder, self.config, self.store = folder, config, store or StageStore()
+        self.names, self.progress = folder.names, progress or Progress()
+        self._rows = list(folder.rows.values())
+        _require_untrained(self._first)
+
+    def __getitem__(self, k: Any) -> Any:
+        if isinstance(k, slice):
+            return [self[one] for one in range(len(self))[k]]
+        return make_localizer(self.folder.read(self.names[k]), self.config, self.store, self.progress)
+
+    def describe(self, k: int, use: Use) -> DescribedPlaces:
+        """Return the places of part k with their descriptors, mapped from the disk."""
+        row = self._rows[k]
+        vectors, placements = self.folder.map_arrays(row)
+        symmetry = SymmetryGroup.parse(row.symmetry, (row.centre_x_m, row.centre_y_m, row.centre_z_m))
+        return DescribedPlaces(vectors, placements, symmetry.list_elements(STEP_RAD))
+
+    def require_own(self, touch: Touch) -> None:
+        """Raise TouchError if a touch is of another sensor than the library is used with."""
+        self._first.require_own(touch)
+
+    @cached_property
+    def _first(self) -> Localizer:
+        first: Localizer = self[0]
+        return first
+
+
+def open_search(model: Localizer) -> PlaceSearch:
+    """Return the search of a localizer. Raises ConfigError if its grid lists poses."""
+    if model.search is None:
+        raise ConfigError(_explain_listed(model.object.name))
+    return model.search
+
+
+def _save_description(model: Localizer, work: Workspace) -> None:
+    places = open_search(model).places
+    step = -(-len(places) // MOST_PLACES)
+    copies = model.object.symmetry.list_elements(STEP_RAD)
+    described = DescribedPlaces.of(places, copies, load_descriptor(), step)
+    for name in ("vectors", "at", "copies"):
+        work.save_array(name, getattr(described, name))
+    work.save_array("step", np.array(step))
+
+
+def _explain_listed(name: str) -> str:
+    return f"{name} has a grid of listed poses; to identify objects, choose the grid whole"
+
+
+def _require_untrained(model: Localizer) -> None:
+    if model.encoder.capabilities.needs_training:
+        raise ConfigError(
+            "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
+        )

@@ -1,0 +1,89 @@
+"""The parts of a library on disk give the answers that localizers of the same meshes give, and are opened when used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from message_helpers import naming
+
+from tactile_loc.core.errors import ConfigError, LibraryError
+from tactile_loc.io.config import RunConfig, SlotConfig
+from tactile_loc.library.building import build_library, list_meshes
+from tactile_loc.library.folder import LibraryFolder
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.tasks.identify import identify
+from tactile_loc.tasks.library import Library
+from tactile_loc.tasks.library_parts import StoredParts
+
+pytest.importorskip("pyarrow")
+
+FEW = SlotConfig(name="whole", options={"directions": 300})
+SETTINGS = {"sensor": "gelsight-mini", "temperature": 0.05}
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory) -> list[str]:
+    folder = tmp_path_factory.mktemp("meshes")
+    solids = {
+        "plate": trimesh.creation.box((30, 20, 6)),
+        "rod": trimesh.creation.cylinder(4, 40, sections=32),
+        "ring": trimesh.creation.annulus(6, 11, 8, sections=32),
+    }
+    for name, solid in solids.items():
+        solid.export(folder / f"{name}.stl")
+    return [str(folder / f"{name}.stl") for name in solids]
+
+
+@pytest.fixture(scope="module")
+def folder(meshes, tmp_path_factory) -> LibraryFolder:
+    path = tmp_path_factory.mktemp("library")
+    build_library(path, list_meshes(meshes, units="mm"), FEW)
+    return LibraryFolder.open(path)
+
+
+@pytest.fixture(scope="module")
+def parts(folder, store) -> StoredParts:
+    return StoredParts(folder, RunConfig.from_dict(SETTINGS), store)
+
+
+def test_a_stored_library_answers_like_localizers_of_its_meshes(parts, meshes, store):
+    grid = {"name": "whole", "directions": 300}
+    given = Library([Localizer.create(path, units="mm", store=store, grid=grid, **SETTINGS) for path in meshes])
+    touches = parts[1].simulate(1, seed=7, press_depth_m=9e-4)
+    one, other = (identify(touches, library) for library in (Library(parts), given))
+    assert [o.name for o in one.objects] == [o.name for o in other.objects]
+    assert [o.probability for o in one.objects] == pytest.approx([o.probability for o in other.objects], abs=0.02)
+    assert one.best is not None
+    assert one.best.name == parts.names[1]
+
+
+def test_describing_parts_opens_no_localizer(parts, monkeypatch):
+    library = Library(parts)
+    touches = parts[0].simulate(1, seed=7, press_depth_m=9e-4)
+    monkeypatch.setattr(StoredParts, "__getitem__", lambda *_: pytest.fail("a localizer was opened"))
+    comparison = library.compare(touches)
+    assert np.isfinite(comparison.nats).all()
+    assert parts.names[int(comparison.nats.argmax())] == parts.names[0]
+
+
+def test_a_grid_of_its_own_is_refused(folder, store):
+    config = RunConfig.from_dict({**SETTINGS, "grid": {"name": "whole", "directions": 500}})
+    with pytest.raises(ConfigError, match=naming(str(folder.path))):
+        StoredParts(folder, config, store)
+
+
+def test_vectors_of_other_weights_are_refused(folder, store):
+    other = replace(folder, manifest=folder.manifest.model_copy(update={"descriptor": "0" * 64}))
+    with pytest.raises(LibraryError, match=naming(str(folder.path))):
+        StoredParts(other, RunConfig.from_dict(SETTINGS), store)
+
+
+def test_an_empty_library_is_refused(meshes, store, tmp_path: Path):
+    build_library(tmp_path, list_meshes(meshes[:1], units="mm"), FEW)
+    empty = LibraryFolder.open(tmp_path).remove(["plate"])
+    with pytest.raises(LibraryError, match=naming(str(tmp_path))):
+        StoredParts(empty, RunConfig.from_dict(SETTINGS), store)
