@@ -25,7 +25,7 @@ from tactile_loc.library.record import PLACES_VERSION, VERSION, make_record
 from tactile_loc.library.shards import FOLDER, Item
 from tactile_loc.library.table import PartRow, require_pyarrow
 from tactile_loc.locate.stored_object import SELF_CONTAINED
-from tactile_loc.store.files import require_writable, write_atomically
+from tactile_loc.store.files import remove_abandoned, require_writable, write_atomically
 from tactile_loc.store.keys import hash_file, hash_json
 from tactile_loc.store.store import StageStore
 
@@ -280,6 +280,7 @@ def _require_place(path: Path) -> None:
 
 def _tidy(waiting: Path, keys: Iterable[str], failed: Mapping[str, str]) -> None:
     """Delete the records that are in the library now, and the log of workers unless a part failed."""
+    remove_abandoned(waiting)
     with suppress(OSError):
         for name in [*keys, *([] if failed else [LOG])]:
             (waiting / name).unlink(missing_ok=True)
