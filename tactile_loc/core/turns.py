@@ -1,4 +1,4 @@
-"""Long work in turns: it runs until it reaches a pause, and goes on in its next turn.
+"""Long work in turns: it runs until its turn is used up, and goes on in its next turn.
 
 A control loop can so spread a search over many frames. The work has a thread of its own, but only one of both threads
 runs at any time. So the results do not depend on the speed of the machine.
@@ -15,24 +15,40 @@ from typing import Any, Generic, TypeVar, cast
 Result = TypeVar("Result")
 
 
-def pause() -> None:
-    """End the turn of the work that calls this, if it is done in turns; otherwise do nothing.
+def pause_before(share: float) -> None:
+    """End the turn unless there is room in it for the work that follows, which takes this `share` of a turn.
 
-    Work that holds a lock must not pause, because the other thread may need this lock: see `without_pauses`.
+    Shares are counted, not measured, so the turns do not depend on the speed of the machine. As a guide, a turn takes
+    10 ms on an idle thread. If the calling work is not done in turns, nothing happens.
+
+    Work that holds a lock must not pause, because the other thread may need this lock: see `without_pauses`. Until
+    Python 3.11, a `cached_property` holds a lock while it is computed.
     """
     worker = _working.get()
     if worker is not None:
-        worker.pause()
+        worker.pause_before(share)
+
+
+def split_into_turns(count: int, a_turn: float) -> Iterator[slice]:
+    """Yield slices of range(count), with a pause before each if necessary. A turn has time for `a_turn` items.
+
+    Work that is not done in turns gets a single slice.
+    """
+    at_once = max(1, int(a_turn / 2)) if takes_turns() else max(1, count)
+    for first in range(0, max(1, count), at_once):
+        last = min(count, first + at_once)
+        pause_before((last - first) / a_turn)
+        yield slice(first, last)
 
 
 def takes_turns() -> bool:
-    """Return whether the calling work is done in turns, so that it has to pause often."""
+    """Return whether the calling work is done in turns."""
     return _working.get() is not None
 
 
 @contextmanager
 def without_pauses() -> Iterator[None]:
-    """Let `pause` do nothing until the block ends."""
+    """Let `pause_before` do nothing until the block ends."""
     token = _working.set(None)
     try:
         yield
@@ -69,6 +85,7 @@ class _Worker(Generic[Result]):
     def __init__(self, work: Callable[[], Result]) -> None:
         self._work = work
         self._started = self._done = self._given_up = False
+        self._used = 0.0  # share of the present turn
         self._go, self._back = Semaphore(0), Semaphore(0)
         self.result: Result | None = None
         self._error: BaseException | None = None
@@ -87,11 +104,14 @@ class _Worker(Generic[Result]):
             raise error
         return self._done
 
-    def pause(self) -> None:
-        self._back.release()
-        self._go.acquire()
-        if self._given_up:
-            raise _GivenUpError
+    def pause_before(self, share: float) -> None:
+        if self._used and self._used + share > 1:
+            self._used = 0.0
+            self._back.release()
+            self._go.acquire()
+            if self._given_up:
+                raise _GivenUpError
+        self._used += share
 
     def give_up(self) -> None:
         if self._started and not self._done:

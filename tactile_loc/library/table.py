@@ -17,7 +17,7 @@ class PartRow:
     The body of the part's packed record is in the records of the shard `shard`: `length` bytes, from `offset` on. The
     part's `places` placements and vectors are rows of the shard's arrays, from row `first` on. `sha256` is the checksum
     of the whole packed record. `key` is a hash of everything that the record was made from; empty if that is unknown.
-    The other columns describe the part, and the box around it in the object frame, mm.
+    The other columns describe the part, the centre of its symmetry, m, and the box around it, mm, in the object frame.
     """
 
     name: str
@@ -32,6 +32,9 @@ class PartRow:
     source_sha256: str
     units: str
     symmetry: str
+    centre_x_m: float
+    centre_y_m: float
+    centre_z_m: float
     x_mm: float
     y_mm: float
     z_mm: float
@@ -46,7 +49,7 @@ class PartRow:
         x_mm, y_mm, z_mm = (1e3 * size_m for size_m in values["size_m"])
         return cls(
             values["name"], "", 0, header.body, 0, values["places"], hash_record(packed), key, values["source"],
-            values["source_sha256"], values["units"], values["symmetry"], x_mm, y_mm, z_mm,
+            values["source_sha256"], values["units"], values["symmetry"], *values["centre_m"], x_mm, y_mm, z_mm,
         )  # fmt: skip
 
 

@@ -12,9 +12,10 @@ from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import View
-from tactile_loc.core.turns import pause
+from tactile_loc.core.turns import pause_before
 
 GAP_POINTS, GAP_PX = 30, 60  # points per touch, and long side of their image, pixels
+A_TURN = 30_000  # poses that are compared with a touch in one turn
 
 
 def estimate_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
@@ -23,8 +24,8 @@ def estimate_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
 
     field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))
-    pause()
     for view in views:
+        pause_before(len(poses) / A_TURN)
         points_m = _list_gap_points(view.touch)
         gaps += field.estimate_gaps(points_m, seen_from @ invert(view.T_sensor_first))
     return gaps

@@ -17,7 +17,7 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import IOU_PX, View
-from tactile_loc.core.turns import pause
+from tactile_loc.core.turns import pause_before
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.results.localization import Hypothesis
@@ -29,7 +29,7 @@ LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 MASK_SHARE = 0.5
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
-AT_ONCE = 64  # poses drawn for several touches in one turn; more poses take one turn for each touch
+A_TURN = 15_000  # poses from which those far apart are chosen in one turn
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
 PULLED = 12  # of the likeliest modes are also refined with the prior
@@ -168,12 +168,7 @@ def compute_imprint_ious(
     `T_first_object` (K, 4, 4), metres, is in the first sensor's frame. `pixels` and `freedom_m` are as for
     `Scene.compare_imprints`.
     """
-    ious: list[NDArray[np.float64]] = []
-    for view in views:
-        if len(T_first_object) > AT_ONCE or not ious:
-            pause()
-        ious.append(view.imprint_ious(T_first_object, pixels, freedom_m))
-    return np.stack(ious, axis=1)
+    return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
 def compare_where_seen(
@@ -186,7 +181,6 @@ def compare_where_seen(
     of imprint IoU. For each touch, the greater of the values with and without the error is returned. `first` is the
     first touch's view, by default the first of the views.
     """
-    pause()
     here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
     if seen is None:
@@ -310,6 +304,7 @@ def keep_apart(
     """
     from tactile_loc.core.poses.apart import choose_apart  # numba takes a while to import
 
+    pause_before(len(poses) / A_TURN)
     order = np.argsort(-worth, kind="stable")
     points = np.ascontiguousarray(metric.embed(poses[order]))
     return np.asarray(order[choose_apart(points, float(radius_m), count)])

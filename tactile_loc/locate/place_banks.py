@@ -12,6 +12,7 @@ from tactile_loc.core.simulation.place_training import PlaceProblem
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
+from tactile_loc.core.turns import split_into_turns
 from tactile_loc.locate.model import STAGE_VERSIONS, train_encoder
 from tactile_loc.locate.scoring import Scores
 from tactile_loc.store.keys import StageKey
@@ -19,6 +20,7 @@ from tactile_loc.store.store import StageStore
 
 TRAINING_VERSION = 1  # version of how an encoder's training touches are drawn
 ENCODED = 512  # places encoded at once, so that they fit in a processor's cache
+A_TURN = 8 * ENCODED  # places encoded in one turn
 
 
 class PlaceBanks:
@@ -73,9 +75,12 @@ class PlaceBanks:
         from tactile_loc.core.compiled import map_in_threads  # numba takes a while to import
 
         encode = partial(self._encode_some, press_depth_m, flat)
-        starts = range(0, len(self.places), ENCODED)
         one_by_one = self.encoder.capabilities.needs_training  # a network has threads of its own
-        return np.concatenate(list(map(encode, starts) if one_by_one else map_in_threads(encode, starts)))
+        encoded: list[Scores] = []
+        for some in split_into_turns(len(self.places), A_TURN):
+            starts = range(some.start, some.stop, ENCODED)
+            encoded += map(encode, starts) if one_by_one else map_in_threads(encode, starts)
+        return np.concatenate(encoded)
 
     def _encode_some(self, press_depth_m: float, flat: bool, start: int) -> Scores:
         some, press = slice(start, start + ENCODED), np.float32(press_depth_m)

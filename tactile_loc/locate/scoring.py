@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from tactile_loc.core.sensing.places import PRESS_STEP_M
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
+from tactile_loc.core.turns import takes_turns
 
 Scores = NDArray[np.float32]
 NewMatcher = Callable[[], Matcher]
@@ -76,7 +78,8 @@ class GridScores:
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
-        with self._choosing:  # each bank is built once
+        # each bank is built once; but work in turns must not hold a lock
+        with nullcontext() if takes_turns() else self._choosing:
             return self._matchers.get(press_m, lambda: index_bank(self.new_matcher, self.bank(press_m))).matcher
 
     @property

@@ -28,7 +28,7 @@ from tactile_loc.core.slots.common_poses import compute_prior_weights
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
-from tactile_loc.core.turns import pause
+from tactile_loc.core.turns import pause_before, split_into_turns
 from tactile_loc.io.options import SearchOptions
 from tactile_loc.locate.expected_poses import (
     EXPECTED_SHARE,
@@ -43,13 +43,16 @@ from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
 
-SEARCH_VERSION = 8
+SEARCH_VERSION = 9
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
+SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
 WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
+# rotated places that are scored, chosen by their scores, and compared with the surface of an elastic gel, in one turn
+SCORED, CHOSEN, COMPARED = 700_000, 40_000, 20_000
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
 
 Matched = tuple[Poses, NDArray[np.float64]]  # rotated places similar to a touch, and their scores (K,)
@@ -79,6 +82,7 @@ class PlaceSearch:
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
         # the least distance between starts, and the largest distance at which the true pose counts as found
         self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
+        self.spread_m = SPREAD * spacing_m  # the same for half of the poses moved to several touches
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         # poses proposed for touches that still exist; more touches are often located together with earlier ones
         self._alike: WeakKeyDictionary[Touch, dict[int, Matched]] = WeakKeyDictionary()
@@ -104,7 +108,6 @@ class PlaceSearch:
             groups = self.propose(touch, options.candidates, prior)
         with times.stage("register"):
             poses = np.concatenate([self._register_group(view, *group, len(groups)) for group in groups])
-            pause()
             ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
             kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
             if len(groups) > 1 and prior is not None:
@@ -166,7 +169,6 @@ class PlaceSearch:
         """Return what `alike` returns, computed once for each touch."""
         known = self._alike.setdefault(touch, {})
         if count not in known:
-            pause()
             known[count] = self.alike(touch, count)
         return known[count]
 
@@ -176,10 +178,11 @@ class PlaceSearch:
             return self._match_mask(touch, count)
         compared_m = touch.geometry.gel.find_compared_m(touch.press_depth_m)
         matcher = self._banks.matcher(compared_m)
-        pause()
+        pause_before(len(self.yaws_rad) * len(self.places) / SCORED)
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.encoder, cut_m, self.yaws_rad)
         similar = matcher.scores(*codes)
+        pause_before(count / CHOSEN)
         elastic = touch.geometry.gel.is_elastic
         yaw, number = find_highest(similar, max(count, self.options.compared_again) if elastic else count)
         scores = similar[yaw, number]
@@ -270,7 +273,11 @@ def measure_touch_excess(
     beyond_m = surface_m - np.float32(SLACK * touch.indentation_m)
     low_m = np.where(touching, surface_m, np.where(seen, beyond_m, -far))
     high_m = np.where(touching, surface_m, far)
-    return measure_excess(places, numbers, yaws, low_m, high_m, MOST_EXCESS * touch.indentation_m)
+    most_m = MOST_EXCESS * touch.indentation_m
+    return np.concatenate([
+        measure_excess(places, numbers[some], yaws[some], low_m, high_m, most_m)
+        for some in split_into_turns(len(numbers), COMPARED)
+    ])  # fmt: skip
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
@@ -342,7 +349,7 @@ def search_together(
         ])  # fmt: skip
         grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
         expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
-        poses = _keep_nearest(views, search, poses, options.registered_widely)
+        poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
     with times.stage("register"):
         registered, ious = _register_in_batches(views, search, poses)
         if len(expected):
@@ -380,16 +387,20 @@ def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, 
 
     Only the `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
     """
-    _, ious = _register(views, search, _keep_nearest(views, search, poses, count))
+    _, ious = _register(views, search, _keep_nearest(views, search, poses, 0, count))
     return float(ious.mean(axis=1).max())
 
 
-def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
-    """Return the `count` poses whose surface is nearest to the touches, none near a better one.
+def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, spread: int, count: int) -> Poses:
+    """Return at most `count` poses whose surface is near to the touches.
 
-    `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
+    The first `spread` poses are far apart, so that they lead to different places of the object. Then follow the poses
+    nearest to the touches. `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
     """
-    return poses[keep_apart(poses, -estimate_gaps(views, poses), search.metric, search.radius_m, count)]
+    worth = -estimate_gaps(views, poses)
+    first = keep_apart(poses, worth, search.metric, search.spread_m, spread)
+    nearest = keep_apart(poses, worth, search.metric, search.radius_m, count)
+    return poses[np.concatenate([first, nearest[~np.isin(nearest, first)]])[:count]]
 
 
 def _register(

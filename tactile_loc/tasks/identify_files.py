@@ -40,7 +40,7 @@ class KnownObjectRecord(Record):
 
     name: str = Field(description="the object's name")
     probability: float = Field(description="that the touches are of this object, 0 to 1")
-    alike: float = Field(description="similarity at a glance, unitless, higher is more similar")
+    alike: float = Field(description="mean similarity of the touches and its places, at most 1; higher is more similar")
     rough_iou: float = Field(description="mean imprint IoU of a rough search, 0 to 1; 0 without a search")
     misfit_nats: float | None = Field(
         validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # its former name

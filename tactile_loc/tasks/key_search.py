@@ -12,7 +12,7 @@ from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.turns import Turns, pause
+from tactile_loc.core.turns import Turns, pause_before
 from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.localization import Localization
@@ -26,12 +26,14 @@ Floats = NDArray[np.float64]
 class Searched:
     """A finished search of `keys`; `found` is None if no pose fits them.
 
-    The search may miss poses. `gains` (K,) state how much more imprint IoU each of the `known` modes has than the first
-    pose found, after it was registered to the keys; -inf if it is within the tolerance of that pose.
+    `right`, 0 to 1, is the probability that the first pose found is within the tolerance. The search may miss poses.
+    `gains` (K,) state how much more imprint IoU each of the `known` modes has than the first pose found, after it was
+    registered to the keys; -inf if it is within the tolerance of that pose.
     """
 
     keys: tuple[Touch, ...]
     found: Localization | None
+    right: float
     known: tuple[Mode, ...]
     gains: Floats
 
@@ -94,16 +96,17 @@ def search_keys(
 ) -> Searched:  # fmt: skip
     """Locate touches together, and compare the first pose with the `known` modes."""
     found = locate_keys(localizer, keys, prior)
+    pause_before(1.0)  # the probability takes a whole turn
+    right = 0.0 if found is None else found.probability_within()
     if found is None or not known:
-        return Searched(keys, found, (), np.zeros(0))
+        return Searched(keys, found, right, (), np.zeros(0))
     views = [make_view(keys[0], localizer, key) for key in keys]
     T_first_object = invert(np.asarray(keys[0].T_base_sensor)) @ np.stack([mode.known.T_base_object for mode in known])
-    pause()
     refined = localizer.refinement.registration.refine(views, T_first_object)
     ious = compare_refined(views, refined, range(len(views))).mean(axis=1)
     poses = np.stack([pose.T_sensor_object for pose in refined])
     same = localizer.config.tolerance.find_within(localizer.object, found.best.T_sensor_object, poses)
-    return Searched(keys, found, known, np.where(same, -np.inf, ious - found.best.imprint_iou))
+    return Searched(keys, found, right, known, np.where(same, -np.inf, ious - found.best.imprint_iou))
 
 
 def locate_keys(localizer: Localizer, keys: Sequence[Touch], prior: PosePrior | None = None) -> Localization | None:

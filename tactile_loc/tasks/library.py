@@ -1,17 +1,15 @@
 """A library of objects, and two quick comparisons of all objects with touches.
 
-A glance compares a touch, at a few yaws, with some places of each object, encoded once for a few press depths. It takes
-a thousandth of the time of locating the object, but is sensitive to noise. A rough search starts from the most similar
-places of an object. It registers a few poses roughly to all touches, and takes a thirtieth of the time of locating the
-object.
+First, each touch votes for places of each object, by descriptors that were computed once: see `votes.py`. This takes
+milliseconds for each object. A rough search starts from these places. It registers a few poses roughly to all touches,
+and takes a thirtieth of the time of locating the object.
 
-A glance reads only the codes of one press depth from the store. An object's places are read when it is searched. The
-parts used last stay in memory.
+The votes read only the descriptors from the store. An object's places are read when it is searched. The parts used last
+stay in memory.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,58 +20,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.byte_cache import ByteCache
+from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.errors import ConfigError, ObjectError, quote
-from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.sensing.places import CAMERA
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
+from tactile_loc.core.sensing.rotated_patches import find_anchor
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.matcher import Matcher
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.locate.localizer import Localizer, make_view
-from tactile_loc.locate.scoring import BankMatcher, index_bank
-from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, encode_rotated, find_highest
+from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, measure_touch_excess
 from tactile_loc.locate.stored_places import make_places_key
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
+from tactile_loc.tasks.votes import STEP_RAD, Asked, DescribedPlaces, join_votes, rate_object
 
-Codes = NDArray[np.float16]  # (places, D)
-
-STAGE, STAGE_VERSION = "glances", 2
+STAGE, STAGE_VERSION = "descriptions", 1
+DESCRIBED, WHOLE = "described", "whole"  # what is kept of an object
 KEPT_BYTES = 2 * 2**30
-WHOLE = math.inf  # stands for an object's places and banks, beside the press depths of its codes
-LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and places are compared
-MOST_PLACES = 2000  # per object, evenly spread
+MOST_PLACES = 3000  # per object, evenly spread
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
-PROPOSED, REGISTERED = 1000, 30  # per object: rotated places for each touch, and poses registered to all touches
+# of each object, for each touch: places that are compared in detail, and poses that are kept; then registered poses
+COMPARED, PROPOSED, REGISTERED = 60, 300, 30
+# The log-likelihood falls by EXCESS_NATS log(EXCESS_FREE + x) if the best place leaves the bounds of a touch by as much
+# as x pixels of a patch at the full press. Both numbers were fitted to touches of generated and real parts.
+EXCESS_NATS, EXCESS_FREE = 8.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Glance:
-    """The similarity of one touch, rotated by each of the M angles YAWS_RAD, to places of each of K objects.
+class Comparison:
+    """The votes of touches for the places of K objects. `nats` (K,) are log-likelihoods, apart from a constant."""
 
-    The touch's place is at the origin of `T_sensor_anchor` (4, 4), metres. `scores` has an array (M, N) for each object
-    with N places, unitless; higher is more similar.
-    """
-
-    touch: Touch
-    T_sensor_anchor: Poses
-    scores: tuple[NDArray[np.float32], ...]
+    touches: tuple[Touch, ...]
+    asked: Asked
+    nats: NDArray[np.float64]
+    temperature: float
 
     @property
     def alike(self) -> NDArray[np.float64]:
-        """The similarity (K,) of the touch to the most similar place of each object, unitless."""
-        return np.array([scores.max() for scores in self.scores], float)
+        """The mean similarity (K,) of the touches and the most similar places of each object; at most 1, unitless."""
+        return self.nats * self.temperature / len(self.touches)
 
-    def poses(self, k: int, search: PlaceSearch, count: int) -> Poses:
-        """Return the poses (C, 4, 4), metres, of the `count` most similar rotated places of object k."""
-        yaw, number = find_highest(self.scores[k], count)
-        return self.T_sensor_anchor @ search.places.poses(number * _step(search), YAWS_RAD[yaw])
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Likely `poses` of an object for each touch, (PROPOSED, 4, 4), metres, in the touch's sensor frame.
+
+    `nats` is the log-likelihood of the touches, apart from a constant that all objects share.
+    """
+
+    poses: tuple[Poses, ...]
+    nats: float
 
 
 class Library:
     """The objects that may have been touched, each with its localizer, all for one sensor.
 
-    The order of the objects does not matter. The objects' codes, places and banks that were used last are kept in
+    The order of the objects does not matter. The objects' descriptors, places and banks that were used last are kept in
     memory, up to `most_bytes` and the object in use. The rest is released, and read again from the store when it is
     used. Raises TactileLocError if there are no objects, if two objects share a name, or if a localizer does not suit
     identification.
@@ -98,7 +99,7 @@ class Library:
                 "the encoder has to be trained on one object, so it cannot compare several; choose `encoder` pixel"
             )
         self.progress = self.models[0].progress
-        self._kept: ByteCache[tuple[int, float], BankMatcher | Localizer] = ByteCache(
+        self._kept: ByteCache[tuple[int, str], DescribedPlaces | Localizer] = ByteCache(
             most_bytes, _count_bytes, _release
         )
 
@@ -107,7 +108,7 @@ class Library:
 
     @property
     def nbytes(self) -> int:
-        """The memory of the objects' codes, places and banks that are kept, bytes."""
+        """The memory of the objects' descriptors, places and banks that are kept, bytes."""
         return self._kept.nbytes
 
     @contextmanager
@@ -123,75 +124,91 @@ class Library:
         with self.use(k) as model:
             return _open_search(model)
 
-    def glance(self, touch: Touch) -> Glance:
-        """Compare a touch with some places of each object. Raises TouchError for a touch of another sensor."""
+    def compare(self, touches: Sequence[Touch]) -> Comparison:
+        """Compare touches with all objects. If there are several, each needs `T_base_sensor`.
+
+        Raises TouchError for a touch of another sensor.
+        """
         for model in self.models:
-            model.require_own(touch)
-        level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
-        press_m = min(level_m, touch.press_depth_m)
-        T_sensor_anchor, codes = encode_rotated(touch, self.models[0].encoder, press_m, YAWS_RAD)
-        scores = []
+            for touch in touches:
+                model.require_own(touch)
+        descriptor = load_descriptor()
+        asked = Asked.about(touches, descriptor)
+        nats = np.empty(len(self))
         with self.progress.task("comparing objects", len(self)) as advance:
             for k in range(len(self)):
-                scores.append(self._open_codes(k, level_m).scores(*codes))
+                nats[k] = rate_object(self.describe(k), asked, descriptor.temperature)
                 advance(1)
-        return Glance(touch, T_sensor_anchor, tuple(scores))
+        return Comparison(tuple(touches), asked, nats, descriptor.temperature)
 
-    def look_into(self, k: int, glances: Sequence[Glance]) -> float:
-        """Search object k roughly, starting from the touches' glances; return the best mean imprint IoU, 0 to 1.
+    def examine(self, k: int, comparison: Comparison) -> Examined:
+        """Compare the touches in detail with the places of object k for which they voted, without registration."""
+        search = self.search(k)
+        votes = join_votes(self.describe(k), comparison.asked, comparison.temperature)
+        poses, nats = [], float(comparison.nats[k])
+        for touch, numbers, likely in zip(comparison.touches, votes.numbers, votes.nats, strict=True):
+            some = numbers[np.argsort(-likely, kind="stable")[:COMPARED]] * _step(search)
+            proposed, excess = _rotate_places(touch, search, some)
+            poses.append(proposed)
+            nats -= EXCESS_NATS * np.log(EXCESS_FREE + excess.min() / touch.press_depth_m**2)
+        return Examined(tuple(poses), nats)
 
-        If there are several touches, each needs `T_base_sensor`.
-        """
+    def look_into(self, k: int, comparison: Comparison, examined: Examined) -> float:
+        """Search object k roughly, starting from the examined poses; return the best mean imprint IoU, 0 to 1."""
         with self.use(k) as model:
-            search = _open_search(model)
-            views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
-            poses = [
-                invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
-                for view, glance in zip(views, glances, strict=True)
-            ]
-            return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
+            first, *_ = touches = comparison.touches
+            views = [make_view(first, model, touch) for touch in touches]
+            poses = [invert(view.T_sensor_first) @ some for view, some in zip(views, examined.poses, strict=True)]
+            return compute_rough_iou(views, _open_search(model), np.concatenate(poses), REGISTERED)
 
-    def _open_codes(self, k: int, level_m: float) -> Matcher:
-        """Return a matcher that compares touches with places of object k, cut at a press depth (metres)."""
-        chosen = self.models[0].config.matcher
+    def describe(self, k: int) -> DescribedPlaces:
+        """Return the places of object k with their descriptors, stored or computed now."""
 
-        def index() -> BankMatcher:
-            with self.use(k) as model:  # the places are opened if the codes are not stored yet
-                codes = _load_codes(model, LEVELS_M.index(level_m)).astype(np.float32)
-            return index_bank(lambda: registry().create("matcher", chosen.name, chosen.options), codes)
+        def describe() -> DescribedPlaces:
+            with self.use(k) as model:  # the places are opened if their descriptors are not stored yet
+                return _load_description(model)
 
-        return cast(BankMatcher, self._kept.get((k, level_m), index)).matcher
+        return cast(DescribedPlaces, self._kept.get((k, DESCRIBED), describe))
 
 
-def _count_bytes(kept: BankMatcher | Localizer) -> int:
+def _count_bytes(kept: DescribedPlaces | Localizer) -> int:
     return kept.loaded_bytes if isinstance(kept, Localizer) else kept.nbytes
 
 
-def _release(kept: BankMatcher | Localizer) -> None:
+def _release(kept: DescribedPlaces | Localizer) -> None:
     if isinstance(kept, Localizer):
         kept.release()
 
 
-def _load_codes(model: Localizer, level: int) -> Codes:
-    """Return the codes (N, D) of some of an object's places, cut at LEVELS_M[level], stored or encoded now.
-
-    The codes of all levels are stored together, but only the file of this level is read and its checksum verified.
-    """
+def _load_description(model: Localizer) -> DescribedPlaces:
+    """Return some of an object's places with their descriptors, stored or computed now."""
     key = StageKey(STAGE, STAGE_VERSION, {
-        "places": make_places_key(model.sampler, model.scene).digest, "encoder": model.encoder.describe(),
-        "levels_m": list(LEVELS_M), "most": MOST_PLACES,
+        "places": make_places_key(model.sampler, model.scene).digest, "descriptor": load_descriptor().digest,
+        "most": MOST_PLACES,
     }, model.object.name)  # fmt: skip
-    name = f"codes-{level}"
-    stored = model.store.build(key, partial(_save_codes, model), [f"{name}.npy"])
-    return stored.load_array(name)
+    stored = model.store.build(key, partial(_save_description, model))
+    return DescribedPlaces(*(stored.load_array(name) for name in ("vectors", "at", "copies")))
 
 
-def _save_codes(model: Localizer, work: Workspace) -> None:
+def _save_description(model: Localizer, work: Workspace) -> None:
     search = _open_search(model)
-    some = slice(None, None, _step(search))
-    for level, press_m in enumerate(LEVELS_M):
-        codes = model.encoder.encode(search.places.depths(press_m, some), press_m, CAMERA)
-        work.save_array(f"codes-{level}", codes.astype(np.float16))
+    copies = model.object.symmetry.list_elements(STEP_RAD)
+    described = DescribedPlaces.of(search.places, copies, load_descriptor(), slice(None, None, _step(search)))
+    for name in ("vectors", "at", "copies"):
+        work.save_array(name, getattr(described, name))
+
+
+def _rotate_places(touch: Touch, search: PlaceSearch, numbers: NDArray[np.int64]) -> tuple[Poses, NDArray[np.float32]]:
+    """Return the poses (K, 4, 4), metres, of those rotated places `numbers` that explain a touch best.
+
+    Also returns how far they leave the bounds of the touch (K,), square metres: see `measure_touch_excess`.
+    """
+    anchor_m, R_sensor_gel = find_anchor(touch)
+    place, yaw = (of.ravel() for of in np.meshgrid(numbers, np.arange(TURNS), indexing="ij"))
+    excess = measure_touch_excess(touch, search.places, place, yaw, YAWS_RAD)
+    best = np.argsort(excess, kind="stable")[:PROPOSED]
+    poses = make_transform(R_sensor_gel, anchor_m) @ search.places.poses(place[best], YAWS_RAD[yaw[best]])
+    return np.asarray(poses), excess[best]
 
 
 def _open_search(model: Localizer) -> PlaceSearch:
@@ -205,5 +222,5 @@ def _explain_listed(name: str) -> str:
 
 
 def _step(search: PlaceSearch) -> int:
-    """Return the step between the places of an object that a glance uses."""
+    """Return the step between the places of an object that are described."""
     return -(-len(search.places) // MOST_PLACES)

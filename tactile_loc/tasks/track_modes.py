@@ -57,7 +57,7 @@ class SlipPrior(PosePrior):
 
     def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,), 0 at the pose T, of poses (N, 4, 4), metres."""
-        far_m = self.metric.symmetric_distance(T_sensor_object, np.broadcast_to(self.T, T_sensor_object.shape))
+        far_m = self.metric.symmetric_distance(T_sensor_object, self.T[None])
         return np.asarray(np.maximum(-0.5 * (far_m / self.std_m) ** 2, -self.most_nats))
 
 
@@ -177,7 +177,7 @@ class ModeFilter:
         """Return the modes that a search found; those near a followed mode take over its pose, from more touches."""
         renewed, T = [], np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
         for new in found:
-            far_m = self._metric.symmetric_distance(T, np.broadcast_to(new.known.T_base_object, T.shape))
+            far_m = self._metric.symmetric_distance(T, new.known.T_base_object[None])
             k = int(far_m.argmin()) if len(T) else -1
             near = k >= 0 and far_m[k] < self.localizer.merge_radius_m
             renewed.append(replace(modes[k], nats=new.nats) if near else new)

@@ -115,7 +115,8 @@ class Tracker:
         if touch is None:
             self._alike = 0.0  # the next contact will have new errors
             return self._result(math.nan, self._take_turns(), touched=False)
-        return self._update_touched(replace(touch, T_base_sensor=T))
+        same = touch.T_base_sensor is not None and np.array_equal(touch.T_base_sensor, T)
+        return self._update_touched(touch if same else replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
         """Follow the modes to a touch, look for a slip, and search on."""
@@ -204,8 +205,7 @@ class Tracker:
         renewed = [*self._filter.renew(self._modes, new), *missed]
         self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
         verdict = Verdict.AMBIGUOUS if missed and found.verdict is Verdict.CERTAIN else found.verdict
-        right = found.probability_within() / (1 + len(missed))
-        self._trust = self._trust.restart(verdict, right, iou, len(keys))
+        self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
         if self._trust.settled:
             self._modes = self._modes[:1]
         elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:

@@ -213,6 +213,24 @@ def search_pair(localizer: Localizer, search: PlaceSearch, pair: list[Touch]) ->
     return search_together(views, [search] * 2, StageTimes()).T_first_object
 
 
+def test_a_pose_far_from_many_nearer_ones_is_registered_to_several_touches(localizer, search, examples):
+    some = examples[0]
+    views = [make_view(some[0], localizer, touch) for touch in some]
+    steps_m = 1.6e-3 * np.arange(-3, 4)  # poses as far apart as the search keeps them
+    shifts_m = np.stack(np.meshgrid(steps_m, steps_m, steps_m), axis=-1).reshape(-1, 3)
+    beside = np.stack([make_translation(shift_m) for shift_m in shifts_m]) @ np.asarray(some[0].T_sensor_object)
+    far = make_translation([0.0, 0.02, 0.0]) @ np.asarray(some[0].T_sensor_object)
+    poses, moved = np.concatenate([beside, far[None]]), search.options.moved_together
+    assert search_module.estimate_gaps(views, poses).argmax() == len(poses) - 1
+    ranks = []
+    for spread in (moved // 2, 0):
+        kept = search_module._keep_nearest(views, search, poses, spread, len(poses))
+        assert len(kept) == len(poses)
+        ranks.append(int(np.abs(kept - far).max(axis=(1, 2)).argmin()))
+    assert ranks[0] < moved / 2
+    assert ranks[1] > moved
+
+
 @pytest.mark.slow
 def test_two_touches_that_two_poses_explain_are_ambiguous(store):
     """The hook turned by half a turn explains both touches perfectly, and starts nearer to them than the true pose."""

@@ -31,7 +31,7 @@ from tactile_loc.tasks.identify import (
     identify,
     measure_misfit,
 )
-from tactile_loc.tasks.library import Library
+from tactile_loc.tasks.library import PROPOSED, Library
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
 
@@ -108,6 +108,7 @@ def test_only_the_object_with_the_best_rough_fit_is_located(library, touches):
 
 
 def test_only_the_most_similar_object_gets_a_rough_fit(library, touches, monkeypatch):
+    monkeypatch.setattr("tactile_loc.tasks.identify.LEAST_LOOKED_INTO", 1)
     monkeypatch.setattr("tactile_loc.tasks.identify.LOOKED_INTO", 1)
     said = identify(touches["ring"], library, located=1)
     looked_into = [one for one in said.objects if one.rough_iou > 0]
@@ -120,18 +121,18 @@ def test_noisy_touches_fit_their_own_object_best(library, name):
     model = library.models[own]
     source = RobotTouches(model.object, model.scene.geometry, RaycastRenderer(), (0.7, 0.9), noise=NOISE["mild"])
     noisy, _ = source.draw_example(2, np.random.default_rng(8))
-    glances = [library.glance(touch) for touch in noisy]
-    rough = [library.look_into(k, glances) for k in range(len(library))]
+    comparison = library.compare(noisy)
+    rough = [library.look_into(k, comparison, library.examine(k, comparison)) for k in range(len(library))]
     assert int(np.argmax(rough)) == own
     assert 0.5 < rough[own] <= 1
 
 
-def test_a_glance_proposes_poses_near_the_true_pose(library, touches):
+def test_votes_propose_poses_near_the_true_pose(library, touches):
     for k, model in enumerate(library.models):
         touch = touches[model.object.name][0]
-        poses = library.glance(touch).poses(k, library.search(k), 300)
+        (poses,) = library.examine(k, library.compare([touch])).poses
         true = np.broadcast_to(touch.T_sensor_object, poses.shape)
-        assert len(poses) == 300
+        assert len(poses) == PROPOSED
         assert PoseMetric(model.object).symmetric_distance(poses, true).min() < 4e-3
 
 

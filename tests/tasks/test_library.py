@@ -14,7 +14,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store import artifact as artifact_module
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import identify
-from tactile_loc.tasks.library import LEVELS_M, Library
+from tactile_loc.tasks.library import Comparison, Library
 
 NAMES = ("plate", "rod")
 
@@ -43,9 +43,9 @@ def touch(open_library):
     """Return a touch of the plate; everything that it needs is stored."""
     library = open_library()
     (touch,) = library.models[0].simulate(1, seed=5, press_depth_m=9e-4)
-    glance = library.glance(touch)
+    comparison = library.compare([touch])
     for k in range(len(library)):
-        library.look_into(k, [glance])
+        search_roughly(library, k, comparison)
     return touch
 
 
@@ -63,6 +63,10 @@ def hashed(monkeypatch) -> list[tuple[str, str]]:
     return found
 
 
+def search_roughly(library: Library, k: int, comparison: Comparison) -> float:
+    return library.look_into(k, comparison, library.examine(k, comparison))
+
+
 def flip_last_byte(paths: list[Path]) -> None:
     for path in paths:
         content = bytearray(path.read_bytes())
@@ -73,44 +77,33 @@ def flip_last_byte(paths: list[Path]) -> None:
 def test_checksums_are_verified_when_a_file_is_used(open_library, touch, hashed):
     library = open_library()
     assert hashed == []
-    glance = library.glance(touch)
-    level = max(k for k, press_m in enumerate(LEVELS_M) if press_m <= touch.press_depth_m)
-    assert hashed == [("glances", f"codes-{level}.npy")] * len(NAMES)
+    comparison = library.compare([touch])
+    assert {stage for stage, _ in hashed} == {"descriptions"}
     hashed.clear()
-    library.look_into(1, [glance])
+    search_roughly(library, 1, comparison)
     assert {stage for stage, _ in hashed} == {"places"}
     assert not any(model.store.built for model in library.models)
     hashed.clear()
-    library.look_into(1, [glance])
+    search_roughly(library, 1, comparison)
     assert hashed == []
 
 
-def test_damaged_codes_are_found_and_encoded_again_at_use(open_library, touch, root):
-    truth = open_library().glance(touch)
+def test_damaged_descriptors_are_found_and_computed_again_at_use(open_library, touch, root):
+    truth = open_library().compare([touch])
     library = open_library()
-    flip_last_byte(list(root.glob("glances/*/codes-3.npy")))
-    found = library.glance(touch)
-    assert [model.store.built[0].stage for model in library.models] == ["glances"] * len(NAMES)
-    assert all(np.array_equal(*pair) for pair in zip(found.scores, truth.scores, strict=True))
-
-
-def test_damaged_codes_of_another_press_are_found_by_a_touch_of_this_press(open_library, touch, root):
-    flip_last_byte(list(root.glob("glances/*/codes-1.npy")))
-    library = open_library()
-    library.glance(touch)
-    assert not any(model.store.built for model in library.models)
-    (light,) = library.models[0].simulate(1, seed=5, press_depth_m=3e-4)
-    library.glance(light)
-    assert [len(model.store.built) for model in library.models] == [1, 1]
+    flip_last_byte(list(root.glob("descriptions/*/vectors.npy")))
+    found = library.compare([touch])
+    assert [model.store.built[0].stage for model in library.models] == ["descriptions"] * len(NAMES)
+    assert np.array_equal(found.nats, truth.nats)
 
 
 def test_damaged_places_are_found_and_built_again_at_use(open_library, touch, root):
     whole = open_library()
-    truth = whole.look_into(1, [whole.glance(touch)])
+    truth = search_roughly(whole, 1, whole.compare([touch]))
     library = open_library()
-    glance = library.glance(touch)
+    comparison = library.compare([touch])
     flip_last_byte(list(root.glob("places/*/runs.npz")))
-    assert library.look_into(1, [glance]) == truth
+    assert search_roughly(library, 1, comparison) == truth
     assert [[key.stage for key in model.store.built] for model in library.models] == [[], ["places"]]
 
 
@@ -119,7 +112,7 @@ def test_what_is_kept_in_memory_stays_below_the_bound(open_library, touch, monke
     truth = identify([touch], free)
     one = max(model.loaded_bytes for model in free.models)
     everything = sum(model.loaded_bytes for model in free.models)
-    assert one < everything < free.nbytes, "the codes count, too"
+    assert one < everything < free.nbytes, "the descriptors count, too"
     bound = one + 1000
     held: list[int] = []
     real = ByteCache.keep
@@ -152,9 +145,9 @@ def test_a_released_localizer_gives_the_same_answer(open_library, touch):
     assert np.array_equal(again.best.T_sensor_object, first.best.T_sensor_object)
 
 
-def test_encoding_all_objects_stays_below_the_bound(open_library):
+def test_describing_all_objects_stays_below_the_bound(open_library):
     library = open_library(most_bytes=1)
     (touch,) = library.models[0].simulate(1, seed=5, press_depth_m=9e-4)
-    library.glance(touch)
-    assert all("glances" in [key.stage for key in model.store.built] for model in library.models)
+    library.compare([touch])
+    assert all("descriptions" in [key.stage for key in model.store.built] for model in library.models)
     assert [model.loaded_bytes for model in library.models] == [0, 0]

@@ -15,6 +15,7 @@ from tactile_loc.core.errors import ConfigError, TactileLocError
 
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
+LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
@@ -143,9 +144,15 @@ def draw_rotations(count: int, rng: np.random.Generator) -> Array:
 def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
     """Return whether all T (..., 4, 4) have a proper rotation, a finite translation and the last row 0 0 0 1."""
     R = T[..., :3, :3]
-    orthogonal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
-    last_row = np.allclose(T[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=tolerance)
-    return bool(np.isfinite(T).all() and orthogonal and last_row and (np.linalg.det(R) > 0).all())
+    if not np.isfinite(T).all():
+        return False
+    orthogonal = _are_near(R @ np.swapaxes(R, -1, -2), np.eye(3), tolerance)
+    return orthogonal and _are_near(T[..., 3, :], LAST_ROW, tolerance) and bool((np.linalg.det(R) > 0).all())
+
+
+def _are_near(values: Array, wanted: Array, tolerance: float) -> bool:
+    """Return what `np.allclose` returns for finite values, several times as fast."""
+    return bool((np.abs(values - wanted) <= tolerance + 1e-5 * np.abs(wanted)).all())
 
 
 def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:

@@ -17,10 +17,10 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
-from tactile_loc.core.turns import pause, takes_turns
+from tactile_loc.core.turns import split_into_turns
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
-AT_ONCE = 750  # steps of single poses with single touches in one turn, a few milliseconds
+A_TURN = 600  # steps of single poses with single touches in one turn; a step with all points counts as `stride` steps
 Floats = NDArray[np.float64]
 NO_PEAKS, NO_PULLS = np.empty((0, 4, 4)), np.empty((0, 6, 6))
 
@@ -78,9 +78,8 @@ class Registration:
         T, count = np.array(T), len(T)
         T_each = self.T_sensor_first @ T[:, None]
         parts, moved, misfit = np.zeros((count, 2, 6, 6)), np.full(count, np.inf), np.full(count, np.inf)
-        at_once = max(1, AT_ONCE // (len(scales) * len(self.T_sensor_first)) if takes_turns() else count)
-        for some in (slice(first, first + at_once) for first in range(0, count, at_once)):
-            pause()
+        steps = len(scales) + finely * (stride - 1)
+        for some in split_into_turns(count, A_TURN / (steps * len(self.T_sensor_first))):
             run_in_threads(
                 register_poses, len(T[some]), T[some], T_each[some], parts[some], moved[some], misfit[some],
                 self.observed, self.triangles, self.samples, self.middle, self.T_sensor_first,
@@ -89,14 +88,16 @@ class Registration:
             )  # fmt: skip
         return Registered(self._view_from_first(T, T_each[:, 0]), T_each, T, moved, misfit, parts)
 
-    def inform(self, T: Floats, parts: Floats) -> tuple[Floats, Floats]:
-        """Return the information (K, 6, 6) about twists of `Registered.T`, and that of `Registered.T_reported`.
+    def inform(self, T: Floats, parts: Floats) -> Floats:
+        """Return the information (K, 6, 6) about twists of `Registered.T`.
 
         T (K, 4, 4) are the poses `Registered.T_reported`, and `parts` (K, 2, 6, 6) their information.
         """
-        press, sensor = self.press[0], self.sensor[0]
-        reported = self._marginalise_first(parts, T, press + sensor, np.zeros(6))
-        return self._marginalise_first(parts, T, press, sensor), reported
+        return self._marginalise_first(parts, T, self.press[0], self.sensor[0])
+
+    def inform_reported(self, T: Floats, parts: Floats) -> Floats:
+        """Return the information (K, 6, 6) about twists of `Registered.T_reported`, given what `inform` is given."""
+        return self._marginalise_first(parts, T, self.press[0] + self.sensor[0], np.zeros(6))
 
     def _marginalise_first(self, parts: Floats, T: Floats, own: Floats, others: Floats) -> Floats:
         """Return the information (K, 6, 6) about a twist of the object, along the axes of the first sensor.
@@ -122,6 +123,8 @@ class Registration:
         shows, in the frame of its sensor. The difference is the sum of both errors, and is divided between them in
         proportion to their variances. If the touch of the first sensor is left out, the first other touch counts.
         """
+        if not self.sensor[0].any():
+            return T
         allowed = self.sensor[0] + self.press[0]
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
         centre, here = self.observed.centres[0], self.T_sensor_first[0]

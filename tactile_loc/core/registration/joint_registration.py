@@ -113,7 +113,7 @@ class JointRegistration:
         (6, 6) is as in RefinedPose. It is None if the touches give no information about the pose.
         """
         found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
-        return found.T_first_object, found.compute_covariances()[0]
+        return found.T_first_object, found.compute_covariances()
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
         """Take one registration step from poses (K, 4, 4), metres; return the new poses and the covariances.
@@ -122,7 +122,7 @@ class JointRegistration:
         the scale of the robust weights, mm. Covariances are as for `follow`, but at T_first_object.
         """
         found = self._register(views, T_first_object, np.array([scale_mm]), 1)
-        return found.T_first_object, found.compute_covariances(T=T_first_object)[0]
+        return found.T_first_object, found.compute_covariances(T=T_first_object)
 
     def add_covariances(self, views: Sequence[View], poses: Sequence[RefinedPose]) -> list[RefinedPose]:
         """Return poses, in the first touch's sensor frame, with their covariances given the touches.
@@ -131,7 +131,7 @@ class JointRegistration:
         """
         T = np.stack([pose.T_sensor_object for pose in poses])
         found = self._register(views, T, np.array([self.options.scale_end_mm]), 1)
-        own, reported = found.compute_covariances(T=T)
+        own, reported = found.compute_covariances(T=T), found.compute_reported_covariances(T=T)
         return [
             dataclasses.replace(pose, covariance=one, reported_covariance=other)
             for pose, one, other in zip(poses, own, reported, strict=True)
@@ -189,21 +189,29 @@ class _Found:
         """The poses (K, 4, 4), metres, in the first sensor's frame."""
         return _scale(self.registered.T, 1 / MILLI)
 
-    def compute_covariances(self, some: Any = slice(None), T: Poses | None = None) -> tuple[Covariances, Covariances]:
-        """Return the covariances of `some` poses, and those of their reported poses: see `_convert_to_covariances`.
+    def compute_covariances(self, some: Any = slice(None), T: Poses | None = None) -> Covariances:
+        """Return the covariances of `some` poses: see `_convert_to_covariances`.
 
         With T (K, 4, 4), metres, they belong to these poses instead, from which the last step began.
         """
-        found, at = self.registered, (self.T_first_object if T is None else T)[some]
-        levers_m = at[:, :3, :3] @ (self.problem.middle / MILLI)
-        own, reported = self.problem.inform(found.T_reported[some], found.parts[some])
-        return _convert_to_covariances(own, levers_m), _convert_to_covariances(reported, levers_m)
+        information = self.problem.inform(self.registered.T_reported[some], self.registered.parts[some])
+        return _convert_to_covariances(information, self._find_levers_m(some, T))
+
+    def compute_reported_covariances(self, some: Any = slice(None), T: Poses | None = None) -> Covariances:
+        """Return the covariances of the reported poses of `some` poses; `T` is as for `compute_covariances`."""
+        information = self.problem.inform_reported(self.registered.T_reported[some], self.registered.parts[some])
+        return _convert_to_covariances(information, self._find_levers_m(some, T))
+
+    def _find_levers_m(self, some: Any, T: Poses | None) -> Floats:
+        at = (self.T_first_object if T is None else T)[some]
+        return np.asarray(at[:, :3, :3] @ (self.problem.middle / MILLI))
 
     def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.int64]) -> list[RefinedPose]:
         """Return the refined poses; those with the numbers `good` get covariances and poses in other frames."""
         results, found = list(poses), self.registered
         each, reported = _scale(found.T_each, 1 / MILLI), _scale(found.T_reported, 1 / MILLI)
-        for k, one, other in zip(good, *self.compute_covariances(good), strict=True):
+        own, others = self.compute_covariances(good), self.compute_reported_covariances(good)
+        for k, one, other in zip(good, own, others, strict=True):
             results[k] = dataclasses.replace(
                 poses[k], covariance=one, T_sensors_object=each[k], T_reported_object=reported[k],
                 reported_covariance=other,

@@ -37,8 +37,8 @@ class Observed(NamedTuple):
 
     A row of `images` (Q, 4) describes a square of four neighbouring pixels. Its first number is the least z in the
     square: nothing between the pixels' centres is nearer to the camera. The number is NaN if a pixel is not observed.
-    Without contact, it is the z of the gel, negated. The other three numbers are x, y, z of the nearest contact. Touch
-    i has sizes[i] (height, width) squares, in the rows from offsets[i].
+    Without contact, it is the z of the gel, negated. The other three numbers are x, y, z of the nearest contact; inf if
+    nothing is in contact. Touch i has sizes[i] (height, width) squares, in the rows from offsets[i].
     """
 
     points: NDArray[np.float64]
@@ -148,27 +148,20 @@ def _mask_cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
     """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm."""
-    from scipy.ndimage import distance_transform_edt
+    from tactile_loc.core.registration.touch_image import fill_image  # numba takes a while to import
 
     geometry = touch.geometry
     contact = touch.surface.contact & geometry.observed_mask
     z_m = touch.surface.depth_m + geometry.full_penetration_m
     if touch.surface.press_slack_m:
         z_m = z_m - touch.surface.press_slack_m * contact
-    rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)[:, :-1, :-1]
-    gel_mm = _gel_mm(touch)
-    lowest_mm = _least_of_four(gel_mm) if gel_mm.ndim else gel_mm
-    touched = _least_of_four(np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, np.inf), np.nan))
-    image = np.empty((*rows.shape, 4), np.float32)
-    image[..., 0] = np.where(np.isinf(touched), -lowest_mm, touched)
-    image[..., 1:] = (geometry.backproject(z_m) * MILLI)[rows, columns]
+    image = np.empty((geometry.height_px - 1, geometry.width_px - 1, 4), np.float32)
+    fill_image(
+        np.ascontiguousarray(z_m, float), np.ascontiguousarray(z_m * MILLI, np.float32),
+        np.ascontiguousarray(np.broadcast_to(_gel_mm(touch), geometry.shape), float), np.ascontiguousarray(contact),
+        geometry.observed_mask, *geometry.pixel_slopes, geometry.is_pinhole, MILLI, image,
+    )  # fmt: skip
     return image
-
-
-def _least_of_four(heights: Floats) -> Floats:
-    """Return the least height (H - 1, W - 1) in each square of four neighbouring pixels of `heights` (H, W)."""
-    above, below = heights[:-1], heights[1:]
-    return np.minimum(np.minimum(above[:, :-1], above[:, 1:]), np.minimum(below[:, :-1], below[:, 1:]))
 
 
 def _gel_mm(touch: Seen) -> Floats:

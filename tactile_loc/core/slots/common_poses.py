@@ -19,10 +19,12 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.fuser import Fuser
+from tactile_loc.core.turns import split_into_turns
 
 Indices = NDArray[np.int64]
 
 SAMPLE = 200  # least number of poses by which sensors are ordered
+A_TURN = 10_000  # poses that a prior weighs in one turn
 
 
 class NoCommonPoseError(GridError):
@@ -157,7 +159,8 @@ def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.flo
         raise ConfigError(
             f"{quote(prior)} is not a prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
         )
-    weights = np.asarray(prior(grid.T_sensor_object), float)
+    parts = [prior(grid.T_sensor_object[some]) for some in split_into_turns(len(grid), A_TURN)]
+    weights = np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts), float)
     if weights.shape != (len(grid),) or not (weights < np.inf).all():
         raise ConfigError(
             f"the prior returned an array of shape {weights.shape} for {len(grid)} poses; it must "

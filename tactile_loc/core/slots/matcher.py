@@ -37,10 +37,10 @@ class ExactMatcher(Matcher):
     """Scores all poses exactly: -1/2 ||q - b||^2 = q . b - 1/2 ||b||^2 - 1/2 ||q||^2."""
 
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless, and compute half the squared norm of each row."""
+        """Take the bank (N, D), unitless."""
         self._bank = np.ascontiguousarray(bank, np.float32)
-        self.__dict__.pop("_half_squares", None)
-        self._half_norms = 0.5 * np.einsum("nd,nd->n", self._bank, self._bank)
+        for derived in ("_half_squares", "_half_norms"):
+            self.__dict__.pop(derived, None)
 
     def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
         """Return scores (M, N), unitless, of queries (M, D) with weights (M, D), as `Matcher.scores` defines them."""
@@ -62,8 +62,14 @@ class ExactMatcher(Matcher):
         return scores
 
     @cached_property
+    def _half_norms(self) -> Float32:
+        return np.asarray(0.5 * np.einsum("nd,nd->n", self._bank, self._bank), np.float32)
+
+    @cached_property
     def _half_squares(self) -> Float32:
-        return np.square(self._bank) * np.float32(0.5)
+        halves = np.square(self._bank)
+        halves *= np.float32(0.5)
+        return halves
 
 
 def multiply(a: Float32, b: Float32) -> Float32:

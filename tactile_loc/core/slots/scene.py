@@ -16,8 +16,10 @@ from tactile_loc.core.sensing.imprints import Explained, compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.turns import split_into_turns
 
 IOU_PX = 100
+A_TURN = 120  # poses that are compared with a touch of IOU_PX pixels in one turn
 
 # The error of a measured indentation is a share of the indentation plus a constant. It limits how far a pose may move
 # along z.
@@ -177,6 +179,13 @@ class Scene:
 
         Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
+        parts = [
+            self._compare_some(T_sensor_object[some], touch, pixels, freedom_m)
+            for some in split_into_turns(len(T_sensor_object), A_TURN * IOU_PX / pixels)
+        ]
+        return parts[0] if len(parts) == 1 else Explained(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def _compare_some(self, T_sensor_object: Poses, touch: Touch, pixels: int, freedom_m: float) -> Explained:
         geometry, wanted = touch.thin(pixels)
         if not touch.has_depths:
             return self._compare_masks(T_sensor_object, wanted, geometry, _estimate_press_error_m(touch) + freedom_m)

@@ -5,9 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.sensing.clouds import make_contact_cloud
+from tactile_loc.core.sensing.clouds import (
+    OUTLINE_PX,
+    OUTLINE_REACH_PX,
+    SIDES,
+    make_contact_cloud,
+    make_outline_cloud,
+)
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
@@ -116,6 +123,18 @@ def test_walls_of_an_oblique_edge_are_perpendicular_to_it(degrees):
     assert np.degrees(np.arccos(normals[middle, :2] @ direction)).mean() < 10.0, (
         "the sides of pixels are wrong by at least 20 degrees"
     )
+
+
+def test_an_outline_faces_down_the_slope_of_the_smoothed_mask(camera):
+    rows, columns = np.indices(camera.shape)
+    contact = np.hypot(rows - 30, 0.6 * (columns - 41)) < 14 + 4 * np.sin(columns / 3)
+    shape = ContactShape(np.where(contact, np.float32(0), np.float32(0.002)), 0.002)
+    slopes = [gaussian_filter(1.0 * contact, OUTLINE_PX, order, radius=OUTLINE_REACH_PX) for order in ((0, 1), (1, 0))]
+    borders = [contact & ~np.roll(contact, (-down, -right), (0, 1)) for down, right in SIDES]
+    _, normals = make_outline_cloud(shape, camera)
+    outwards = -np.concatenate([np.stack(slopes, axis=-1)[border] for border in borders])
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    np.testing.assert_allclose(normals[:, :2] * np.sqrt(2), outwards, atol=1e-12)
 
 
 def test_a_line_one_pixel_wide_has_walls_on_both_sides(camera):

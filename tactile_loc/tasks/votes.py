@@ -1,0 +1,206 @@
+"""Votes of several touches for the places of an object, joined if the places are at the right distances and angles.
+
+Each touch votes for the places with similar descriptors. A place of one touch is supported by a place of another touch
+if both are related as the touches are. Two points with directions are related by their distance and by the angles
+between the directions and the line through the points. Drost et al. (CVPR 2010) match such pairs to find objects. The
+handedness is compared, too. No pose is computed, and the yaws of the touches are not needed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import njit
+from tactile_loc.core.descriptor.descriptor import Descriptor
+from tactile_loc.core.sensing.places import Places
+from tactile_loc.core.sensing.rotated_patches import find_anchor
+from tactile_loc.core.sensing.touch import Touch
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+SCALE = 127  # of the whole numbers that store the vectors
+VOTED = 300  # most similar places of an object that a touch votes for
+STD_M, STD_RAD = 2e-3, 0.12  # of distances and angles, mostly due to the spacing of the places
+NEAR_M = 4e-3  # between nearer places, the direction of the line is uncertain
+MOST_LOST = 15.0  # nats that a touch can take from an object, so that a single bad touch does not decide
+STEP_RAD = 0.2  # between the copies of a place about a continuous axis
+
+
+@dataclass(frozen=True, eq=False)
+class DescribedPlaces:
+    """N places of an object, as touches are compared with them.
+
+    `vectors` (N, D), int8, are descriptors times SCALE. `at` (N, 6) has the positions, metres, and the unit directions
+    of the places, in the object frame: a place is touched along its direction. `copies` (E, 4, 4), metres, are the
+    motions that map the object onto itself, the identity first.
+    """
+
+    vectors: NDArray[np.int8]
+    at: Float32
+    copies: Float64
+
+    @classmethod
+    def of(cls, places: Places, copies: Float64, descriptor: Descriptor, some: slice = slice(None)) -> DescribedPlaces:
+        """Describe the places `some` of an object."""
+        vectors = np.rint(SCALE * descriptor.describe_places(places.patches[some])).astype(np.int8)
+        return cls(vectors, locate_places(places, some), copies)
+
+    def __len__(self) -> int:
+        return len(self.vectors)
+
+    @property
+    def nbytes(self) -> int:
+        """The memory of the arrays, bytes."""
+        return self.vectors.nbytes + self.at.nbytes + self.copies.nbytes
+
+    def copy(self, numbers: NDArray[np.int64]) -> Float64:
+        """Return the positions and directions (K * E, 6) of the copies of the places `numbers` (K,), place by place."""
+        at = self.at[numbers].astype(float)
+        R, t = self.copies[:, :3, :3], self.copies[:, :3, 3]
+        positions = np.einsum("eij,kj->kei", R, at[:, :3]) + t
+        return np.concatenate([positions, np.einsum("eij,kj->kei", R, at[:, 3:])], axis=2).reshape(-1, 6)
+
+
+def locate_places(places: Places, some: slice = slice(None)) -> Float32:
+    """Return the positions, metres, and directions (K, 6) of the places `some` in the object frame."""
+    T = places.T_place_object[some]
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    return np.concatenate([-np.einsum("nij,ni->nj", R, t), R[:, 2]], axis=1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What is asked about several touches: their descriptors `vectors` (T, D), and `at` (T, 6), where they touch.
+
+    `at` has the positions, metres, and directions of the touches' deepest points, in the base frame.
+    """
+
+    vectors: Float32
+    at: Float64
+
+    @classmethod
+    def about(cls, touches: Sequence[Touch], descriptor: Descriptor) -> Asked:
+        """Describe touches. If there are several, each needs `T_base_sensor`."""
+        at = []
+        for touch in touches:
+            anchor_m, R_sensor_gel = find_anchor(touch)
+            T = np.eye(4) if touch.T_base_sensor is None else touch.T_base_sensor
+            at.append([*(T[:3, :3] @ anchor_m + T[:3, 3]), *(T[:3, :3] @ R_sensor_gel[:, 2])])
+        return cls(np.stack([descriptor.describe_touch(touch) for touch in touches]), np.array(at))
+
+
+@dataclass(frozen=True, eq=False)
+class Votes:
+    """For each touch, the places `numbers` (T, M) that it votes for, and how well these explain all touches.
+
+    `nats` (T, M) are the log-likelihoods of all touches, apart from a constant, if touch t is at place `numbers[t]`.
+    """
+
+    numbers: NDArray[np.int64]
+    nats: Float64
+
+
+def join_votes(places: DescribedPlaces, asked: Asked, temperature: float) -> Votes:
+    """Return the votes of T touches for the places of an object; see `Votes`.
+
+    The temperature of the similarities, unitless, is that of the descriptor's training.
+    """
+    numbers, alone = _vote(places, asked, temperature)
+    nats = alone.copy()
+    for i in range(len(nats)):
+        _add_support(nats[i], i, places, asked, numbers, alone)
+    return Votes(numbers, nats)
+
+
+def rate_object(places: DescribedPlaces, asked: Asked, temperature: float) -> float:
+    """Return about the greatest of `Votes.nats`: only from the places of the first touch, or of the first two of more.
+
+    This is exact for two touches. Of more touches, one may be bad.
+    """
+    numbers, alone = _vote(places, asked, temperature)
+    firsts = range(max(1, min(2, len(alone) - 1)))
+    return max(float(_add_support(alone[i].copy(), i, places, asked, numbers, alone).max()) for i in firsts)
+
+
+def _vote(places: DescribedPlaces, asked: Asked, temperature: float) -> tuple[NDArray[np.int64], Float64]:
+    """Return the places (T, M) that each touch votes for, the most similar first, and the log-likelihoods (T, M)."""
+    count = min(VOTED, len(places))
+    similar = compare_vectors(places.vectors, asked.vectors) / temperature
+    numbers = np.argpartition(-similar, count - 1, axis=1)[:, :count]
+    alone = np.take_along_axis(similar, numbers, axis=1).astype(float)
+    order = np.argsort(-alone, axis=1, kind="stable")
+    return np.take_along_axis(numbers, order, axis=1), np.take_along_axis(alone, order, axis=1)
+
+
+def _add_support(
+    nats: Float64, i: int, places: DescribedPlaces, asked: Asked, numbers: NDArray[np.int64], alone: Float64
+) -> Float64:
+    """Add to `nats` (M,) of the places of touch i the support by the places of all other touches, and return it."""
+    own = places.at[numbers[i]].astype(float)
+    for j in range(len(asked.at)):
+        if i != j:
+            copied, values = places.copy(numbers[j]), np.repeat(alone[j], len(places.copies))
+            nats += _find_support(own, copied, values, *measure_pair(asked.at[i], asked.at[j]))
+    return nats
+
+
+def compare_vectors(vectors: NDArray[np.int8], asked: Float32) -> Float32:
+    """Return the similarities (T, N) of T touches' vectors (T, D) to places' vectors (N, D), int8, times SCALE."""
+    similar: Float32 = asked @ vectors.astype(np.float32).T
+    similar /= np.float32(SCALE)
+    return similar
+
+
+def measure_pair(first: Float64, second: Float64) -> tuple[float, float, float, float, float]:
+    """Return the distance, metres, and the angles' cosines and handedness of two points with directions (6,)."""
+    along = second[:3] - first[:3]
+    distance_m = float(np.linalg.norm(along))
+    along = along / max(distance_m, 1e-9)
+    a, b = first[3:], second[3:]
+    return distance_m, float(a @ b), float(a @ along), float(b @ along), float(np.cross(a, b) @ along)
+
+
+@njit(fast=True)
+def _find_support(first, second, values, distance, both, from_first, from_second, handed):
+    """Return the best support (M,), nats, of points with directions `first` (M, 6) by `second` (N, 6).
+
+    The support is the value (N,) of the second point, less the mismatch of the pair with the pair that was touched. It
+    is at most MOST_LOST below the greatest value. The values are in descending order, so that a search can end early.
+    """
+    support = np.full(len(first), values[0] - MOST_LOST)
+    weight = min(1.0, distance / NEAR_M)
+    for i in range(len(first)):
+        best = support[i]
+        for j in range(len(second)):
+            spare = 2 * (values[j] - best)
+            if spare <= 0:
+                break
+            x, y, z = second[j, 0] - first[i, 0], second[j, 1] - first[i, 1], second[j, 2] - first[i, 2]
+            length = math.sqrt(x * x + y * y + z * z) + 1e-9
+            off = (length - distance) / STD_M
+            mismatch = off * off
+            if mismatch >= spare:
+                continue
+            a, b, c = first[i, 3], first[i, 4], first[i, 5]
+            d, e, f = second[j, 3], second[j, 4], second[j, 5]
+            off = (a * d + b * e + c * f - both) / STD_RAD
+            mismatch += off * off
+            if mismatch >= spare:
+                continue
+            x, y, z = x / length, y / length, z / length
+            along = weight * (a * x + b * y + c * z - from_first) / STD_RAD
+            back = weight * (d * x + e * y + f * z - from_second) / STD_RAD
+            hand = (b * f - c * e) * x + (c * d - a * f) * y + (a * e - b * d) * z
+            turned = weight * (hand - handed) / STD_RAD
+            mismatch += along * along + back * back + turned * turned
+            best = max(best, values[j] - 0.5 * mismatch)
+        support[i] = best
+    return support

@@ -1,0 +1,103 @@
+"""Votes support each other if places are related as touches are; mirror images differ, and bad touches cost little."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry.rigid import draw_rotations
+from tactile_loc.tasks.votes import (
+    MOST_LOST,
+    NEAR_M,
+    SCALE,
+    STD_M,
+    STD_RAD,
+    Asked,
+    DescribedPlaces,
+    join_votes,
+    measure_pair,
+    rate_object,
+)
+
+DIMENSIONS, TEMPERATURE = 16, 0.05
+NO_COPIES = np.eye(4)[None]
+
+
+def draw_units(rng: np.random.Generator, count: int, dimensions: int) -> np.ndarray:
+    vectors = rng.normal(size=(count, dimensions))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(4)
+
+
+@pytest.fixture
+def places(rng) -> DescribedPlaces:
+    """Return random places with random descriptors."""
+    vectors = np.rint(SCALE * draw_units(rng, 200, DIMENSIONS)).astype(np.int8)
+    at = np.concatenate([rng.uniform(-0.02, 0.02, (200, 3)), draw_units(rng, 200, 3)], axis=1).astype(np.float32)
+    return DescribedPlaces(vectors, at, NO_COPIES)
+
+
+def touch_at(places: DescribedPlaces, numbers: list[int], rng: np.random.Generator, mirror: float = 1.0) -> Asked:
+    """Return touches of the places with these numbers, with the object at a random pose, or mirrored."""
+    R = draw_rotations(1, rng)[0] @ np.diag([mirror, 1, 1])
+    at = places.at[numbers].astype(float)
+    moved = np.concatenate([at[:, :3] @ R.T + rng.normal(size=3), at[:, 3:] @ R.T], axis=1)
+    return Asked((places.vectors[numbers] / SCALE).astype(np.float32), moved)
+
+
+def rate_slowly(places: DescribedPlaces, asked: Asked) -> float:
+    """Return the best log-likelihood of two touches, from the definition."""
+    similar = places.vectors.astype(float) @ asked.vectors.T / SCALE / TEMPERATURE
+    truth = np.array(measure_pair(*asked.at))
+    best = -np.inf
+    for i, j in itertools.product(range(len(places)), repeat=2):
+        pair = np.array(measure_pair(*places.at[[i, j]].astype(float)))
+        weight = np.array([1 / STD_M, 1 / STD_RAD, *(min(1, truth[0] / NEAR_M) / STD_RAD,) * 3])
+        nats = similar[j, 1] - 0.5 * np.sum((weight * (pair - truth)) ** 2)
+        best = max(best, similar[i, 0] + max(nats, similar[:, 1].max() - MOST_LOST))
+    return best
+
+
+def test_the_rating_is_that_of_the_definition(places, rng):
+    few = DescribedPlaces(places.vectors[:40], places.at[:40], NO_COPIES)
+    asked = touch_at(few, [3, 17], rng)
+    asked.vectors[:] = draw_units(rng, 2, DIMENSIONS)
+    assert rate_object(few, asked, TEMPERATURE) == pytest.approx(rate_slowly(few, asked), rel=1e-5)
+
+
+def test_touches_vote_for_their_places(places, rng):
+    numbers = [5, 60, 131]
+    votes = join_votes(places, touch_at(places, numbers, rng), TEMPERATURE)
+    assert votes.numbers[np.arange(3), votes.nats.argmax(axis=1)].tolist() == numbers
+    assert rate_object(places, touch_at(places, numbers, rng), TEMPERATURE) == pytest.approx(votes.nats.max())
+
+
+def test_a_mirrored_object_is_less_likely(places, rng):
+    own, mirrored = (rate_object(places, touch_at(places, [5, 60], rng, sign), TEMPERATURE) for sign in (1, -1))
+    assert own > mirrored + 1
+
+
+def test_one_bad_touch_of_three_costs_at_most_a_bound(places, rng):
+    asked = touch_at(places, [5, 60, 131], rng)
+    good = rate_object(places, asked, TEMPERATURE)
+    for bad in range(3):
+        at = asked.at.copy()
+        at[bad, :3] += 1.0
+        assert good - 2 * MOST_LOST <= rate_object(places, Asked(asked.vectors, at), TEMPERATURE) < good
+
+
+def test_copies_of_places_support_each_other(places, rng):
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    symmetric = DescribedPlaces(places.vectors, places.at, np.stack([np.eye(4), half_turn]))
+    at = places.at[[5, 60]].astype(float)
+    at[1] *= [-1, -1, 1, -1, -1, 1]
+    asked = Asked((places.vectors[[5, 60]] / SCALE).astype(np.float32), at)
+    alone = 2 / TEMPERATURE
+    assert rate_object(symmetric, asked, TEMPERATURE) == pytest.approx(alone, rel=0.02)
+    assert rate_object(places, asked, TEMPERATURE) < 0.9 * alone
