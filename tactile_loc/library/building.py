@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tactile_loc.core.descriptor.descriptor import load_descriptor
-from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, TactileLocError, fold_line
+from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, OutputError, TactileLocError, fold_line
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.registry import registry
@@ -25,7 +25,7 @@ from tactile_loc.library.record import PLACES_VERSION, VERSION, make_record
 from tactile_loc.library.shards import FOLDER, Item
 from tactile_loc.library.table import PartRow, require_pyarrow
 from tactile_loc.locate.stored_object import SELF_CONTAINED
-from tactile_loc.store.files import require_writable, write_atomically
+from tactile_loc.store.files import remove_abandoned, require_writable, write_atomically
 from tactile_loc.store.keys import hash_file, hash_json
 from tactile_loc.store.store import StageStore
 
@@ -58,7 +58,10 @@ class PartJob:
     grid: SlotConfig
 
     def measure(self, source: MeshSource, store: StageStore) -> dict[str, Any]:
-        """Make the record. Raises TactileLocError if the mesh cannot be used, or if this machine has other software."""
+        """Make the record. Return why it cannot be written, as `unwritten`, if so: this is no fault of the mesh.
+
+        Raises TactileLocError if the mesh cannot be used, or if this machine has other software.
+        """
         sampler = _make_sampler(self.grid)
         if make_part_key(source, sampler) != self.key:
             raise ConfigError(
@@ -68,16 +71,24 @@ class PartJob:
             raise ObjectError(f"{source.path} has changed since the build began; build again")
         obj = load_object(source.path, source.units, source.symmetry, source.name)
         packed = make_record(obj, sampler, self.grid.name, source.units, source.sha256).pack()
-        write_atomically(self.store / self.key, lambda temporary: temporary.write_bytes(packed))
-        return {"bytes": len(packed)}
+        try:
+            write_atomically(self.store / self.key, lambda temporary: temporary.write_bytes(packed))
+        except OutputError as error:
+            return {"unwritten": str(error)}
+        return {}
 
 
 class Finished(Protocol):
-    """The end of a job: the job's key, and an error in one sentence, or "". See `Outcome` of sweeps."""
+    """The end of a job: its key, the result of `PartJob.measure`, or an error in one sentence. See `Outcome`."""
 
     @property
     def key(self) -> str:
         """The job's key."""
+        ...
+
+    @property
+    def measured(self) -> dict[str, Any] | None:
+        """The result; None after an error."""
         ...
 
     @property
@@ -101,20 +112,20 @@ class Ended:
     """The end of a job in this process."""
 
     key: str
+    measured: dict[str, Any] | None = None
     error: str = ""
 
 
 def run_here(jobs: Sequence[PartJob], sources: Mapping[str, MeshSource]) -> Generator[Finished, None, None]:
     """Run jobs one after another in this process, and yield each one's end."""
     for job in jobs:
-        error = ""
         try:
-            job.measure(sources[job.key], StageStore(job.store))
+            ended = Ended(job.key, job.measure(sources[job.key], StageStore(job.store)))
         except TactileLocError as raised:
-            error = str(raised)
+            ended = Ended(job.key, error=str(raised))
         except Exception as raised:  # noqa: BLE001 - a mesh may break anything
-            error = fold_line(f"{type(raised).__name__}: {raised}")
-        yield Ended(job.key, error)
+            ended = Ended(job.key, error=fold_line(f"{type(raised).__name__}: {raised}"))
+        yield ended
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +247,8 @@ def _make_items(
             for ended in running:
                 if ended.error:
                     errors[ended.key] = ended.error
+                elif unwritten := (ended.measured or {}).get("unwritten"):
+                    raise OutputError(unwritten)
                 advance(1)
     kept = {item.row.key for item in items}
     for key in keys.keys() - kept - errors.keys():
@@ -280,6 +293,7 @@ def _require_place(path: Path) -> None:
 
 def _tidy(waiting: Path, keys: Iterable[str], failed: Mapping[str, str]) -> None:
     """Delete the records that are in the library now, and the log of workers unless a part failed."""
+    remove_abandoned(waiting)
     with suppress(OSError):
         for name in [*keys, *([] if failed else [LOG])]:
             (waiting / name).unlink(missing_ok=True)

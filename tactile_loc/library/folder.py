@@ -37,7 +37,7 @@ from tactile_loc.library.shards import (
     write_shards,
 )
 from tactile_loc.library.table import PartRow, read_table, write_table
-from tactile_loc.store.files import delete, guard_output, read_json, replace_file
+from tactile_loc.store.files import delete, guard_output, read_json, remove_abandoned, replace_file
 from tactile_loc.store.keys import SHORT_DIGITS, hash_json
 
 MANIFEST, LOCK = "library.json", ".lock"
@@ -288,7 +288,12 @@ def write_library(
 
 
 def _delete_unused(path: Path, manifest: Manifest, old: LibraryFolder | None) -> None:
-    """Delete tables and shards that no manifest has named for GRACE_S. A reader may still use newer ones."""
+    """Delete tables and shards that no manifest has named for GRACE_S. A reader may still use newer ones.
+
+    Temporary files of killed processes are deleted, too.
+    """
+    remove_abandoned(path)
+    remove_abandoned(path / FOLDER)
     used = {manifest.table, *(shard.name for shard in manifest.shards)}
     before = set() if old is None else {old.manifest.table, *(shard.name for shard in old.manifest.shards)}
     for left in [*path.glob("parts-*.parquet"), *(path / FOLDER).glob("[0-9a-f]*")]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ from tactile_loc.store.files import replace_folder
 from tactile_loc.store.keys import SHORT_DIGITS, hash_file
 
 FOLDER = "shards"
-RECORDS, PLACEMENTS, VECTORS = "records.bin", "placements.npy", "vectors.npy"
+FileName = Literal["records.bin", "placements.npy", "vectors.npy"]
+RECORDS, PLACEMENTS, VECTORS = get_args(FileName)
 SHARD_BYTES = 64 * 2**20  # a shard is closed before it grows larger, unless it has a single part
 CHANGED = "the library has changed since it was opened; open it again, or run `tactile-loc library check`"
 
@@ -38,7 +39,7 @@ class ShardEntry(Record):
 
     name: str = Field(pattern=r"^[0-9a-f]{16}$", description="its folder: a hash of the records' checksums")
     parts: int = Field(ge=0, description="number of records, including those of parts that were removed")
-    files: dict[str, FileEntry] = Field(description="its files, by name")
+    files: dict[FileName, FileEntry] = Field(description="its files, by name")
 
 
 class Item(NamedTuple):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from library_helpers import FEW, NAMES, flip, read_files
 
-from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError
+from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, OutputError
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.library import building
 from tactile_loc.library.building import WAITING, PartJob, add_parts, build_library, list_meshes, run_here
@@ -109,6 +109,19 @@ def test_an_unexpected_error_fails_one_part(sources, tmp_path, monkeypatch):
     done = build_library(tmp_path / "out", sources[:2], FEW)
     assert done.failed == {"part-1": "ZeroDivisionError: by chance"}
     assert done.made == ("part-0",)
+
+
+def test_a_full_disk_ends_the_build_and_leaves_the_library(library, sources, built, monkeypatch):
+    """A mesh is not to blame, so the library must not lose parts."""
+
+    def fill(path, write):
+        raise OutputError(f"{path} cannot be written (No space left on device); choose another `out`")
+
+    monkeypatch.setattr(building, "write_atomically", fill)
+    more = SlotConfig(name="whole", options={"directions": 120})
+    with pytest.raises(OutputError, match="No space left"):
+        build_library(library.path, sources, more)
+    assert read_files(library.path) == read_files(built)
 
 
 @pytest.mark.parametrize("make", [lambda folder: folder / "none.stl", lambda folder: folder / "empty"])

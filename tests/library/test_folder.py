@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
 import time
 
 import numpy as np
 import pytest
+from kill_steps import killed_at_every_step
 from library_helpers import FEW, NAMES, flip, read_files
 
 from tactile_loc.core.errors import LibraryError, MissingLibraryError
@@ -112,6 +114,7 @@ def test_a_reader_keeps_its_library_while_others_change_it(library):
     assert LibraryFolder.open(library.path).names == ("new",)
 
 
+@pytest.mark.slow
 def test_a_reader_sees_whole_libraries_during_changes(library, tmp_path):
     """Another process adds and removes a part in turn, while this one opens the library and reads the part."""
     import multiprocessing
@@ -133,6 +136,59 @@ def test_a_reader_sees_whole_libraries_during_changes(library, tmp_path):
         writer.join()
     assert writer.exitcode == 0
     assert seen == {NAMES, ("new", *NAMES)}
+
+
+@pytest.mark.slow
+def test_two_processes_that_add_parts_at_once_wait_for_each_other(library):
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    writers = [context.Process(target=add_some, args=(library.path, letter)) for letter in "ab"]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    now = LibraryFolder.open(library.path)
+    assert now.names == (*(f"{letter}-{k}" for letter in "ab" for k in range(5)), *NAMES)
+    assert not now.find_damage()
+
+
+def add_some(path, letter: str) -> None:
+    library = LibraryFolder.open(path)
+    record = library.read("part-0")
+    for k in range(5):
+        library.add([rename(record, f"{letter}-{k}")])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", ["add", "remove"])
+def test_a_change_that_is_killed_at_any_step_leaves_the_old_or_the_new_library(built, tmp_path, change):
+    before = read_files(built)
+    path = tmp_path / "library"
+    record = rename(LibraryFolder.open(built).read("part-0"), "new")
+    names = ("new", *NAMES) if change == "add" else NAMES[1:]
+
+    def act() -> None:
+        opened = LibraryFolder.open(path)
+        if change == "add":
+            opened.add([record])
+        else:
+            opened.remove(["part-0"])
+
+    shutil.copytree(built, path)
+    seen = set()
+    for _ in killed_at_every_step(act):
+        now = LibraryFolder.open(path)
+        seen.add(now.names)
+        assert not now.find_damage()
+        if now.names == NAMES:
+            act()
+        assert LibraryFolder.open(path).names == names
+        assert {name for name in read_files(path) if name.startswith(".tmp") or "/.tmp" in name} == set()
+        shutil.rmtree(path)
+        shutil.copytree(built, path)
+    assert seen == {NAMES, names}
+    assert read_files(path) == before
 
 
 def change_often(path, stop) -> None:
