@@ -46,10 +46,12 @@ class PartRow:
         values = header.values
         if len(packed) != header.body + header.placements + header.vectors:
             raise LibraryError(f"the record of {values['name']} is incomplete; build it again")
+        centre_x_m, centre_y_m, centre_z_m = values["centre_m"]
         x_mm, y_mm, z_mm = (1e3 * size_m for size_m in values["size_m"])
         return cls(
             values["name"], "", 0, header.body, 0, values["places"], hash_record(packed), key, values["source"],
-            values["source_sha256"], values["units"], values["symmetry"], *values["centre_m"], x_mm, y_mm, z_mm,
+            values["source_sha256"], values["units"], values["symmetry"], centre_x_m, centre_y_m, centre_z_m,
+            x_mm, y_mm, z_mm,
         )  # fmt: skip
 
 
