@@ -42,6 +42,7 @@ def test_the_library_has_a_row_and_a_record_for_each_mesh(built, meshes):
         row, record = library.rows[name], library.read(name)
         assert (row.x_mm, row.y_mm, row.z_mm) == pytest.approx((10 + k, 8, 9))
         assert record.object.mesh.extents_m == pytest.approx([0.010 + 1e-3 * k, 0.008, 0.009])
+        assert (row.centre_x_m, row.centre_y_m, row.centre_z_m) == record.centre_m
         assert row.source == record.source == f"{name}.stl"
         assert row.places == len(record.patches) == len(record.vectors) == len(record.placements)
     assert not (built / WAITING).exists()
