@@ -28,6 +28,7 @@ FILE_ACCESS = {
 CORE_FILE_ACCESS = {
     "registry.py": {"load"},  # an entry point
     "code_cache.py": {"load", "mkdir", "read_bytes", "rmtree", "unlink"},  # compiled code
+    "descriptor.py": {"load", "read_bytes"},  # the weights that come with the package
 }
 
 

@@ -209,6 +209,8 @@ def run(words: list[str]) -> None:
         cheaper = [*cheaper, "--ball-radius", "3", "--mm-per-px", "0.25"]
     if "--simulated" in words:
         cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "5"]
+    if "library" in words and words[1] == "identify":  # the grid of a library is fixed
+        cheaper = ["-o", "temperature=0.05"]
     if words[1] == "evaluate" and "--object" not in words:
         cheaper = [*cheaper, "--object", "pin", "--object", "head"]  # of the six
     done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
