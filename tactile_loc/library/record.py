@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.errors import LibraryError
-from tactile_loc.core.geometry.rigid import align_to_z, make_transform
+from tactile_loc.core.geometry.rigid import align_all_to_z, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
@@ -90,8 +90,7 @@ class PartRecord:
     def places(self) -> Places:
         """The places of the part. Their poses differ by a few nanometres from those that the grid computed."""
         position_m, direction = np.split(self.placements.astype(float), 2, axis=1)
-        distinct, number = np.unique(direction, axis=0, return_inverse=True)
-        R = np.stack([align_to_z(one) for one in distinct])[number.ravel()]
+        R = align_all_to_z(direction)
         return Places(make_transform(R, -np.einsum("nij,nj->ni", R, position_m)), self.patches)
 
     def pack(self) -> bytes:

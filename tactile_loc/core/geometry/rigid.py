@@ -96,6 +96,20 @@ def align_to_z(direction: ArrayLike) -> Array:
     return rotation_about(axis, np.arctan2(np.linalg.norm(axis), d[2]))
 
 
+def align_all_to_z(directions: Array) -> Array:
+    """Return what `align_to_z` returns, (N, 3, 3), for many unitless directions (N, 3), up to rounding errors.
+
+    R = I + [v]x + [v]x^2 / (1 + z) for v = d x z, with the unit direction d and its last component z.
+    """
+    x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
+    down = z < -1 + 1e-12  # the smallest rotation is a half turn about any horizontal axis
+    k = 1 / np.where(down, 1.0, 1 + z)
+    rows = [[1 - x * x * k, -x * y * k, -x], [-x * y * k, 1 - y * y * k, -y], [x, y, z]]
+    R = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    R[down] = np.diag([1.0, -1.0, -1.0])
+    return R
+
+
 def quaternion_to_rotation(q: ArrayLike) -> Array:
     """Convert unit quaternions (..., 4), scalar first, unitless, to rotations (..., 3, 3)."""
     w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import (
+    align_all_to_z,
     align_to_z,
     axis_angle,
     axis_times_sine,
@@ -237,3 +238,11 @@ def test_small_negative_numbers_are_written_as_zero():
     T = make_transform(rotation_about([1e-9, -1e-9, 1], 0.5), [-1e-9, 0.001, -2e-6])
     assert format_pose(T) == ["0.00", "1.00", "0.00", "28.6", "(0.000, 0.000, 1.000)"]
     assert format_pose_words(T).place == "0.0, 1.0, 0.0"
+
+
+def test_aligning_many_directions_agrees_with_aligning_each() -> None:
+    rng = np.random.default_rng(2)
+    poles = [[0, 0, 1], [0, 0, -1], [1e-7, 0, 1], [1e-4, 0, -1], [1, 0, 0]]
+    directions = np.concatenate([rng.normal(size=(200, 3)), poles])
+    expected = np.stack([align_to_z(one) for one in directions])
+    np.testing.assert_allclose(align_all_to_z(directions), expected, atol=1e-6)
