@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """How often touches identify their object among many, and reject a library without it.
 
-Every object in turn is pressed from random directions, by 30 to 90 % of the sensor's deepest press. The touches are
-drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all objects
-except the touched one.
+Every object in turn, or each of those that `--asked` and `--most` choose, is pressed from random directions, by 30 to
+90 % of the sensor's deepest press. The touches are drawn by ray casting, which the localizer does not use. They are
+identified among all objects, and among all objects except the touched one.
 
 For each number of touches, the table has shares of examples. The touched object is first in the quick comparison, first
 in the full comparison, among the located objects, or the most probable object. The answer is right if the touched
@@ -34,21 +34,40 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.config import RunConfig
+from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.results.verdict import judge as judge_pose
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
 from tactile_loc.tasks.library import Library
+from tactile_loc.tasks.library_parts import StoredParts
 
 TEMPERATURE = 0.05  # not fitted, because objects are weighed by their evidence
 FALSE_ALARMS = 0.05
 SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
 
 
+def open_library(arguments: argparse.Namespace) -> Library:
+    """Return the library on disk, or a library of the meshes."""
+    store = StageStore(arguments.store)
+    if arguments.library is not None:
+        config = RunConfig.from_dict({"sensor": arguments.sensor, "temperature": TEMPERATURE})
+        return Library(StoredParts(LibraryFolder.open(arguments.library), config, store))
+    return Library([
+        Localizer.create(
+            path, units=units or "auto", sensor=arguments.sensor, store=store, grid={"name": "whole"},
+            temperature=TEMPERATURE,
+        )
+        for path, _, units in (mesh.partition(":") for mesh in arguments.meshes)
+    ])  # fmt: skip
+
+
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
     """Return the touches of one object. Examples with fewer touches use the first of these touches."""
-    obj, geometry = library.models[number].object, library.models[number].scene.geometry
+    model = library.models[number]
+    obj, geometry = model.object, model.scene.geometry
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
     rng = np.random.default_rng([arguments.seed, *map(ord, obj.name), again])
@@ -135,6 +154,9 @@ def main() -> None:
     """Measure, print tables, and keep the examples if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--library", type=Path, help="library on disk, instead of meshes")
+    parser.add_argument("--asked", nargs="*", default=[""], help="beginnings of the names of touched objects")
+    parser.add_argument("--most", type=int, help="number of touched objects; default: all")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(SUFFERING))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3])
@@ -145,17 +167,13 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="store of models")
     parser.add_argument("--out", type=Path, help="folder with a file for each object and number of touches")
     arguments = parser.parse_args()
-    store = StageStore(arguments.store)
-    library = Library([
-        Localizer.create(
-            path, units=units or "auto", sensor=arguments.sensor, store=store, grid={"name": "whole"},
-            temperature=TEMPERATURE,
-        )
-        for path, _, units in (mesh.partition(":") for mesh in arguments.meshes)
-    ])  # fmt: skip
+    library = open_library(arguments)
+    asked = [name for name in library.names if name.startswith(tuple(arguments.asked))]
+    asked = asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
     rows = []
     for count in arguments.touches:
-        for number, name in enumerate(library.names):
+        for name in asked:
+            number = library.names.index(name)
             for again in range(arguments.examples):
                 label = f"{name}-{arguments.level}-{count}-{again}-{len(library)}.json"
                 kept = arguments.out / label if arguments.out else None

@@ -61,8 +61,8 @@ class DescribedPlaces:
 
     @property
     def nbytes(self) -> int:
-        """The memory of the arrays, bytes."""
-        return self.vectors.nbytes + self.at.nbytes + self.copies.nbytes
+        """The memory of the arrays, bytes, except those that are mapped from a file."""
+        return sum(one.nbytes for one in (self.vectors, self.at, self.copies) if not isinstance(one, np.memmap))
 
     def copy(self, numbers: NDArray[np.int64]) -> Float64:
         """Return the positions and directions (K * E, 6) of the copies of the places `numbers` (K,), place by place."""

@@ -68,6 +68,7 @@ def test_describing_parts_opens_no_localizer(parts, monkeypatch):
     comparison = library.compare(touches)
     assert np.isfinite(comparison.nats).all()
     assert parts.names[int(comparison.nats.argmax())] == parts.names[0]
+    assert library.nbytes < 1e5, "mapped arrays do not count"
 
 
 def test_a_grid_of_its_own_is_refused(folder, store):
