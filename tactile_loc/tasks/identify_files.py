@@ -25,6 +25,7 @@ from tactile_loc.tasks.library_parts import StoredParts
 
 SCHEMA_VERSION = 1
 NONE_OF_THESE = "none of these"
+AS_PROBABLE = 0.7  # times the probability of the first object: such an object explains the touches as well
 
 
 class PoseRecord(Record):
@@ -65,12 +66,24 @@ class IdentificationRecord(Record):
     none: float = Field(description="probability that they are of none of these objects, 0 to 1")
     objects: list[KnownObjectRecord] = Field(description="the library, the most probable first")
 
+    @property
+    def inseparable(self) -> list[str]:
+        """The names of the objects that explain the touches as well as the first one; empty if there are none.
+
+        It includes the first object. Each has at least AS_PROBABLE times its probability.
+        """
+        least = max(LEAST_REPORTED, AS_PROBABLE * self.objects[0].probability)
+        names = [one.name for one in self.objects if one.probability >= least]
+        return names if len(names) > 1 else []
+
     def summary(self) -> str:
         """Return the verdict and the probable objects, such as "ambiguous: hook 39 %, head 31 %"."""
         shares = [(NONE_OF_THESE, self.none), *((one.name, one.probability) for one in self.objects)]
         first, *others = sorted(shares, key=lambda share: -share[1])
         named = ", ".join(f"{name} {format_percent(p)}" for name, p in (first, *others) if p >= LEAST_REPORTED)
         why = "; the best pose does not explain the touches" if self.verdict == Verdict.POOR_FIT else ""
+        if self.inseparable and self.identified is not None:
+            why += f"; these touches cannot tell {' and '.join(self.inseparable)} apart"
         return f"{self.verdict or 'no verdict'}: {named or 'no object is probable'}{why}"
 
 

@@ -18,3 +18,15 @@ def test_probabilities_that_were_not_fitted_are_left_out(localization):
     assert {pose.probability for pose in pin.poses} == {None}
     assert nut.poses == []
     assert IdentificationRecord.model_validate_json(record.model_dump_json()) == record
+
+
+def test_objects_that_explain_the_touches_as_well_are_named(localization):
+    first, second, third = (
+        KnownObject(name, p, 1.0, 0.9, 0.1, localization) for name, p in (("hook", 0.42), ("pin", 0.38), ("nut", 0.15))
+    )
+    close = make_identification_record(Identification((first, second, third), 0.05), ["touch"])
+    assert close.inseparable == ["hook", "pin"]
+    assert "hook and pin" in close.summary()
+    clear = make_identification_record(Identification((first, third), 0.05), ["touch"])
+    assert clear.inseparable == []
+    assert "apart" not in clear.summary()
