@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError, LibraryError
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import Places
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig
 from tactile_loc.library.record import PLACES_VERSION, PartRecord
 from tactile_loc.locate.localizer import Localizer
@@ -31,16 +33,19 @@ def open_localizer(
 
 
 def make_localizer(
-    record: PartRecord, config: RunConfig, store: StageStore, progress: Progress | None = None
-) -> Localizer:
+    record: PartRecord, config: RunConfig, store: StageStore, progress: Progress | None = None,
+    find_places: Callable[[], Places] | None = None,
+) -> Localizer:  # fmt: skip
     """Return a localizer of a part with the settings of `config`, except its object and grid.
 
-    Raises LibraryError if another version of tactile-loc made the record.
+    `find_places` returns the part's places; by default, those of the record, which then stays in memory. Raises
+    LibraryError if another version of tactile-loc made the record.
     """
     named = {key: value for key, value in record.grid.items() if key != "name"}
     grid = SlotConfig(name=record.grid["name"], options=record.grid["options"])
     config = config.model_copy(update={"object": ObjectConfig(path=record.source), "grid": grid})
-    localizer = Localizer(config, record.object, store, progress, partial(getattr, record, "places"))
+    find_places = find_places or partial(getattr, record, "places")
+    localizer = Localizer(config, record.object, store, progress, find_places)
     if localizer.sampler.describe() != named or record.places_version != PLACES_VERSION:
         raise LibraryError(f"another version of tactile-loc made the places of {record.name}; build the library again")
     return localizer

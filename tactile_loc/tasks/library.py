@@ -30,7 +30,7 @@ from tactile_loc.tasks.library_parts import GivenParts, Parts, open_search
 from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_object
 
 DESCRIBED, WHOLE = "described", "whole"  # what is kept of an object
-KEPT_BYTES = 2 * 2**30
+KEPT_BYTES = 2**30
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
 # of each object, for each touch: places that are compared in detail, and poses that are kept; then registered poses
@@ -70,7 +70,7 @@ class Examined:
 class Library:
     """The objects that may have been touched, each with its localizer, all for one sensor.
 
-    The order of the objects does not matter. The objects' descriptors, places and banks that were used last are kept in
+    The order of the objects does not matter. The objects' places and banks that were used last are kept in
     memory, up to `most_bytes` and the object in use. The rest is released, and read again from the store when it is
     used. `models` are localizers, or the parts of a library on disk: see `library_parts.py`. Raises TactileLocError if
     there are no objects, if two objects share a name, or if a localizer does not suit identification.
@@ -89,7 +89,7 @@ class Library:
 
     @property
     def nbytes(self) -> int:
-        """The memory of the objects' descriptors, places and banks that are kept, bytes."""
+        """The memory of what is kept of the objects, bytes, except mapped descriptors."""
         return self._kept.nbytes
 
     @contextmanager

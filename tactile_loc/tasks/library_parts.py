@@ -14,10 +14,12 @@ from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, quote
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import Places
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import WHOLE, RunConfig
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.library.localizers import make_localizer
+from tactile_loc.library.record import PartRecord
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.search import PlaceSearch
 from tactile_loc.locate.stored_places import make_places_key
@@ -117,7 +119,9 @@ class StoredParts(Parts):
     def __getitem__(self, k: Any) -> Any:
         if isinstance(k, slice):
             return [self[one] for one in range(len(self))[k]]
-        return make_localizer(self.folder.read(self.names[k]), self.config, self.store, self.progress)
+        record = self.folder.read(self.names[k])
+        reread = _PlacesOf(self.folder, record)
+        return make_localizer(record, self.config, self.store, self.progress, reread)
 
     def describe(self, k: int, use: Use) -> DescribedPlaces:
         """Return the places of part k with their descriptors, mapped from the disk."""
@@ -134,6 +138,17 @@ class StoredParts(Parts):
     def _first(self) -> Localizer:
         first: Localizer = self[0]
         return first
+
+
+class _PlacesOf:
+    """Returns the places of a part. The record is kept until the first call only, and read again for later calls."""
+
+    def __init__(self, folder: LibraryFolder, record: PartRecord) -> None:
+        self.folder, self.name, self._record = folder, record.name, [record]
+
+    def __call__(self) -> Places:
+        record = self._record.pop() if self._record else self.folder.read(self.name)
+        return record.places
 
 
 def open_search(model: Localizer) -> PlaceSearch:

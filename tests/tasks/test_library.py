@@ -112,7 +112,7 @@ def test_what_is_kept_in_memory_stays_below_the_bound(open_library, touch, monke
     truth = identify([touch], free)
     one = max(model.loaded_bytes for model in free.models)
     everything = sum(model.loaded_bytes for model in free.models)
-    assert one < everything < free.nbytes, "the descriptors count, too"
+    assert one < everything == free.nbytes, "the descriptors are mapped, so they do not count"
     bound = one + 1000
     held: list[int] = []
     real = ByteCache.keep
