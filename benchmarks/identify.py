@@ -6,10 +6,11 @@ Every object in turn, or each of those that `--asked` and `--most` choose, is pr
 identified among all objects, and among all objects except the touched one.
 
 For each number of touches, the table has shares of examples. The touched object is first in the quick comparison, first
-in the full comparison, among the located objects, or the most probable object. The answer is right if the touched
-object is also more probable than "none of these". If the touched object is missing in the library, the table has the
-share of rejected examples, also at the threshold that rejects 5 % of the known objects. Both columns "certain" have
-the share of examples with this verdict. Then confused objects are listed. For each size of the library, the times of a
+in the full comparison, among the located objects, or the most probable object. It is inseparable from the most probable
+object if it is nearly as probable: see `AS_PROBABLE`. The answer is right if the touched object is also more probable
+than "none of these". If the touched object is missing in the library, the table has the share of rejected examples,
+also at the threshold that rejects 5 % of the known objects. Both columns "certain" have the share of examples with this
+verdict. Then confused objects are listed. For each size of the library, the times of a
 quick comparison and of two touches follow.
 
 `--fit` prints the null evidence under which the examples are most probable. Objects are FILE[:UNITS] or demo names.
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import time
 from collections import Counter
 from pathlib import Path
@@ -41,6 +43,7 @@ from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.results.verdict import judge as judge_pose
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
+from tactile_loc.tasks.identify_files import AS_PROBABLE
 from tactile_loc.tasks.library import Library
 from tactile_loc.tasks.library_parts import StoredParts
 
@@ -108,7 +111,7 @@ def is_own_first(row: dict[str, Any], key: str) -> bool:
 
 def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
     """Return shares over examples with the same number of touches, and the confused objects."""
-    looked, first, right, known_none, strange_none = [], [], [], [], []
+    looked, first, inseparable, right, known_none, strange_none = [], [], [], [], [], []
     certain, strange_certain = (
         [],
         [],
@@ -120,6 +123,7 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
         best = names[int(p.argmax())]
         looked.append(known.truth >= 0)
         first.append(best == row["object"])
+        inseparable.append(known.truth >= 0 and p[known.truth] >= AS_PROBABLE * p.max())
         right.append(best == row["object"] and p.max() > none)
         known_none.append(none)
         if not right[-1]:
@@ -134,7 +138,8 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
     return {
         "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike") for row in rows]),
         "looked_into": np.mean([is_own_first(row, "rough_ious") for row in rows]),
-        "located": np.mean(looked), "first": np.mean(first), "right": np.mean(right),
+        "located": np.mean(looked), "first": np.mean(first), "inseparable": np.mean(inseparable),
+        "right": np.mean(right),
         "rejected": np.mean(np.array(strange_none) > 0.5), "rejected_at_5": np.mean(np.array(strange_none) > limit),
         "certain": len(certain) / len(rows), "certain_right": np.mean(certain) if certain else np.nan,
         "strange_certain": np.mean(strange_certain),
@@ -155,7 +160,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
     parser.add_argument("--library", type=Path, help="library on disk, instead of meshes")
-    parser.add_argument("--asked", nargs="*", default=[""], help="beginnings of the names of touched objects")
+    parser.add_argument("--asked", default="", help="regular expression for the names of touched objects")
     parser.add_argument("--most", type=int, help="number of touched objects; default: all")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(SUFFERING))
@@ -168,7 +173,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder with a file for each object and number of touches")
     arguments = parser.parse_args()
     library = open_library(arguments)
-    asked = [name for name in library.names if name.startswith(tuple(arguments.asked))]
+    asked = [name for name in library.names if re.match(arguments.asked, name)]
     asked = asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
     rows = []
     for count in arguments.touches:
@@ -203,14 +208,16 @@ def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
         known = [answer(row, left_out)[1] for row in rows for left_out in (False, True)]
         null = fit_null_evidence(known)
         print(null)
-    header = "| touches | examples | first at once | first | located | most probable | right | certain "
+    header = (
+        "| touches | examples | first at once | first | located | most probable | or inseparable | right | certain "
+    )
     print(header + "| of these right | left out: rejected | at 5 % false alarms | certain | s |")
-    print("|---" * 13 + "|")
+    print("|---" * 14 + "|")
     for count in sorted({row["touches"] for row in rows}):
         said, taken = judge([row for row in rows if row["touches"] == count], null)
         shares = (
-            "glanced", "looked_into", "located", "first", "right", "certain", "certain_right", "rejected",
-            "rejected_at_5", "strange_certain",
+            "glanced", "looked_into", "located", "first", "inseparable", "right", "certain", "certain_right",
+            "rejected", "rejected_at_5", "strange_certain",
         )  # fmt: skip
         percent = [f"{said[key]:.0%}" for key in shares]
         print(f"| {count} | {said['examples']} | {' | '.join(percent)} | {said['seconds']:.1f} |")

@@ -6,12 +6,13 @@ are drawn by ray casting. All parts are rated by the joined votes of the first t
 
 The rank of a part is the number of better parts. The table has the mean rank as a share of the parts, the share of
 examples in which the touched part is among the best 64, and in which it is the best. For a smaller library, the other
-parts are a random choice. `--asked` chooses the touched parts, by the beginnings of their names.
+parts are a random choice. `--asked` chooses the touched parts by their names.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("library", type=Path)
     parser.add_argument("--sensor", default="gelsight-mini")
-    parser.add_argument("--asked", nargs="*", default=[""], help="beginnings of the names of touched parts")
+    parser.add_argument("--asked", default="", help="regular expression for the names of touched parts")
     parser.add_argument("--most", type=int, help="number of touched parts; default: all")
     parser.add_argument("--levels", nargs="+", default=["clean", "mild"], choices=sorted(SUFFERING))
     parser.add_argument("--touches", type=int, default=3)
@@ -54,7 +55,7 @@ def main() -> None:
     arguments = parser.parse_args()
     folder = LibraryFolder.open(arguments.library)
     library = Library(StoredParts(folder, RunConfig.from_dict({"sensor": arguments.sensor})))
-    asked = [k for k, name in enumerate(library.names) if name.startswith(tuple(arguments.asked))]
+    asked = [k for k, name in enumerate(library.names) if re.match(arguments.asked, name)]
     asked = asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
     rng = np.random.default_rng(arguments.seed)
     print(
