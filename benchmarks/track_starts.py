@@ -7,7 +7,8 @@ others 100. A pose is right if the mean distance of its surface from the true su
 
 The key touches of a frame are all touches so far, thinned to at most KEYS sensor poses at least APART_MM apart. They
 are also located together, without the tracker. They determine the pose if no listed pose with a wrong surface explains
-them as well as the true pose: to within 0.02 of its imprint IoU.
+them as well as the true pose: to within 0.02 of its imprint IoU. The true pose is registered to the touches first, as
+all listed poses are, because the tracker knows only the reported sensor poses.
 
 *Certain and wrong* is the share of all frames that are called certain although the first pose is wrong. *Certain, of
 determined* is the share of frames called certain, of all frames whose key touches determine the pose. *Ends right*
@@ -42,11 +43,13 @@ from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.hypotheses import compare_refined
+from tactile_loc.locate.localizer import Localizer, localize_together, make_view
+from tactile_loc.locate.results.freedom import explain_as_well
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.key_touches import choose_key_touches
@@ -137,8 +140,21 @@ def locate_keys(localizer: Localizer, touches: Sequence[Touch]) -> tuple[float, 
         return np.inf, False, False
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     off_m = measure_surface_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
-    determined = is_determined(observations, found.hypotheses, off_m, RIGHT_MM / MM)
+    rivals = np.array([h.imprint_iou for h in found.hypotheses])[MM * off_m >= RIGHT_MM]
+    determined = not explain_as_well(rivals, explain_by_truth(localizer, touches, found.agreement.outliers)).any()
     return MM * float(off_m[0]), found.verdict is Verdict.CERTAIN, determined
+
+
+def explain_by_truth(localizer: Localizer, touches: Sequence[Touch], outliers: Sequence[int] = ()) -> float:
+    """Return the mean imprint IoU, 0 to 1, of the true pose, registered to touches and their reported sensor poses.
+
+    Touches whose numbers are in `outliers` do not count.
+    """
+    views = [make_view(touches[0], localizer, touch) for touch in touches]
+    trusted = [number for number in range(len(touches)) if number not in outliers]
+    true = Candidate(np.asarray(touches[0].T_sensor_object), -1, 0.0)
+    registered = localizer.refinement.refine([views[number] for number in trusted], [true])
+    return float(compare_refined(views, registered, trusted)[0, trusted].mean())
 
 
 def measure_off_mm(localizer: Localizer, T: np.ndarray | None, frame: Frame) -> float:

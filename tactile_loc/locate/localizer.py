@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
@@ -367,7 +367,7 @@ Observation = tuple[Localizer, Touch]
 @use_one_blas_thread()
 def localize_together(
     observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
-    coverage: float | None = None, scalings: Scalings | None = None,
+    coverage: float | None = None, scalings: Scalings | None = None, starts: Poses | None = None,
 ) -> Localization:  # fmt: skip
     """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
@@ -375,7 +375,8 @@ def localize_together(
     each needs `T_base_sensor` (4, 4), metres. Poses are in the first touch's sensor frame, and the posterior is over
     the first localizer's grid. `prior` maps poses (N, 4, 4) of this grid to log-weights (N,). `coverage` is as for
     `Localizer.localize`. With `scalings`, nothing is fitted to the object: its probabilities are then rough, and the
-    setting `coverage` has no effect. Raises TactileLocError if no pose fits all touches.
+    setting `coverage` has no effect. The poses `starts` (K, 4, 4), metres, in the first touch's sensor frame, are
+    refined and compared in any case. Raises TactileLocError if no pose fits all touches.
 
     `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
@@ -383,7 +384,7 @@ def localize_together(
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
-    query = _Query.of(observations, prior, top, coverage, StageTimes(), scalings)
+    query = _Query.of(observations, prior, top, coverage, StageTimes(), scalings, starts)
     while True:
         scored = query.score_each()
         try:
@@ -433,11 +434,12 @@ class _Query:
     coverage: float | None
     times: StageTimes
     scalings: Scalings | None = None
+    starts: Poses | None = None
 
     @classmethod
     def of(
         cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
-        times: StageTimes, scalings: Scalings | None = None,
+        times: StageTimes, scalings: Scalings | None = None, starts: Poses | None = None,
     ) -> _Query:  # fmt: skip
         """Make a query; if `top` or `coverage` is None, the first localizer's setting is used.
 
@@ -457,7 +459,7 @@ class _Query:
         if len(observations) > 1:
             require_sensor_poses([touch.T_base_sensor for _, touch in observations])
         views = [make_view(touch, localizer, other) for localizer, other in observations]
-        return cls(observations, views, prior, top, coverage, times, scalings)
+        return cls(observations, views, prior, top, coverage, times, scalings, starts)
 
     @property
     def first(self) -> Localizer:
@@ -523,6 +525,7 @@ class _Query:
             modes = self.first.source.propose(self.views, alone, posterior, top)
             if self.first.source.searched:
                 modes = add_expected_modes(modes, posterior, self.known, self.start_radius_m)
+            modes = [*modes, *self._list_starts(posterior)]
         hypotheses, agreement = self._refine(modes, scored, posterior)
         touch, *others = self.touches
         found = Localization(
@@ -536,6 +539,13 @@ class _Query:
             listed = self.first.refinement.add_covariances(self.views, kept)
         placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
         return replace(found, hypotheses=placed, unlisted=hypotheses[len(placed) :], pose_set=pose_set)
+
+    def _list_starts(self, posterior: PosePosterior) -> list[Mode]:
+        """Return the poses `starts` as modes of the posterior, without members."""
+        if self.starts is None:
+            return []
+        nearest = posterior.grid.nearest(self.starts)[1]
+        return [Mode(int(index), 0.0, T, np.empty(0, np.int64)) for index, T in zip(nearest, self.starts, strict=True)]
 
     @property
     def known(self) -> Prior | None:
@@ -598,10 +608,12 @@ class _Query:
         """Make a query of the touches that are not outliers, in the sensor frame of the first of these touches."""
         left = [one for k, one in enumerate(self.observations) if k not in outliers]
         before, after = self.touches[0], left[0][1]
-        prior = self.prior
-        if prior is not None and after is not before:
-            prior = SeenFrom(prior, invert(np.asarray(before.T_base_sensor)) @ np.asarray(after.T_base_sensor))
-        return _Query.of(left, prior, self.top, self.coverage, self.times, self.scalings)
+        prior, starts = self.prior, self.starts
+        if after is not before:
+            T_before_after = invert(np.asarray(before.T_base_sensor)) @ np.asarray(after.T_base_sensor)
+            prior = None if prior is None else SeenFrom(prior, T_before_after)
+            starts = None if starts is None else invert(T_before_after) @ starts
+        return _Query.of(left, prior, self.top, self.coverage, self.times, self.scalings, starts)
 
 
 def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.turns import Turns, pause_before
@@ -37,18 +38,29 @@ class Searched:
     known: tuple[Mode, ...]
     gains: Floats
 
+    @property
+    def listed(self) -> Poses | None:
+        """The listed poses T_base_object (K, 4, 4), metres, the most probable first; None if no pose was found."""
+        if self.found is None:
+            return None
+        poses = np.stack([hypothesis.T_sensor_object for hypothesis in self.found.hypotheses])
+        return np.asarray(self.found.touch.T_base_sensor) @ poses
+
 
 @dataclass(frozen=True, eq=False)
 class KeySearch:
     """The key touches of a track, at sensor poses far apart, and the search that is under way.
 
-    `begun` are the key touches of the latest search. The `prior`, if any, is over T_base_object.
+    `begun` are the key touches of the latest search. The `prior`, if any, is over T_base_object. `listed` (K, 4, 4),
+    metres, are the poses T_base_object that the latest finished search listed. The next search also refines them,
+    because it may miss a pose that fewer touches led to.
     """
 
     localizer: Localizer
     keys: tuple[Touch, ...] = ()
     prior: PosePrior | None = None
     begun: tuple[Touch, ...] = ()
+    listed: Poses | None = None
     turns: Turns[Searched] | None = None
 
     def is_new_place(self, touch: Touch) -> bool:
@@ -81,21 +93,23 @@ class KeySearch:
 
         It compares the poses that it finds with the `known` modes.
         """
-        localizer, keys, prior, modes = self.localizer, self.keys, self.prior, tuple(known)
-        return replace(self, begun=keys, turns=Turns(lambda: search_keys(localizer, keys, prior, modes)))
+        search = partial(search_keys, self.localizer, self.keys, self.prior, tuple(known), self.listed)
+        return replace(self, begun=self.keys, turns=Turns(search))
 
     def take_turn(self) -> tuple[KeySearch, Searched | None]:
         """Take one turn; return the search and, if it has finished, its result."""
         if self.turns is None or not self.turns.take():
             return self, None
-        return replace(self, turns=None), self.turns.result
+        finished = self.turns.result
+        return replace(self, turns=None, listed=self.listed if finished.found is None else finished.listed), finished
 
 
 def search_keys(
-    localizer: Localizer, keys: tuple[Touch, ...], prior: PosePrior | None, known: tuple[Mode, ...]
+    localizer: Localizer, keys: tuple[Touch, ...], prior: PosePrior | None, known: tuple[Mode, ...],
+    starts: Poses | None = None,
 ) -> Searched:  # fmt: skip
-    """Locate touches together, and compare the first pose with the `known` modes."""
-    found = locate_keys(localizer, keys, prior)
+    """Locate touches together, and compare the first pose with the `known` modes. `starts` are as for `locate_keys`."""
+    found = locate_keys(localizer, keys, prior, starts)
     pause_before(1.0)  # the probability takes a whole turn
     right = 0.0 if found is None else found.probability_within()
     if found is None or not known:
@@ -109,10 +123,17 @@ def search_keys(
     return Searched(keys, found, right, known, np.where(same, -np.inf, ious - found.best.imprint_iou))
 
 
-def locate_keys(localizer: Localizer, keys: Sequence[Touch], prior: PosePrior | None = None) -> Localization | None:
-    """Return the result of touches located together, with a prior over T_base_object; None if no pose fits them."""
-    seen = None if prior is None else prior.view_from(np.asarray(keys[0].T_base_sensor))
+def locate_keys(
+    localizer: Localizer, keys: Sequence[Touch], prior: PosePrior | None = None, starts: Poses | None = None
+) -> Localization | None:
+    """Return the result of touches located together; None if no pose fits them.
+
+    The prior is over T_base_object. The poses `starts` (K, 4, 4), metres, of T_base_object are compared in any case.
+    """
+    T_base_first = np.asarray(keys[0].T_base_sensor)
+    seen = None if prior is None else prior.view_from(T_base_first)
+    here = None if starts is None else invert(T_base_first) @ starts
     try:
-        return localize_together([(localizer, key) for key in keys], seen)
+        return localize_together([(localizer, key) for key in keys], seen, starts=here)
     except GridError:
         return None

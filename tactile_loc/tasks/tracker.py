@@ -23,7 +23,7 @@ from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.rigid import require_covariance, require_rigid, rotate_covariance
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.freedom import AS_WELL
+from tactile_loc.locate.results.freedom import AS_WELL, find_as_well
 from tactile_loc.locate.results.verdict import LEAST_IOU, Verdict
 from tactile_loc.tasks.key_search import KeySearch, Searched
 from tactile_loc.tasks.key_touches import measure_motion_m
@@ -200,7 +200,7 @@ class Tracker:
         missed = [
             replace(mode, nats=new[0].nats)
             for mode, gain in zip(finished.known, finished.gains, strict=True)
-            if gain >= -AS_WELL
+            if gain >= -find_as_well(keys)
         ]
         renewed = [*self._filter.renew(self._modes, new), *missed]
         self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from track_settings import SETTINGS
 
-from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.tasks.key_search import KeySearch, locate_keys
 
@@ -64,3 +64,24 @@ def test_a_restart_forgets_the_key_touches(pin, touches):
     assert search.keys == (touches[5],)
     assert search.turns is None
     assert search.is_due
+
+
+def test_a_search_also_refines_the_poses_that_the_search_before_listed(pin, touches):
+    search = finish(KeySearch(pin).add(touches[0]))[0]
+    listed = search.listed
+    search, finished = finish(search.add(touches[3]))
+    compared = [*finished.found.hypotheses, *finished.found.unlisted]
+    proposed = np.stack([hypothesis.T_sensor_object_grid for hypothesis in compared])
+    starts = invert(touches[0].T_base_sensor) @ listed
+    kept = [np.isclose(proposed, start).all(axis=(1, 2)).any() for start in starts]
+    assert sum(kept) > 1  # others are merged with a better pose
+    assert np.allclose(search.listed[0], touches[0].T_base_sensor @ finished.found.best.T_sensor_object)
+    assert search.restart(touches[5]).listed is None
+
+
+def finish(search):
+    """Return a search after all its turns, and its result."""
+    search, finished = search.begin(()), None
+    while finished is None:
+        search, finished = search.take_turn()
+    return search, finished

@@ -22,7 +22,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.results.freedom import AS_WELL, Freedom, explain_as_well, find_freedom
+from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_as_well, find_freedom
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.results.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within
@@ -198,8 +198,13 @@ class Localization:
         share = compute_share_within(T, p, covariances, self.object, tolerance)
         own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
         gap = self._measure_gap(tolerance)
-        undetermined = own < LEAST_OWN or gap <= AS_WELL or self.unexpected
+        undetermined = own < LEAST_OWN or gap <= self.as_well or self.unexpected
         return Nearness(share, self.posterior.elsewhere, gap, undetermined)
+
+    @property
+    def as_well(self) -> float:
+        """By how much less imprint IoU a pose can have, 0 to 1, and still explain the touches as well as another."""
+        return find_as_well(self.touches)
 
     def _measure_gap(self, tolerance: Tolerance) -> float:
         """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it.
@@ -220,14 +225,14 @@ class Localization:
         same = self.tolerance.find_within(self.object, T[0], T)
         return find_freedom(
             T, np.array([h.imprint_iou for h in self.hypotheses]), self.best.refined.covariance,
-            self.touch.geometry.gel_middle_m, same, self.tolerance,
+            self.touch.geometry.gel_middle_m, same, self.tolerance, self.as_well,
         )  # fmt: skip
 
     @property
     def equal_explanations(self) -> tuple[Hypothesis, ...]:
         """The hypotheses that explain the touches as well as the one that explains them best, which is one of them."""
         ious = np.array([h.imprint_iou for h in self.hypotheses])
-        return tuple(self.hypotheses[k] for k in np.flatnonzero(explain_as_well(ious, ious.max())))
+        return tuple(self.hypotheses[k] for k in np.flatnonzero(explain_as_well(ious, ious.max(), self.as_well)))
 
     def count_explanations(self) -> str:
         """State in words how many of the listed poses explain the touches equally well."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.locate.results.freedom import AS_WELL, find_freedom
+from tactile_loc.locate.results.freedom import AS_WELL, explain_as_well, find_as_well, find_freedom
 
 CONTACT_M = np.array([0.0, 0.0, 0.02])
 SHARP = np.diag([1e-5**2] * 3 + [1e-4**2] * 3)
@@ -78,3 +79,14 @@ def test_a_rotation_about_the_contact_is_no_slide():
 
 def test_an_unknown_covariance_opens_nothing():
     assert str(free(covariance=None)) == ""
+
+
+def test_several_touches_with_uncertain_sensor_poses_distinguish_poses_less_sharply(localizer):
+    (touch,) = localizer.simulate(1, seed=1)
+    exact = dataclasses.replace(touch, T_base_sensor_std_m=0.0, T_base_sensor_std_rad=0.0)
+    assert find_as_well([touch]) == find_as_well([exact, exact]) == AS_WELL
+    several = find_as_well([exact, touch])
+    assert several > AS_WELL
+    rival = np.array([0.9 - AS_WELL - 0.001])
+    assert explain_as_well(rival, 0.9, several).all()
+    assert not explain_as_well(rival, 0.9).any()
