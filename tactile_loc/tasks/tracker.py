@@ -33,6 +33,7 @@ from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 Floats = NDArray[np.float64]
 
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
+MOST_LOST = 10  # consecutive such touches, after which a search replaces the track even if it is unsure itself
 LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
 MOST_WEIGHED = 10  # touches after a slip by which its pose is weighed against the pose without the slip
 EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
@@ -228,8 +229,8 @@ class Tracker:
         (iou,) = self._filter.explain(new[:1], keys)
         if self._undoubted is not None:
             tracked = max(self._filter.explain(self._modes, keys))
-            found_none = found.verdict in (Verdict.NOT_FOUND, Verdict.POOR_FIT)
-            if found_none or (iou - tracked) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
+            unsure = found.verdict in (Verdict.NOT_FOUND, Verdict.POOR_FIT) and self._doubts < MOST_LOST
+            if unsure or (iou - tracked) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
                 return  # a few bad touches do not end a track
             self._undoubted = None
         missed = [
