@@ -33,8 +33,24 @@ from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 Floats = NDArray[np.float64]
 
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
+MOST_LOST = 10  # consecutive such touches, after which a search replaces the track even if it is unsure itself
 LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
+MOST_WEIGHED = 10  # touches after a slip by which its pose is weighed against the pose without the slip
 EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
+
+
+@dataclass(frozen=True, eq=False)
+class Stayed:
+    """A track before a slip, which is followed on: its likeliest mode, its trust and its key touches.
+
+    `gain` is the imprint IoU by which it has predicted the `touches` since then better than the track after the slip.
+    """
+
+    modes: list[Mode]
+    trust: TrackTrust
+    search: KeySearch
+    gain: float = 0.0
+    touches: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +107,7 @@ class Tracker:
         self._undoubted: KeySearch | None = None
         self._expected = 0  # touches where the likeliest mode expected them
         self._doubts = 0  # consecutive touches that the likeliest mode explains far worse than before
+        self._stayed: Stayed | None = None  # the track without the latest slip, until it is clear that there was one
 
     def update(
         self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
@@ -112,6 +129,9 @@ class Tracker:
         self._time_s, self._T_base_sensor = time_s, T
         self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
         self._modes = self._filter.predict(self._modes, T, passed_s, added)
+        if self._stayed is not None:
+            stayed = self._filter.predict(self._stayed.modes, T, passed_s, added)
+            self._stayed = replace(self._stayed, modes=stayed)
         if touch is None:
             self._alike = 0.0  # the next contact will have new errors
             return self._result(math.nan, self._take_turns(), touched=False)
@@ -122,6 +142,8 @@ class Tracker:
         """Follow the modes to a touch, look for a slip, and search on."""
         before, alike = self._modes, self._alike
         self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
+        if self._stayed is not None:
+            self._weigh_slip(self._stayed, touch, alike)
         clear = 100 * touch.contact_share >= self.options.clear_percent
         certain = bool(self._modes) and self._trust.limit is Verdict.CERTAIN
         doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
@@ -173,10 +195,23 @@ class Tracker:
             return False
         if tracked.known.surprise < self.options.slip_surprise and self._trust.doubts(slipped[0].imprint_iou):
             return False  # the touch is bad: no pose explains it as well as usual
+        self._stayed = Stayed(list(before[:1]), self._trust, self._search)
         prior = self._filter.make_slip_prior(before[0], np.asarray(touch.T_base_sensor))
         self._modes, self._search, self._undoubted = slipped, self._search.restart(touch, prior), None
         self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.0, slipped[0].imprint_iou)
         return True
+
+    def _weigh_slip(self, stayed: Stayed, touch: Touch, alike: float) -> None:
+        """Weigh the pose after a slip against that without the slip; take the slip back if it did not happen."""
+        modes = self._filter.follow(stayed.modes, touch, alike)
+        slipped_iou = self._modes[0].predicted_iou if self._modes else 0.0
+        gain, touches = stayed.gain + modes[0].predicted_iou - slipped_iou, stayed.touches + 1
+        self._stayed = replace(stayed, modes=modes, gain=gain, touches=touches)
+        if touches == MOST_WEIGHED:
+            self._stayed = None
+            if gain > 0:
+                self._modes, self._trust, self._search = modes, stayed.trust, stayed.search
+                self._undoubted, self._doubts = None, 0
 
     def _adopt(self, finished: Searched) -> None:
         """Take over the poses that a search found, and trust the first as far as the search does.
@@ -194,7 +229,8 @@ class Tracker:
         (iou,) = self._filter.explain(new[:1], keys)
         if self._undoubted is not None:
             tracked = max(self._filter.explain(self._modes, keys))
-            if (iou - tracked) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
+            unsure = found.verdict in (Verdict.NOT_FOUND, Verdict.POOR_FIT) and self._doubts < MOST_LOST
+            if unsure or (iou - tracked) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
                 return  # a few bad touches do not end a track
             self._undoubted = None
         missed = [
@@ -206,6 +242,8 @@ class Tracker:
         self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
         verdict = Verdict.AMBIGUOUS if missed and found.verdict is Verdict.CERTAIN else found.verdict
         self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
+        if verdict is Verdict.CERTAIN:
+            self._stayed = None
         if self._trust.settled:
             self._modes = self._modes[:1]
         elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:

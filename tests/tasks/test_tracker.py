@@ -22,7 +22,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tasks.tracked_pose import TrackTrust
-from tactile_loc.tasks.tracker import Motion, Tracker
+from tactile_loc.tasks.tracker import MOST_WEIGHED, Motion, Tracker
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
 
@@ -201,6 +201,20 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     assert found.slipped
     assert found.verdict is not Verdict.CERTAIN
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
+
+
+def test_a_slip_that_did_not_happen_is_taken_back(pin, slide):
+    """A single touch shows a slip. All later touches show the object where it was."""
+    source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
+    tracker, frame = started(pin, slide), slide[0]
+    for k in range(12):
+        tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
+    elsewhere = make_translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
+    bad = source.draw_touch(elsewhere, frame.touch.indentation_m, "bad", np.random.default_rng(0))
+    assert tracker.update(0.12, bad, frame.T_base_sensor).slipped
+    later = [tracker.update(0.13 + 0.01 * k, frame.touch, frame.T_base_sensor) for k in range(MOST_WEIGHED)]
+    assert later[-1].verdict is Verdict.CERTAIN
+    assert off_mm(pin, later[-1].T_sensor_object, frame.T_sensor_object) < 0.3
 
 
 def test_the_pose_is_predicted_without_contact_with_growing_covariance(pin, slide):
