@@ -65,13 +65,14 @@ needs() {
     grep -qF "pip install 'tactile-loc[$extra]'" needs.log && [ "$code" = 2 ] ||
         give_up "tactile-loc $* ended with exit code $code and does not name the extra $extra: $(cat needs.log)"
 }
-touch empty.mcap empty.mp4 empty.step
+touch empty.mcap empty.mp4 empty.step empty.stl
 needs app app
 needs benchmark benchmark --out refused
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
 needs kiss run --refiner kiss-icp --out refused
 needs learned run --encoder moco --out refused
+needs library library build empty.stl --workers 1 --out refused
 needs recordings replay empty.mcap --image-topic /gel/image --object hook
 needs step run --object empty.step --units mm --touch touch.npz --out refused
 needs sweep sweep --object hook --out refused

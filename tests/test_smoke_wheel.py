@@ -40,6 +40,7 @@ doctor) exit {doctor} ;;
 benchmark*) refuse benchmark ;;
 *--finger*) refuse clearance ;;
 *kiss-icp*) refuse kiss ;;
+library*) refuse library ;;
 *moco*) refuse learned ;;
 replay*) refuse recordings ;;
 *.step*) refuse step ;;
