@@ -67,6 +67,12 @@ def open_library(arguments: argparse.Namespace) -> Library:
     ])  # fmt: skip
 
 
+def choose_asked(library: Library, arguments: argparse.Namespace) -> list[str]:
+    """Return the names of the touched objects: at least `most` of those that match `asked`, evenly spread."""
+    asked = [name for name in library.names if re.match(arguments.asked, name)]
+    return asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
+
+
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
     """Return the touches of one object. Examples with fewer touches use the first of these touches."""
     model = library.models[number]
@@ -173,11 +179,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder with a file for each object and number of touches")
     arguments = parser.parse_args()
     library = open_library(arguments)
-    asked = [name for name in library.names if re.match(arguments.asked, name)]
-    asked = asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
     rows = []
     for count in arguments.touches:
-        for name in asked:
+        for name in choose_asked(library, arguments):
             number = library.names.index(name)
             for again in range(arguments.examples):
                 label = f"{name}-{arguments.level}-{count}-{again}-{len(library)}.json"

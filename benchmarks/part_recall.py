@@ -12,12 +12,11 @@ parts are a random choice. `--asked` chooses the touched parts by their names.
 from __future__ import annotations
 
 import argparse
-import re
 import time
 from pathlib import Path
 
 import numpy as np
-from identify import SUFFERING
+from identify import SUFFERING, choose_asked
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TactileLocError
@@ -55,8 +54,7 @@ def main() -> None:
     arguments = parser.parse_args()
     folder = LibraryFolder.open(arguments.library)
     library = Library(StoredParts(folder, RunConfig.from_dict({"sensor": arguments.sensor})))
-    asked = [k for k, name in enumerate(library.names) if re.match(arguments.asked, name)]
-    asked = asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
+    asked = [library.names.index(name) for name in choose_asked(library, arguments)]
     rng = np.random.default_rng(arguments.seed)
     print(
         "| touches | noise | parts | examples | mean rank, share of the parts | among the best 64 | best | ms a part |"

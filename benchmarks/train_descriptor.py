@@ -62,17 +62,11 @@ def make_training_part(name: str, folder: Path) -> Part | None:
     keys, queries = find_places(obj, KEY_DIRECTIONS), find_places(obj, QUERY_DIRECTIONS)
     rng = np.random.default_rng(len(keys))
     some = np.sort(rng.permutation(len(queries))[:MOST_QUERIES])
-    ours, theirs = (_locate(T) for T in (queries.T_place_object[some], keys.T_place_object))
+    ours, theirs = queries.placements[some], keys.placements
     off_m = np.linalg.norm(ours[:, None, :3] - theirs[None, :, :3], axis=2)
     turned = LEVER_M * np.arccos(np.clip(ours[:, 3:] @ theirs[:, 3:].T, -1, 1))
     nearest = np.argsort(off_m + turned, axis=1)[:, :NEAREST]
     return Part(keys.patches, queries.patches[some], nearest)
-
-
-def _locate(T_place_object: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the positions, metres, and the directions (N, 6) of places in the object frame."""
-    R, t = T_place_object[:, :3, :3], T_place_object[:, :3, 3]
-    return np.concatenate([-np.einsum("nij,ni->nj", R, t), R[:, 2]], axis=1)
 
 
 def _make_in_worker(task: tuple[str, Path]) -> Part | None:

@@ -21,10 +21,10 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.io.meshes import Units, load_object
 from tactile_loc.library.folder import MANIFEST, LibraryFolder, add_items, lock_library, write_library
-from tactile_loc.library.record import PLACES_VERSION, VERSION, make_record
+from tactile_loc.library.record import PLACES_VERSION, VERSION, choose_grid, describe_grid, make_record
 from tactile_loc.library.shards import FOLDER, Item
 from tactile_loc.library.table import PartRow, require_pyarrow
-from tactile_loc.locate.stored_object import SELF_CONTAINED
+from tactile_loc.locate.stored_object import list_mesh_files
 from tactile_loc.store.files import remove_abandoned, require_writable, write_atomically
 from tactile_loc.store.keys import hash_file, hash_json
 from tactile_loc.store.store import StageStore
@@ -148,11 +148,7 @@ def list_meshes(meshes: Iterable[str | Path], units: Units = "auto", symmetry: s
     """
     files: list[Path] = []
     for path in map(Path, meshes):
-        found = (
-            sorted(one for one in path.iterdir() if one.suffix.lower() in SELF_CONTAINED) if path.is_dir() else [path]
-        )
-        if not found:
-            raise ObjectError(f"{path} holds no mesh; give a folder with files of type {', '.join(SELF_CONTAINED)}")
+        found = list_mesh_files(path) if path.is_dir() else [path]
         if not os.path.isfile(found[0]):
             raise ObjectError(f"there is no file {found[0]}; give mesh files, or folders of mesh files")
         files += found
@@ -186,10 +182,9 @@ def build_library(
     if not items:
         name, reason = next(iter(failed.items()), ("", "there is no mesh"))
         raise LibraryError(f"no part could be made{f'; {name}' if name else ''}: {reason}")
-    described = {"name": grid.name, **sampler.describe()}
     with lock_library(path):
         now = _open_or_none(path)
-        library = write_library(path, items, described, load_descriptor().digest, now)
+        library = write_library(path, items, describe_grid(grid.name, sampler), load_descriptor().digest, now)
     _tidy(path / WAITING, keys, failed)
     return _conclude(library, items, failed)
 
@@ -203,11 +198,9 @@ def add_parts(
     """
     old = LibraryFolder.open(path)
     require_writable(path)
-    grid = SlotConfig(name=old.manifest.grid["name"], options=old.manifest.grid["options"])
+    grid = choose_grid(old.manifest.grid)
     sampler = _make_sampler(grid)
-    if {"name": grid.name, **sampler.describe()} != old.manifest.grid or (
-        load_descriptor().digest != old.manifest.descriptor
-    ):
+    if describe_grid(grid.name, sampler) != old.manifest.grid or (load_descriptor().digest != old.manifest.descriptor):
         raise LibraryError(f"{path} was made by another version of tactile-loc; build it again from its meshes")
     keys = {make_part_key(source, sampler): source for source in sources}
     items, failed = _make_items(path / WAITING, keys, grid, old, run_jobs, progress or Progress())

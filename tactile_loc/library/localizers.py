@@ -10,8 +10,8 @@ from typing import Any
 from tactile_loc.core.errors import ConfigError, LibraryError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import Places
-from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig
-from tactile_loc.library.record import PLACES_VERSION, PartRecord
+from tactile_loc.io.config import ObjectConfig, RunConfig
+from tactile_loc.library.record import PLACES_VERSION, PartRecord, choose_grid, describe_grid
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
@@ -41,11 +41,10 @@ def make_localizer(
     `find_places` returns the part's places; by default, those of the record, which then stays in memory. Raises
     LibraryError if another version of tactile-loc made the record.
     """
-    named = {key: value for key, value in record.grid.items() if key != "name"}
-    grid = SlotConfig(name=record.grid["name"], options=record.grid["options"])
+    grid = choose_grid(record.grid)
     config = config.model_copy(update={"object": ObjectConfig(path=record.source), "grid": grid})
     find_places = find_places or partial(getattr, record, "places")
     localizer = Localizer(config, record.object, store, progress, find_places)
-    if localizer.sampler.describe() != named or record.places_version != PLACES_VERSION:
+    if describe_grid(grid.name, localizer.sampler) != record.grid or record.places_version != PLACES_VERSION:
         raise LibraryError(f"another version of tactile-loc made the places of {record.name}; build the library again")
     return localizer

@@ -28,13 +28,13 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import PATCH_PX, Places
 from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.io.config import SlotConfig
 from tactile_loc.locate.stored_places import STAGE_VERSION as PLACES_VERSION
 from tactile_loc.store.keys import write_canonical_json
 
 VERSION = 1  # increase if the same part gives another record
 MAGIC = b"tactile-loc part"
 LEVEL = 6  # of zlib; level 9 takes several times as long for a few percent
-STEPS = 127  # of a vector's component from 0 to 1
 PLACED = 6  # numbers of a placement
 AXIS_TOLERANCE = 1e-3  # radians; a grid whose places have other axes cannot be stored
 
@@ -132,6 +132,16 @@ class PartRecord:
         )  # fmt: skip
 
 
+def choose_grid(described: Mapping[str, Any]) -> SlotConfig:
+    """Return the grid that `describe_grid` described."""
+    return SlotConfig(name=described["name"], options=described["options"])
+
+
+def describe_grid(name: str, sampler: GridSampler) -> dict[str, Any]:
+    """Return the name under which a grid is registered, and what identifies its places, as JSON values."""
+    return {"name": name, **sampler.describe()}
+
+
 def make_record(obj: ObjectModel, sampler: GridSampler, name: str, units: str, source_sha256: str) -> PartRecord:
     """Return the record of an object, with the places of `sampler`, a grid that is registered under `name`.
 
@@ -141,18 +151,16 @@ def make_record(obj: ObjectModel, sampler: GridSampler, name: str, units: str, s
     vertices_m = obj.mesh.vertices_m.astype(np.float32)
     rounded = replace(obj, mesh=TriangleMesh(vertices_m.astype(float), obj.mesh.faces))
     places = sampler.places(rounded, Progress())
-    R, t = places.T_place_object[:, :3, :3], places.T_place_object[:, :3, 3]
-    placements = np.concatenate([-np.einsum("nji,nj->ni", R, t), R[:, 2]], axis=1).astype(np.float32)
     descriptor = load_descriptor()
     with use_one_blas_thread():  # the sums of several threads may differ in the last bit
-        vectors = descriptor.describe_places(places.patches)
+        vectors = descriptor.describe_in_steps(places.patches)
     x, y, z = (float(coordinate) for coordinate in obj.symmetry.centre_m)
     record = PartRecord(
         obj.name, vertices_m, obj.mesh.faces.astype(np.int32), units, str(obj.symmetry), (x, y, z),
-        obj.source.rpartition("/")[2], source_sha256, {"name": name, **sampler.describe()},
-        placements, places.patches, np.rint(STEPS * vectors).astype(np.int8), descriptor.digest,
+        obj.source.rpartition("/")[2], source_sha256, describe_grid(name, sampler),
+        places.placements.astype(np.float32), places.patches, vectors, descriptor.digest,
     )  # fmt: skip
-    if np.abs(record.places.T_place_object[:, :3, :3] - R).max(initial=0.0) > AXIS_TOLERANCE:
+    if np.abs((record.places.T_place_object - places.T_place_object)[:, :3, :3]).max(initial=0.0) > AXIS_TOLERANCE:
         raise LibraryError(f"the places of the grid {name!r} cannot be stored; choose the grid whole")
     return record
 

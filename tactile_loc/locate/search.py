@@ -187,7 +187,7 @@ class PlaceSearch:
         yaw, number = find_highest(similar, max(count, self.options.compared_again) if elastic else count)
         scores = similar[yaw, number]
         if elastic:
-            excess = measure_touch_excess(touch, self.places, number, yaw, self.yaws_rad)
+            excess = bound_touch(touch, self.yaws_rad).measure_excess(self.places, number, yaw)
             best = np.argsort(excess, kind="stable")[:count]
             yaw, number, scores = yaw[best], number[best], -excess[best]
         return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores.astype(float)
@@ -255,15 +255,38 @@ def encode_rotated(
     return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_depths_m, known, cut_m, CAMERA)
 
 
-def measure_touch_excess(
-    touch: Touch, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64], yaws_rad: NDArray[np.float64]
-) -> Scores:
-    """Return how badly rotated places explain what an elastic gel shows (K,), square metres: see `measure_excess`.
+@dataclass(frozen=True, eq=False)
+class TouchBounds:
+    """The bounds of a touch for the surface of a place, for each of M yaws by which a place may be rotated.
 
-    Pair k is the place `numbers[k]` at the yaw `yaws_rad[yaws[k]]`. Where the gel touches, the place must be at the
-    gel's surface. Elsewhere, it must be beyond the surface.
+    `low_m` and `high_m` (M, PATCH_PX, PATCH_PX), metres, and `most_m` are as for `measure_excess`. The yaws are about
+    the z axis of the frame at the touch's deepest point, `T_sensor_anchor` (4, 4), metres.
     """
-    from tactile_loc.core.sensing.rotated_patches import find_anchor, measure_excess, rotate_patches
+
+    T_sensor_anchor: Poses
+    low_m: Scores
+    high_m: Scores
+    most_m: float
+
+    def measure_excess(self, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64]) -> Scores:
+        """Return how far rotated places leave the bounds (K,), square metres: see `measure_excess`.
+
+        Pair k is the place `numbers[k]` at the yaw number `yaws[k]`.
+        """
+        from tactile_loc.core.sensing.rotated_patches import measure_excess
+
+        return np.concatenate([
+            measure_excess(places, numbers[some], yaws[some], self.low_m, self.high_m, self.most_m)
+            for some in split_into_turns(len(numbers), COMPARED)
+        ])  # fmt: skip
+
+
+def bound_touch(touch: Touch, yaws_rad: NDArray[np.float64]) -> TouchBounds:
+    """Return the bounds of what an elastic gel shows, at M yaws.
+
+    Where the gel touches, a place must be at the gel's surface. Elsewhere, it must be beyond the surface.
+    """
+    from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
     anchor_m, R_sensor_gel = find_anchor(touch)
     surface_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
@@ -273,11 +296,8 @@ def measure_touch_excess(
     beyond_m = surface_m - np.float32(SLACK * touch.indentation_m)
     low_m = np.where(touching, surface_m, np.where(seen, beyond_m, -far))
     high_m = np.where(touching, surface_m, far)
-    most_m = MOST_EXCESS * touch.indentation_m
-    return np.concatenate([
-        measure_excess(places, numbers[some], yaws[some], low_m, high_m, most_m)
-        for some in split_into_turns(len(numbers), COMPARED)
-    ])  # fmt: skip
+    T_sensor_anchor = make_transform(R_sensor_gel, anchor_m)
+    return TouchBounds(T_sensor_anchor, low_m, high_m, MOST_EXCESS * touch.indentation_m)
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:

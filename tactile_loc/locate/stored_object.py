@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.errors import ObjectError, StoreError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
 from tactile_loc.io.meshes import Surface, Units, find_symmetry, load_object, read_surface
@@ -27,6 +27,14 @@ SELF_CONTAINED = (".stl", ".obj", ".ply", ".off", *STEP_SUFFIXES)  # files that 
 SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # increase if the same file gives another surface or symmetry
 
 Kept = TypeVar("Kept")
+
+
+def list_mesh_files(folder: Path) -> list[Path]:
+    """Return the mesh files in a folder, sorted. Raises ObjectError if there are none."""
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)
+    if not files:
+        raise ObjectError(f"{folder} holds no mesh; give a folder with files of type {', '.join(SELF_CONTAINED)}")
+    return files
 
 
 def load_stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:

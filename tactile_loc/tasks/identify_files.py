@@ -17,7 +17,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.library.folder import MANIFEST, LibraryFolder
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.locate.stored_object import SELF_CONTAINED, load_stored_object
+from tactile_loc.locate.stored_object import list_mesh_files, load_stored_object
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification
 from tactile_loc.tasks.library import Library
@@ -99,11 +99,8 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
         return Library(StoredParts(LibraryFolder.open(folder), config, store, progress))
     if not os.path.isdir(folder):
         raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)
-    if not files:
-        raise ObjectError(f"{folder} holds no mesh; give a folder with files of type {', '.join(SELF_CONTAINED)}")
     models = []
-    for path in files:
+    for path in list_mesh_files(folder):
         chosen = config.object.model_copy(update={"path": str(path)})
         obj = load_stored_object(path, chosen.units, chosen.symmetry, store)
         models.append(Localizer(config.model_copy(update={"object": chosen}), obj, store, progress))

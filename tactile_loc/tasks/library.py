@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.descriptor.descriptor import load_descriptor
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
-from tactile_loc.core.sensing.rotated_patches import find_anchor
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.localizer import Localizer, make_view
-from tactile_loc.locate.search import PlaceSearch, compute_rough_iou, measure_touch_excess
+from tactile_loc.locate.search import PlaceSearch, TouchBounds, bound_touch, compute_rough_iou
 from tactile_loc.tasks.library_parts import GivenParts, Parts, open_search
 from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_object
 
@@ -43,10 +42,14 @@ SOFTER = 2.0  # factor on the temperature of the training: similarities of wrong
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The votes of touches for the places of K objects. `nats` (K,) are log-likelihoods, apart from a constant."""
+    """The votes of touches for the places of K objects. `nats` (K,) are log-likelihoods, apart from a constant.
+
+    `bounds` are those of each touch at YAWS_RAD.
+    """
 
     touches: tuple[Touch, ...]
     asked: Asked
+    bounds: tuple[TouchBounds, ...]
     nats: NDArray[np.float64]
     temperature: float
 
@@ -120,16 +123,19 @@ class Library:
             for k in range(len(self)):
                 nats[k] = rate_object(self.describe(k), asked, temperature)
                 advance(1)
-        return Comparison(tuple(touches), asked, nats, temperature)
+        bounds = tuple(bound_touch(touch, YAWS_RAD) for touch in touches)
+        return Comparison(tuple(touches), asked, bounds, nats, temperature)
 
     def examine(self, k: int, comparison: Comparison) -> Examined:
         """Compare the touches in detail with the places of object k for which they voted, without registration."""
         search, described = self.search(k), self.describe(k)
         votes = join_votes(described, comparison.asked, comparison.temperature)
         poses, nats = [], float(comparison.nats[k])
-        for touch, numbers, likely in zip(comparison.touches, votes.numbers, votes.nats, strict=True):
+        for touch, bounds, numbers, likely in zip(
+            comparison.touches, comparison.bounds, votes.numbers, votes.nats, strict=True
+        ):
             some = numbers[np.argsort(-likely, kind="stable")[:COMPARED]] * described.step
-            proposed, excess = _rotate_places(touch, search, some)
+            proposed, excess = _rotate_places(bounds, search, some)
             poses.append(proposed)
             nats -= EXCESS_NATS * np.log(EXCESS_FREE + excess.min() / touch.press_depth_m**2)
         return Examined(tuple(poses), nats)
@@ -158,14 +164,15 @@ def _release(kept: DescribedPlaces | Localizer) -> None:
         kept.release()
 
 
-def _rotate_places(touch: Touch, search: PlaceSearch, numbers: NDArray[np.int64]) -> tuple[Poses, NDArray[np.float32]]:
+def _rotate_places(
+    bounds: TouchBounds, search: PlaceSearch, numbers: NDArray[np.int64]
+) -> tuple[Poses, NDArray[np.float32]]:
     """Return the poses (K, 4, 4), metres, of those rotated places `numbers` that explain a touch best.
 
-    Also returns how far they leave the bounds of the touch (K,), square metres: see `measure_touch_excess`.
+    Also returns how far they leave the bounds of the touch (K,), square metres: see `TouchBounds`.
     """
-    anchor_m, R_sensor_gel = find_anchor(touch)
     place, yaw = (of.ravel() for of in np.meshgrid(numbers, np.arange(TURNS), indexing="ij"))
-    excess = measure_touch_excess(touch, search.places, place, yaw, YAWS_RAD)
+    excess = bounds.measure_excess(search.places, place, yaw)
     best = np.argsort(excess, kind="stable")[:PROPOSED]
-    poses = make_transform(R_sensor_gel, anchor_m) @ search.places.poses(place[best], YAWS_RAD[yaw[best]])
+    poses = bounds.T_sensor_anchor @ search.places.poses(place[best], YAWS_RAD[yaw[best]])
     return np.asarray(poses), excess[best]

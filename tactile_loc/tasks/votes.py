@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import njit
-from tactile_loc.core.descriptor.descriptor import Descriptor
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.descriptor.descriptor import STEPS, Descriptor
 from tactile_loc.core.sensing.places import Places
 from tactile_loc.core.sensing.rotated_patches import find_anchor
 from tactile_loc.core.sensing.touch import Touch
@@ -27,7 +26,6 @@ from tactile_loc.core.sensing.touch import Touch
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-SCALE = 127  # of the whole numbers that store the vectors
 VOTED = 300  # most similar places of an object that a touch votes for
 STD_M, STD_RAD = 2e-3, 0.12  # of distances and angles, mostly due to the spacing of the places
 NEAR_M = 4e-3  # between nearer places, the direction of the line is uncertain
@@ -39,7 +37,7 @@ STEP_RAD = 0.2  # between the copies of a place about a continuous axis
 class DescribedPlaces:
     """N places of an object, as touches are compared with them.
 
-    `vectors` (N, D), int8, are descriptors times SCALE. `at` (N, 6) has the positions, metres, and the unit directions
+    `vectors` (N, D), int8, are descriptors times STEPS. `at` (N, 6) has the positions, metres, and the unit directions
     of the places, in the object frame: a place is touched along its direction. `copies` (E, 4, 4), metres, are the
     motions that map the object onto itself, the identity first. Described place n is place n * `step` of the object.
     """
@@ -52,9 +50,8 @@ class DescribedPlaces:
     @classmethod
     def of(cls, places: Places, copies: Float64, descriptor: Descriptor, step: int = 1) -> DescribedPlaces:
         """Describe every `step`-th place of an object."""
-        some = slice(None, None, step)
-        vectors = np.rint(SCALE * descriptor.describe_places(places.patches[some])).astype(np.int8)
-        return cls(vectors, locate_places(places.T_place_object[some]), copies, step)
+        vectors = descriptor.describe_in_steps(places.patches[::step])
+        return cls(vectors, places.placements[::step].astype(np.float32), copies, step)
 
     def __len__(self) -> int:
         return len(self.vectors)
@@ -70,12 +67,6 @@ class DescribedPlaces:
         R, t = self.copies[:, :3, :3], self.copies[:, :3, 3]
         positions = np.einsum("eij,kj->kei", R, at[:, :3]) + t
         return np.concatenate([positions, np.einsum("eij,kj->kei", R, at[:, 3:])], axis=2).reshape(-1, 6)
-
-
-def locate_places(T_place_object: Poses) -> Float32:
-    """Return the positions, metres, and the directions (N, 6) of places in the object frame: see `Places`."""
-    R, t = T_place_object[:, :3, :3], T_place_object[:, :3, 3]
-    return np.concatenate([-np.einsum("nij,ni->nj", R, t), R[:, 2]], axis=1).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +146,9 @@ def _add_support(
 
 
 def compare_vectors(vectors: NDArray[np.int8], asked: Float32) -> Float32:
-    """Return the similarities (T, N) of T touches' vectors (T, D) to places' vectors (N, D), int8, times SCALE."""
+    """Return the similarities (T, N) of T touches' vectors (T, D) to places' vectors (N, D), int8, times STEPS."""
     similar: Float32 = asked @ vectors.astype(np.float32).T
-    similar /= np.float32(SCALE)
+    similar /= np.float32(STEPS)
     return similar
 
 

@@ -21,7 +21,7 @@ from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
-from tactile_loc.tasks.tracked_pose import TrackTrust
+from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
 from tactile_loc.tasks.tracker import MOST_WEIGHED, Motion, Tracker
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
@@ -189,15 +189,19 @@ def test_modes_share_the_probability_that_the_search_states():
     assert TrackTrust(TrackerOptions(), probability=0.9).share(np.array([1.0])) == pytest.approx([0.9])
 
 
-def test_an_object_that_slips_is_found_nearby(pin, slide):
-    """The tracker chooses no other place that would explain the touch equally well."""
-    source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
-    tracker, frame = started(pin, slide), slide[0]
+def show_slip(pin: Localizer, frame, tracker: Tracker) -> tuple[TrackedPose, np.ndarray]:
+    """Show a frame 12 times, then a touch of the slipped object; return the tracked pose and the true pose."""
     for k in range(12):
         tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
     slipped = make_translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
+    source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
     touch = source.draw_touch(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
-    found = tracker.update(0.12, touch, frame.T_base_sensor)
+    return tracker.update(0.12, touch, frame.T_base_sensor), slipped
+
+
+def test_an_object_that_slips_is_found_nearby(pin, slide):
+    """The tracker chooses no other place that would explain the touch equally well."""
+    found, slipped = show_slip(pin, slide[0], started(pin, slide))
     assert found.slipped
     assert found.verdict is not Verdict.CERTAIN
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
@@ -205,13 +209,9 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
 
 def test_a_slip_that_did_not_happen_is_taken_back(pin, slide):
     """A single touch shows a slip. All later touches show the object where it was."""
-    source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
-    tracker, frame = started(pin, slide), slide[0]
-    for k in range(12):
-        tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
-    elsewhere = make_translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
-    bad = source.draw_touch(elsewhere, frame.touch.indentation_m, "bad", np.random.default_rng(0))
-    assert tracker.update(0.12, bad, frame.T_base_sensor).slipped
+    frame, tracker = slide[0], started(pin, slide)
+    found, _ = show_slip(pin, frame, tracker)
+    assert found.slipped
     later = [tracker.update(0.13 + 0.01 * k, frame.touch, frame.T_base_sensor) for k in range(MOST_WEIGHED)]
     assert later[-1].verdict is Verdict.CERTAIN
     assert off_mm(pin, later[-1].T_sensor_object, frame.T_sensor_object) < 0.3

@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 import pytest
 
+from tactile_loc.core.descriptor.descriptor import STEPS
 from tactile_loc.core.geometry.rigid import draw_rotations
 from tactile_loc.tasks.votes import (
     MOST_LOST,
     NEAR_M,
-    SCALE,
     STD_M,
     STD_RAD,
     Asked,
@@ -38,7 +38,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture
 def places(rng) -> DescribedPlaces:
     """Return random places with random descriptors."""
-    vectors = np.rint(SCALE * draw_units(rng, 200, DIMENSIONS)).astype(np.int8)
+    vectors = np.rint(STEPS * draw_units(rng, 200, DIMENSIONS)).astype(np.int8)
     at = np.concatenate([rng.uniform(-0.02, 0.02, (200, 3)), draw_units(rng, 200, 3)], axis=1).astype(np.float32)
     return DescribedPlaces(vectors, at, NO_COPIES)
 
@@ -48,12 +48,12 @@ def touch_at(places: DescribedPlaces, numbers: list[int], rng: np.random.Generat
     R = draw_rotations(1, rng)[0] @ np.diag([mirror, 1, 1])
     at = places.at[numbers].astype(float)
     moved = np.concatenate([at[:, :3] @ R.T + rng.normal(size=3), at[:, 3:] @ R.T], axis=1)
-    return Asked((places.vectors[numbers] / SCALE).astype(np.float32), moved)
+    return Asked((places.vectors[numbers] / STEPS).astype(np.float32), moved)
 
 
 def rate_slowly(places: DescribedPlaces, asked: Asked) -> float:
     """Return the best log-likelihood of two touches, from the definition."""
-    similar = places.vectors.astype(float) @ asked.vectors.T / SCALE / TEMPERATURE
+    similar = places.vectors.astype(float) @ asked.vectors.T / STEPS / TEMPERATURE
     truth = np.array(measure_pair(*asked.at))
     best = -np.inf
     for i, j in itertools.product(range(len(places)), repeat=2):
@@ -97,7 +97,7 @@ def test_copies_of_places_support_each_other(places, rng):
     symmetric = DescribedPlaces(places.vectors, places.at, np.stack([np.eye(4), half_turn]))
     at = places.at[[5, 60]].astype(float)
     at[1] *= [-1, -1, 1, -1, -1, 1]
-    asked = Asked((places.vectors[[5, 60]] / SCALE).astype(np.float32), at)
+    asked = Asked((places.vectors[[5, 60]] / STEPS).astype(np.float32), at)
     alone = 2 / TEMPERATURE
     assert rate_object(symmetric, asked, TEMPERATURE) == pytest.approx(alone, rel=0.02)
     assert rate_object(places, asked, TEMPERATURE) < 0.9 * alone

@@ -20,6 +20,7 @@ from tactile_loc.core.sensing.touch import Touch
 Float32 = NDArray[np.float32]
 
 WEIGHTS = "descriptor.safetensors"
+STEPS = 127  # of a vector's component from 0 to 1, if it is stored as a whole number
 AT_ONCE = 256  # places that are described together
 SHARPEST = 0.01  # least temperature of the training
 
@@ -48,12 +49,14 @@ class Descriptor:
             vectors[some] = self._places(encode_places(patches[some]))
         return vectors
 
+    def describe_in_steps(self, patches: NDArray[np.uint8]) -> NDArray[np.int8]:
+        """Return the vectors (N, D) of places times STEPS, rounded."""
+        return np.rint(STEPS * self.describe_places(patches)).astype(np.int8)
+
     def describe_touch(self, touch: Touch) -> Float32:
         """Return the unit vector (D,) of a touch with depths."""
-        from tactile_loc.core.sensing.rotated_patches import (
-            find_anchor,
-            rotate_patches,
-        )  # numba takes a while to import
+        # numba takes a while to import
+        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
         press_m = touch.press_depth_m
         depth_m, seen = rotate_patches(touch, *find_anchor(touch), np.zeros(1), touch.find_known(press_m))

@@ -21,10 +21,8 @@ RAMPS_M = (1e-4, 2.5e-4, 6e-4, 1.5e-3)  # a height has the value 1 from the end 
 
 def encode_places(patches: NDArray[np.uint8]) -> Float32:
     """Return the features (N, ANGLES, C) of the patches (N, PATCH_PX, PATCH_PX) of places."""
-    numbers, weights = _find_samples()
-    heights_m = cut_patches(patches, RAMPS_M[-1]).reshape(len(patches), -1)
-    sampled = np.einsum("nsk,sk->ns", heights_m[:, numbers], weights)
-    return _stack(sampled, [np.minimum(sampled / np.float32(ramp), 1) for ramp in RAMPS_M])
+    sampled = _sample(cut_patches(patches, RAMPS_M[-1]))
+    return _stack(_climb(sampled))
 
 
 def encode_touch(depth_m: Float32, seen: NDArray[np.bool_], press_m: float) -> Float32:
@@ -35,19 +33,30 @@ def encode_touch(depth_m: Float32, seen: NDArray[np.bool_], press_m: float) -> F
     """
     numbers, weights = _find_samples()
     press = np.float32(press_m)
-    depths = np.minimum(depth_m.reshape(len(depth_m), -1), press)
-    sampled = np.einsum("nsk,sk->ns", depths[:, numbers], weights)
+    sampled = _sample(np.minimum(depth_m, press))
     nearest = np.take_along_axis(numbers, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     visible = seen.reshape(len(seen), -1)[:, nearest]
     touched = sampled < press * np.float32(1 - 1e-6)
-    values = [np.minimum(sampled / np.float32(ramp), 1) * visible for ramp in RAMPS_M]
+    values = [value * visible for value in _climb(sampled)]
     known = [(visible & (touched | (press >= ramp))).astype(np.float32) for ramp in RAMPS_M]
-    return _stack(sampled, values + known)
+    return _stack(values + known)
 
 
-def _stack(sampled: Float32, planes: list[Float32]) -> Float32:
+def _sample(images: Float32) -> Float32:
+    """Return images (N, PATCH_PX, PATCH_PX) at the polar samples (N, rings * ANGLES)."""
+    numbers, weights = _find_samples()
+    sampled: Float32 = np.einsum("nsk,sk->ns", images.reshape(len(images), -1)[:, numbers], weights)
+    return sampled
+
+
+def _climb(sampled: Float32) -> list[Float32]:
+    """Return heights, metres, on each ramp, 0 to 1."""
+    return [np.minimum(sampled / np.float32(ramp), 1) for ramp in RAMPS_M]
+
+
+def _stack(planes: list[Float32]) -> Float32:
     """Return planes (N, rings * ANGLES) as features (N, ANGLES, planes * rings)."""
-    stacked = np.stack(planes, axis=1).reshape(len(sampled), len(planes) * len(RADII_M), ANGLES)
+    stacked = np.stack(planes, axis=1).reshape(len(planes[0]), len(planes) * len(RADII_M), ANGLES)
     return np.ascontiguousarray(stacked.swapaxes(1, 2))
 
 

@@ -45,6 +45,12 @@ class Places:
     def __len__(self) -> int:
         return len(self.patches)
 
+    @property
+    def placements(self) -> NDArray[np.float64]:
+        """The positions, metres, and the unit directions (N, 6) of the places, in the object frame."""
+        R, t = self.T_place_object[:, :3, :3], self.T_place_object[:, :3, 3]
+        return np.concatenate([-np.einsum("nij,ni->nj", R, t), R[:, 2]], axis=1)
+
     def depths(self, press_depth_m: float, some: slice = slice(None)) -> Float32:
         """Return the contact depths (K, PATCH_PX, PATCH_PX), metres, of the places `some`, cut at the press depth."""
         return cut_patches(self.patches[some], press_depth_m)
