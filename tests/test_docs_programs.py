@@ -60,6 +60,7 @@ def test_the_server_locates_touches_and_explains_errors(service, workplace):
     assert json.load(refused.value)["error"]
 
 
+@pytest.mark.slow
 def test_the_processes_find_the_poses(workplace):
     (workplace / "program.py").write_text(PROCESSES + "    print(len(poses), *poses[7].ravel())\n")
     done = subprocess.run(

@@ -56,6 +56,7 @@ def test_each_script_is_short_and_shown_with_its_picture(script):
     assert not re.search(r"/(home|tmp|work)/", script.read_text())
 
 
+@pytest.mark.slow
 def test_a_depth_map_gives_the_same_pose_in_every_kind(run, tmp_path):
     made = run("01", "--picture", str(tmp_path / "depth.png"))
     poses = [result.best.T_sensor_object for result in made["results"].values()]
@@ -64,6 +65,7 @@ def test_a_depth_map_gives_the_same_pose_in_every_kind(run, tmp_path):
     assert (tmp_path / "depth.png").exists()
 
 
+@pytest.mark.slow
 def test_two_sensors_find_the_pose_that_neither_finds_alone(run):
     made = run("02")
     assert min(map(error_m, made["alone"])) > 5e-3
@@ -118,6 +120,7 @@ def test_the_ros_message_survives_its_encoding(run):
     np.testing.assert_array_equal(np.reshape(read.pose.covariance, (6, 6)), best.base_covariance)
 
 
+@pytest.mark.slow
 def test_the_touched_points_lie_on_the_mesh_in_open3d(run):
     made = run("07")
     assert np.median(made["gap_mm"]) < 0.1

@@ -12,8 +12,6 @@ import pytest
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 NAMES = [path.stem for path in NOTEBOOKS]
-FASTEST = "write-a-refiner"
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != FASTEST]
 PAGE = (ROOT / "docs" / "notebooks.md").read_text()
 LONGEST_CELL = 25  # lines
 
@@ -56,7 +54,8 @@ def test_a_notebook_has_short_cells_and_no_paths_of_a_machine(source):
     assert not re.search(r"/(home|tmp|work|root|Users)/", "".join(cell.source for cell in source.cells))
 
 
-@pytest.mark.parametrize("name", [FASTEST, *SLOW])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_a_notebook_runs_and_shows_its_results(notebooks, name, monkeypatch, store):
     monkeypatch.setenv("TACTILE_LOC_STORE", str(store.root))
     monkeypatch.setenv("PYTHONPATH", ":".join([str(ROOT), str(ROOT / "cli")]))

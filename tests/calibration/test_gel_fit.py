@@ -24,6 +24,7 @@ GEOMETRY = SensorGeometry(
     "orthographic", PX, PX, SCALE, SCALE, PX / 2, PX / 2, standoff_m=0.01, max_depth_m=1.5e-3
 )  # fmt: skip
 UNTOUCHED = np.full((PX, PX, 3), 110, np.uint8)
+OTHERS = Gel(5e-3), Gel(4e-3, coating_m=4e-4)
 LAMPS = np.array([[1.0, 0.0], [-0.5, 0.87], [-0.5, -0.87]])  # directions of the red, green and blue lamps
 
 
@@ -49,7 +50,9 @@ def draw_press(gel: Gel, number: int) -> BallImage:
     return BallImage(image, Circle(at[0] / PITCH_M, at[1] / PITCH_M, radius_px), BALL_M, PITCH_M)
 
 
-@pytest.mark.parametrize("gel", [Gel(3e-3, coating_m=2e-4), Gel(5e-3), Gel(4e-3, coating_m=4e-4)], ids=str)
+@pytest.mark.parametrize(
+    "gel", [Gel(3e-3, coating_m=2e-4), *(pytest.param(gel, marks=pytest.mark.slow) for gel in OTHERS)], ids=str
+)
 def test_thickness_coating_and_contact_are_found(gel):
     fit = fit_gel([draw_press(gel, number) for number in range(5)], UNTOUCHED)
     assert fit is not None

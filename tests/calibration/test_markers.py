@@ -236,6 +236,7 @@ def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     np.testing.assert_array_equal(newer.untouched, turned)
 
 
+@pytest.mark.slow
 def test_circles_are_found_under_dots(dotted):
     folder, balls, places = dotted
     frames = [Frame(f"{n:04d}.png", read) for n, read in enumerate(_read_images(folder, len(balls)))]

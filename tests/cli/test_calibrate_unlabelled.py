@@ -93,6 +93,7 @@ def test_impossible_lengths_are_refused_and_leave_no_files(cli, photos, lengths,
     assert {path.name for path in photos.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_another_ball_is_refused_and_unlabelled_photos_are_reported(cli, photos):
     BALLS.write(photos)
     assert_refused(cli("calibrate", photos, "--ball-radius", 9, *FEW), "--ball-radius", "9", "table")

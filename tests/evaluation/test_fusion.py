@@ -185,6 +185,7 @@ def test_a_finished_evaluation_is_not_repeated(evaluation, pipe, monkeypatch):
     assert (again.alone == evaluation.alone).all()
 
 
+@pytest.mark.slow
 def test_the_key_contains_every_input_that_changes_the_errors(pipe):
     def digest(local=pipe, contacts=CONTACTS, count=COUNT, source=SOURCE):
         return make_fusion_key(local, contacts, count, source).digest

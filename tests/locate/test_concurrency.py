@@ -17,14 +17,17 @@ from tactile_loc.store.store import StageStore
 
 WHOLE = {"sensor": "gelsight-mini", "grid": {"name": "whole", "directions": 300}, "temperature": 0.05}
 FACE = {"grid": {"name": "face", "spacing_mm": 8.0}, "temperature": 0.05}
-CHOICES = {
-    "whole": WHOLE,
-    "face": FACE,
+OTHERS = {
     "faiss-filterreg": {**WHOLE, "matcher": "faiss", "refiner": "filterreg"},
     "raycast-icp": {**WHOLE, "renderer": "raycast", "refiner": "icp"},
     "zbuffer-render": {**WHOLE, "renderer": "zbuffer", "refiner": "render"},
     "pyrender-kiss-icp": {**FACE, "renderer": "pyrender", "refiner": "kiss-icp"},
 }
+CHOICES = [
+    pytest.param(WHOLE, id="whole"),
+    pytest.param(FACE, id="face"),
+    *(pytest.param(settings, id=name, marks=pytest.mark.slow) for name, settings in OTHERS.items()),
+]
 
 
 def make(store: StageStore, settings: dict) -> Localizer:
@@ -44,7 +47,7 @@ def locate(localizer: Localizer, touches: Sequence[Touch]) -> list[Localization]
     return [localizer.localize(touch) for touch in touches]
 
 
-@pytest.mark.parametrize("settings", CHOICES.values(), ids=CHOICES)
+@pytest.mark.parametrize("settings", CHOICES)
 def test_a_copy_finds_the_same_poses(store, settings):
     localizer = make(store, settings)
     before = pickle.dumps(localizer)
@@ -56,7 +59,7 @@ def test_a_copy_finds_the_same_poses(store, settings):
         require_equal(locate(pickle.loads(copied), touches), expected)
 
 
-@pytest.mark.parametrize("settings", CHOICES.values(), ids=CHOICES)
+@pytest.mark.parametrize("settings", CHOICES)
 def test_threads_find_the_same_poses(store, settings):
     """The second localizer is used by several threads from the start, so they also build its parts at once."""
     touches = make(store, settings).simulate(6, seed=8)

@@ -46,6 +46,7 @@ def test_the_configuration_may_request_the_coverage(store, small):
     assert localizer.localize(touch).pose_set.coverage == 0.8
 
 
+@pytest.mark.slow
 def test_examples_are_drawn_once_for_all_numbers_of_touches(tmp_path, small, monkeypatch, caplog):
     first = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     with caplog.at_level(NOTE):

@@ -63,6 +63,7 @@ def test_the_true_pose_explains_what_the_gel_shows(localizers, touches):
         assert rigid.match_touch(as_rigid).imprint_ious(T, as_rigid)[0] < 0.75
 
 
+@pytest.mark.slow
 def test_three_touches_locate_the_object(localizers, touches):
     elastic = localizers["elastic"]
     metric = PoseMetric(elastic.object)

@@ -42,6 +42,7 @@ def examples(localizer) -> list[list[Touch]]:
     return [[hide_depths(touch, localizer.sensor) for touch in touches] for touches in drawn]
 
 
+@pytest.mark.slow
 def test_three_masks_locate_the_object(localizer, examples):
     off_m = []
     for touches in examples:

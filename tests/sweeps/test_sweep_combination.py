@@ -103,8 +103,10 @@ MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
 
 @pytest.mark.parametrize(
     ("encoder", "temperature"),
-    [([{"name": "pixel", "cells": 12}], {}), ([MOCO], {"temperature": 0.1})],
-    ids=["pixel", "moco"],
+    [
+        pytest.param([{"name": "pixel", "cells": 12}], {}, id="pixel"),
+        pytest.param([MOCO], {"temperature": 0.1}, id="moco", marks=pytest.mark.slow),
+    ],
 )
 def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperature):
     if encoder == [MOCO]:

@@ -70,6 +70,7 @@ def test_a_wrong_pose_that_explains_the_touches_as_well_makes_them_undetermined(
     assert wrong[~found.determined[:, 0]].any(axis=1).all()
 
 
+@pytest.mark.slow
 def test_an_interrupted_evaluation_resumes_with_the_same_results(hook, examples, found, tmp_path, monkeypatch):
     fresh = Localizer.create("hook", store=StageStore(tmp_path), **SETTINGS)
     again = dataclasses.replace(examples, localizer=fresh)
