@@ -90,7 +90,9 @@ class TrackTrust:
         return replace(self, usual_iou=max(imprint_iou, (1 - habit) * self.usual_iou + habit * imprint_iou))
 
     def doubts(self, imprint_iou: float) -> bool:
-        """Return whether a pose with this imprint IoU, 0 to 1, explains a touch clearly worse than usual."""
+        """Return whether a pose with this imprint IoU, 0 to 1, explains a touch worse than usual, or not at all."""
+        if self.usual_iou < self.options.least_iou:
+            return imprint_iou < self.options.least_iou  # the pose has explained nothing so far
         return imprint_iou < self.usual_iou - min(self.options.fall_iou, self.usual_iou / 2)
 
     def judge(self, found: bool, imprint_iou: float, touched: bool) -> Verdict:

@@ -36,6 +36,7 @@ MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; 
 MOST_LOST = 10  # consecutive such touches, after which a search replaces the track even if it is unsure itself
 LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
 MOST_WEIGHED = 10  # touches after a slip by which its pose is weighed against the pose without the slip
+JUMPED_NATS = 1.5  # most that a pose far from a slipped one loses, nats, if the slipped one fits worse than usual
 EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
 
 
@@ -197,6 +198,8 @@ class Tracker:
             return False  # the touch is bad: no pose explains it as well as usual
         self._stayed = Stayed(list(before[:1]), self._trust, self._search)
         prior = self._filter.make_slip_prior(before[0], np.asarray(touch.T_base_sensor))
+        if self._trust.doubts(slipped[0].imprint_iou):
+            prior = replace(prior, most_nats=min(prior.most_nats, JUMPED_NATS))  # perhaps the object has jumped
         self._modes, self._search, self._undoubted = slipped, self._search.restart(touch, prior), None
         self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.0, slipped[0].imprint_iou)
         return True
@@ -216,8 +219,11 @@ class Tracker:
     def _adopt(self, finished: Searched) -> None:
         """Take over the poses that a search found, and trust the first as far as the search does.
 
-        If the modes were doubted, and the search found no pose that explains its touches clearly better, they stay.
-        They also stay if one of them explains the touches better, because then the search has missed it. A mode that
+        If the modes were doubted, they stay unless the search found a pose that explains its touches clearly better.
+        They also stay if it explains them worse than usual, unless the modes do not explain them at all. Then the new
+        pose is at most ambiguous, because the object may be another one.
+
+        Modes also stay if one of them explains the touches better, because then the search has missed it. A mode that
         explains them as well makes the pose ambiguous.
         """
         found, keys = finished.found, finished.keys
@@ -227,10 +233,12 @@ class Tracker:
         if self._undoubted is None and finished.gains.max(initial=-np.inf) > AS_WELL:
             return
         (iou,) = self._filter.explain(new[:1], keys)
+        worse = False
         if self._undoubted is not None:
             tracked = max(self._filter.explain(self._modes, keys))
+            worse, explained = self._trust.doubts(iou), tracked >= self.options.least_iou
             unsure = found.verdict in (Verdict.NOT_FOUND, Verdict.POOR_FIT) and self._doubts < MOST_LOST
-            if unsure or (iou - tracked) * len(keys) < self.options.lost_iou or self._trust.doubts(iou):
+            if unsure or (worse and explained) or (iou - tracked) * len(keys) < self.options.lost_iou:
                 return  # a few bad touches do not end a track
             self._undoubted = None
         missed = [
@@ -240,7 +248,7 @@ class Tracker:
         ]
         renewed = [*self._filter.renew(self._modes, new), *missed]
         self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
-        verdict = Verdict.AMBIGUOUS if missed and found.verdict is Verdict.CERTAIN else found.verdict
+        verdict = Verdict.AMBIGUOUS if (missed or worse) and found.verdict is Verdict.CERTAIN else found.verdict
         self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
         if verdict is Verdict.CERTAIN:
             self._stayed = None

@@ -22,7 +22,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tasks.tracked_pose import TrackedPose, TrackTrust
-from tactile_loc.tasks.tracker import MOST_WEIGHED, Motion, Tracker
+from tactile_loc.tasks.tracker import JUMPED_NATS, MOST_DOUBTS, MOST_WEIGHED, Motion, Tracker
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
 
@@ -92,9 +92,9 @@ def test_motions_give_the_same_track_as_poses(pin, slide):
     assert off_mm(pin, found.T_sensor_object, slide[-1].T_sensor_object) < 0.5
 
 
-def at_once(localizer: Localizer) -> Localizer:
+def at_once(localizer: Localizer, **options: float) -> Localizer:
     """Return a localizer whose trackers finish each search within one frame."""
-    options = localizer.config.tracker.model_copy(update={"turns": 0})
+    options = localizer.config.tracker.model_copy(update={"turns": 0, **options})
     config = localizer.config.model_copy(update={"tracker": options})
     return Localizer(config, localizer.object, localizer.store)
 
@@ -136,6 +136,27 @@ def test_an_object_that_jumps_is_found_again(pin, sure):
     assert any(one.searched for one in later)
     assert off_mm(pin, later[-1].T_sensor_object, after.T_sensor_object) < 1.0
     assert not tracker.update(0.06, after, np.eye(4)).searched
+
+
+def test_a_start_that_explains_no_touch_is_doubted_and_replaced(pin, sure):
+    """The start is so wrong that the sensor would not touch the object there."""
+    truth, tracker = sure[0].T_sensor_object, Tracker(at_once(pin))
+    tracker.start(make_translation([0.0, 0.0, 0.05]) @ truth, np.diag(STD**2))
+    found = [tracker.update(0.01 * k, sure[0], np.eye(4)) for k in range(MOST_DOUBTS)]
+    assert [one.searched for one in found] == [False] * (MOST_DOUBTS - 1) + [True]
+    assert off_mm(pin, found[-1].T_sensor_object, truth) < 1.0
+
+
+def test_a_pose_that_fits_worse_than_before_a_jump_is_at_most_ambiguous(pin, sure):
+    """It replaces a track that explains nothing. It may be a pose of another object."""
+    before, after = sure
+    tracker = Tracker(at_once(pin, fall_iou=0.0))
+    tracker.start(before.T_sensor_object, np.diag(STD**2))
+    tracker.update(0.0, before, np.eye(4))
+    tracker._trust = replace(tracker._trust, usual_iou=1.0)
+    found = [tracker.update(0.01 + 0.01 * k, after, np.eye(4)) for k in range(MOST_DOUBTS)]
+    assert off_mm(pin, found[-1].T_sensor_object, after.T_sensor_object) < 1.0
+    assert found[-1].verdict is Verdict.AMBIGUOUS
 
 
 def test_a_pose_that_stops_explaining_the_touches_is_a_poor_fit(pin, sure, slide):
@@ -205,6 +226,18 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     assert found.slipped
     assert found.verdict is not Verdict.CERTAIN
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
+
+
+@pytest.mark.parametrize(("iou", "most_nats"), [(0.9, TrackerOptions().stay_nats), (0.6, JUMPED_NATS)])
+def test_a_slip_that_explains_its_touch_worse_than_usual_may_be_a_jump(pin, slide, monkeypatch, iou, most_nats):
+    """Then the search favours poses nearby less."""
+    tracker = started(pin, slide)
+    find = tracker._filter.find_slipped
+    monkeypatch.setattr(
+        tracker._filter, "find_slipped", lambda *seen: [replace(mode, imprint_iou=iou) for mode in find(*seen)]
+    )
+    assert show_slip(pin, slide[0], tracker)[0].slipped
+    assert tracker._search.prior.most_nats == most_nats
 
 
 def test_a_slip_that_did_not_happen_is_taken_back(pin, slide):
