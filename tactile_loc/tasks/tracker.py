@@ -221,7 +221,7 @@ class Tracker:
 
         If the modes were doubted, they stay unless the search found a pose that explains its touches clearly better.
         They also stay if it explains them worse than usual, unless the modes do not explain them at all. Then the new
-        pose is at most ambiguous, because the object may be another one.
+        pose is at most ambiguous, because the object may be another one. The same holds for a pose from one touch.
 
         Modes also stay if one of them explains the touches better, because then the search has missed it. A mode that
         explains them as well makes the pose ambiguous.
@@ -233,14 +233,14 @@ class Tracker:
         if self._undoubted is None and finished.gains.max(initial=-np.inf) > AS_WELL:
             return
         (iou,) = self._filter.explain(new[:1], keys)
-        worse = False
+        unproven = False
         if self._undoubted is not None:
             tracked = max(self._filter.explain(self._modes, keys))
             worse, explained = self._trust.doubts(iou), tracked >= self.options.least_iou
             unsure = found.verdict in (Verdict.NOT_FOUND, Verdict.POOR_FIT) and self._doubts < MOST_LOST
             if unsure or (worse and explained) or (iou - tracked) * len(keys) < self.options.lost_iou:
                 return  # a few bad touches do not end a track
-            self._undoubted = None
+            self._undoubted, unproven = None, worse or len(keys) == 1
         missed = [
             replace(mode, nats=new[0].nats)
             for mode, gain in zip(finished.known, finished.gains, strict=True)
@@ -248,7 +248,7 @@ class Tracker:
         ]
         renewed = [*self._filter.renew(self._modes, new), *missed]
         self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
-        verdict = Verdict.AMBIGUOUS if (missed or worse) and found.verdict is Verdict.CERTAIN else found.verdict
+        verdict = Verdict.AMBIGUOUS if (missed or unproven) and found.verdict is Verdict.CERTAIN else found.verdict
         self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
         if verdict is Verdict.CERTAIN:
             self._stayed = None
