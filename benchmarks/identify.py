@@ -24,11 +24,13 @@ import json
 import re
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from contacts import LEVELS
+from generated_parts import list_likenesses
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.suite import read_split
@@ -67,10 +69,21 @@ def open_library(arguments: argparse.Namespace) -> Library:
     ])  # fmt: skip
 
 
-def choose_asked(library: Library, arguments: argparse.Namespace) -> list[str]:
-    """Return the names of the touched objects: at least `most` of those that match `asked`, evenly spread."""
-    asked = [name for name in library.names if re.match(arguments.asked, name)]
-    return asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
+def choose_asked(library: Library, pattern: str, most: int | None) -> list[str]:
+    """Return the names of the touched objects: at least `most` of those that match `pattern`, evenly spread."""
+    asked = [name for name in library.names if re.match(pattern, name)]
+    return asked[:: max(1, len(asked) // (most or len(asked)))]
+
+
+def choose_among(library: Library, name: str, size: int, rng: np.random.Generator) -> Library:
+    """Return a library of `size` parts: the part `name`, those that resemble it, and a random choice of the others."""
+    some = [one for one in (name, *list_likenesses(name)) if one in library.names][:size]
+    others = [one for one in library.names if one not in some]
+    some += rng.choice(others, min(size - len(some), len(others)), replace=False).tolist()
+    if not isinstance(parts := library.models, StoredParts):
+        return Library([parts[library.names.index(one)] for one in some])
+    rows = {one: parts.folder.rows[one] for one in sorted(some)}
+    return Library(StoredParts(replace(parts.folder, rows=rows), parts.config, parts.store))
 
 
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
@@ -181,7 +194,7 @@ def main() -> None:
     library = open_library(arguments)
     rows = []
     for count in arguments.touches:
-        for name in choose_asked(library, arguments):
+        for name in choose_asked(library, arguments.asked, arguments.most):
             number = library.names.index(name)
             for again in range(arguments.examples):
                 label = f"{name}-{arguments.level}-{count}-{again}-{len(library)}.json"

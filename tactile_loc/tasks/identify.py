@@ -33,6 +33,7 @@ from tactile_loc.locate.probabilities import FusedScaling, Scalings, Temperature
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.tasks.library import Comparison, Library
+from tactile_loc.tasks.pose_modes import PoseModes, join_modes
 
 Float64 = NDArray[np.float64]
 
@@ -150,6 +151,16 @@ class Identification:
         """The most probable object; None if "none of these" is more probable."""
         first = self.objects[0]
         return first if first.probability > self.none else None
+
+    @property
+    def modes(self) -> PoseModes | None:
+        """The pairs of an object and its pose that are still possible, which the next touch has to distinguish.
+
+        They are those of objects with a probability of at least LEAST_REPORTED; None if there is no such object.
+        """
+        probable = [one for one in self.objects if one.probability >= LEAST_REPORTED]
+        known = [(PoseModes.of(one.found), one.probability) for one in probable if one.found is not None]
+        return join_modes(*zip(*known, strict=True)) if known else None
 
     @property
     def verdict(self) -> Verdict:

@@ -43,7 +43,7 @@ def test_identify_names_the_object_or_none(cli, parts):
 
 
 def test_a_required_verdict_decides_the_exit_code(cli, parts):
-    wanted = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--require", "certain", "--out", "out"]
+    wanted = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--require", "certain", "--out", "out", "--around", 20]
     done = cli(*wanted)
     assert done.exit_code == 0, done.stderr
     assert re.match(r"certain: plate \d", done.stdout)
@@ -51,7 +51,12 @@ def test_a_required_verdict_decides_the_exit_code(cli, parts):
     done = cli(*wanted)
     assert done.exit_code == 3, done.stderr
     assert re.match(r"ambiguous: (plate|same) \d.* %, (plate|same) \d", done.stdout)
-    assert json.loads(Path("out/identification.json").read_text())["verdict"] == "ambiguous"
+    said = json.loads(Path("out/identification.json").read_text())
+    assert said["verdict"] == "ambiguous"
+    assert {mode["object"] for mode in said["next_touch"]["modes"]} == {"plate", "same"}
+    best = said["next_touch"]["ranked"][0]["name"]
+    assert best in Path("out/approaches.toml").read_text()
+    assert re.search(rf"1 +{best}", done.stdout)
 
 
 def test_a_given_symmetry_counts_for_every_object(cli, parts):
