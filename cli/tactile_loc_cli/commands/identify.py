@@ -33,6 +33,13 @@ Touches = Annotated[
 Located = Annotated[
     int, options.declare("--located", "N", "Number of objects to locate: the most probable ones after a rough search.")
 ]
+Unknown = Annotated[
+    float,
+    options.declare(
+        "--unknown", "SHARE",
+        "Share of touched objects that are none of these, before any touch: above 0, below 1.",
+    ),
+]  # fmt: skip
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
 Given = Annotated[
     RunOptions,
@@ -55,6 +62,7 @@ def identify(
     touch: Touches,
     given: Given,
     located: Located = 8,
+    unknown: Unknown = 0.2,
     candidates: Candidates = None,
     around: Around = None,
     out: Out = DEFAULT_OUT,
@@ -73,13 +81,15 @@ def identify(
     from tactile_loc.store.store import StageStore
     from tactile_loc.tasks.identify import identify as identify_touches
     from tactile_loc.tasks.identify_files import make_identification_record, read_library
+    from tactile_loc.tasks.null_evidence import NullEvidence
     from tactile_loc_cli.results import say_identification
 
+    null = NullEvidence(unknown)
     settings = options.make_config(replace(given, touch=touch))
     library = read_library(objects, settings, StageStore(store), make_progress())
     require_writable(out)
     touches = [one for _, one in options.read_touches(library.models[0], Path(touch))]
-    found = identify_touches(touches, library, located)
+    found = identify_touches(touches, library, located, null)
     approaches, chosen = _rate_approaches(found, touches, candidates, around)
     record = make_identification_record(found, [one.name for one in touches], chosen)
     say_identification(record)
