@@ -21,7 +21,8 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
 Rng = np.random.Generator
-MIRRORED, DRILLED = 8, 9  # last digits of the numbers of parts that resemble an earlier part
+# last digits of the numbers of parts that resemble an earlier part of the same ten, and of this part
+MIRRORED, DRILLED, ORIGINAL = 8, 9, 1
 DIGITS = 5
 SEGMENTS = 48  # of a circle
 THROUGH = 1.2  # length of a cutting tool, in units of the material that it cuts
@@ -285,9 +286,18 @@ def make_part(name: str) -> Manifold:
     family, _, number = name.rpartition("-")
     kind = int(number) % 10
     if kind in (MIRRORED, DRILLED):
-        like = make_part(f"{family}-{int(number) - MIRRORED + 1 - (kind == DRILLED):0{DIGITS}d}")
+        like = make_part(f"{family}-{int(number) - kind + ORIGINAL:0{DIGITS}d}")
         return like.mirror([1, 0, 0]) if kind == MIRRORED else drill(like, 1.2, draw_inside(like, name))
     return FAMILIES[family](np.random.default_rng([int(number), zlib.crc32(family.encode())]))
+
+
+def list_likenesses(name: str) -> list[str]:
+    """Return the names of the parts that resemble a part on purpose. Other names than those of parts have none."""
+    family, _, number = name.rpartition("-")
+    if family not in FAMILIES or int(number) % 10 not in (ORIGINAL, MIRRORED, DRILLED):
+        return []
+    first = int(number) // 10 * 10
+    return [like for k in (ORIGINAL, MIRRORED, DRILLED) if (like := f"{family}-{first + k:0{DIGITS}d}") != name]
 
 
 def draw_inside(part: Manifold, name: str) -> NDArray[np.float64]:

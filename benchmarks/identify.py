@@ -8,10 +8,11 @@ identified among all objects, and among all objects except the touched one.
 For each number of touches, the table has shares of examples. The touched object is first in the quick comparison, first
 in the full comparison, among the located objects, or the most probable object. It is inseparable from the most probable
 object if it is nearly as probable: see `AS_PROBABLE`. The answer is right if the touched object is also more probable
-than "none of these". If the touched object is missing in the library, the table has the share of rejected examples,
-also at the threshold that rejects 5 % of the known objects. Both columns "certain" have the share of examples with this
-verdict. Then confused objects are listed. For each size of the library, the times of a
-quick comparison and of two touches follow.
+than "none of these". If the touched object and the parts that resemble it are left out, the table has the share of
+rejected examples, also at the threshold that rejects 5 % of the known objects. Both columns "certain" have the share of
+examples with this verdict. Then confused objects are listed. The second table is for objects that are left out while a
+part that resembles them remains. The third table compares the probabilities with the true shares; unknown objects have
+the weight of their prior. For each size of the library, the times of a quick comparison and of two touches follow.
 
 `--fit` prints the null evidence under which the examples are most probable. Objects are FILE[:UNITS] or demo names.
 `--out` keeps the examples, one file for each object and number of touches, which are not measured again.
@@ -24,11 +25,14 @@ import json
 import re
 import time
 from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from contacts import LEVELS
+from generated_parts import list_likenesses
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.suite import read_split
@@ -42,13 +46,23 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.locate.results.verdict import judge as judge_pose
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
+from tactile_loc.tasks.identify import LOCATED, find_floors, identify
 from tactile_loc.tasks.identify_files import AS_PROBABLE
 from tactile_loc.tasks.library import Library
 from tactile_loc.tasks.library_parts import StoredParts
+from tactile_loc.tasks.null_evidence import KnownAnswer, NullEvidence, fit_null_evidence
 
 TEMPERATURE = 0.05  # not fitted, because objects are weighed by their evidence
 FALSE_ALARMS = 0.05
+# The touched object is in the library; left out with the parts that resemble it; or left out, but such a part remains.
+SITUATIONS = KNOWN, UNKNOWN, LIKENESS = "known", "unknown", "likeness"
+NONE = "none of these"
+BINS = (0.05, 0.2, 0.5, 0.8, 0.95)  # of probabilities
+SHARES = (
+    "glanced", "looked_into", "located", "first", "inseparable", "right", "certain", "certain_right", "rejected",
+    "rejected_at_5", "strange_certain",
+)  # fmt: skip
+LIKE_SHARES = ("like_rejected", "like_named", "like_certain")
 SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
 
 
@@ -67,10 +81,21 @@ def open_library(arguments: argparse.Namespace) -> Library:
     ])  # fmt: skip
 
 
-def choose_asked(library: Library, arguments: argparse.Namespace) -> list[str]:
-    """Return the names of the touched objects: at least `most` of those that match `asked`, evenly spread."""
-    asked = [name for name in library.names if re.match(arguments.asked, name)]
-    return asked[:: max(1, len(asked) // (arguments.most or len(asked)))]
+def choose_asked(library: Library, pattern: str, most: int | None) -> list[str]:
+    """Return the names of the touched objects: at least `most` of those that match `pattern`, evenly spread."""
+    asked = [name for name in library.names if re.match(pattern, name)]
+    return asked[:: max(1, len(asked) // (most or len(asked)))]
+
+
+def choose_among(library: Library, name: str, size: int, rng: np.random.Generator) -> Library:
+    """Return a library of `size` parts: the part `name`, those that resemble it, and a random choice of the others."""
+    some = [one for one in (name, *list_likenesses(name)) if one in library.names][:size]
+    others = [one for one in library.names if one not in some]
+    some += rng.choice(others, min(size - len(some), len(others)), replace=False).tolist()
+    if not isinstance(parts := library.models, StoredParts):
+        return Library([parts[library.names.index(one)] for one in some])
+    rows = {one: parts.folder.rows[one] for one in sorted(some)}
+    return Library(StoredParts(replace(parts.folder, rows=rows), parts.config, parts.store))
 
 
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
@@ -83,25 +108,40 @@ def draw_example(library: Library, number: int, arguments: argparse.Namespace, a
     return source.draw_example(max(arguments.touches), rng)[0]
 
 
-def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
-    """Return the objects' rough fits, and the misfits of the objects to be located, with and without the truth."""
+def measure_object(library: Library, name: str, touches: list[Touch]) -> dict[str, Any]:
+    """Return the objects' rough fits, and the misfits of the objects to be located, in each of the SITUATIONS."""
+    like = [one for one in list_likenesses(name) if one in library.names]
     start = time.perf_counter()
-    said = identify(touches, library, LOCATED + 1)
-    return {
-        "seconds": time.perf_counter() - start, "alike": {one.name: one.alike for one in said.objects},
+    said = identify(touches, library, LOCATED + 1 + len(like))
+    located = [one for one in said.objects if one.found is not None]
+    row: dict[str, Any] = {
+        "object": name, "touches": len(touches), "seconds": time.perf_counter() - start, "likenesses": like,
+        "alike": {one.name: one.alike for one in said.objects},
         "rough_ious": {one.name: one.rough_iou for one in said.objects},
-        "misfits": {one.name: one.misfit for one in said.objects if one.found is not None},
-        "imprint_ious": {one.name: one.found.best.imprint_iou for one in said.objects if one.found is not None},
+        "misfits": {one.name: one.misfit for one in located},
+        "imprint_ious": {one.name: one.found.best.imprint_iou for one in located if one.found is not None},
+        "floors": {KNOWN: list(said.floors)},
     }  # fmt: skip
+    for situation in (LIKENESS, UNKNOWN) if like else (UNKNOWN,):
+        names = list_located(row, situation)
+        apart = {library.names.index(one.name): np.array(one.apart) for one in located if one.name in names}
+        row["floors"][situation] = find_floors(library, touches, apart).tolist()
+    return row
 
 
-def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]:
-    """Return the located objects and the result. With `left_out`, the touched object is not in the library."""
-    others = [name for name in row["alike"] if not (left_out and name == row["object"])]
-    names = sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
+def list_located(row: dict[str, Any], situation: str) -> list[str]:
+    """Return the names of the objects that are located in one of the SITUATIONS, the ones with the best rough fit."""
+    out = {KNOWN: set(), LIKENESS: {row["object"]}, UNKNOWN: {row["object"], *row["likenesses"]}}[situation]
+    others = [name for name in row["alike"] if name not in out]
+    return sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
+
+
+def answer(row: dict[str, Any], situation: str) -> tuple[list[str], KnownAnswer]:
+    """Return the located objects and the result in one of the SITUATIONS."""
+    names = list_located(row, situation)
     misfits = np.array([row["misfits"].get(name, np.inf) for name in names])
     truth = names.index(row["object"]) if row["object"] in names else -1
-    return names, KnownAnswer(misfits, truth, row["touches"])
+    return names, KnownAnswer(misfits, np.array(row["floors"][situation]), truth, situation != KNOWN)
 
 
 def is_called_certain(row: dict[str, Any], names: list[str], p: NDArray[np.float64], none: float) -> bool:
@@ -115,42 +155,82 @@ def is_own_first(row: dict[str, Any], key: str) -> bool:
     return bool(row[key][row["object"]] == max(row[key].values()))
 
 
-def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
-    """Return shares over examples with the same number of touches, and the confused objects."""
-    looked, first, inseparable, right, known_none, strange_none = [], [], [], [], [], []
-    certain, strange_certain = (
-        [],
-        [],
-    )  # whether an example called certain is right; whether an example is called certain
-    taken: Counter[tuple[str, str]] = Counter()
+class Judged(NamedTuple):
+    """The answer to an example: the objects' probabilities, and how far it is right."""
+
+    row: dict[str, Any]
+    truth: int
+    names: list[str]
+    p: NDArray[np.float64]
+    none: float
+    certain: bool
+
+    @property
+    def first(self) -> str:
+        """The most probable object."""
+        return self.names[int(self.p.argmax())]
+
+    @property
+    def right(self) -> bool:
+        """Whether the touched object is the most probable one, and more probable than "none of these"."""
+        return self.first == self.row["object"] and bool(self.p.max() > self.none)
+
+
+def judge(rows: list[dict[str, Any]], null: NullEvidence, situation: str) -> list[Judged]:
+    """Return the answer to each example that has the situation."""
+    judged = []
     for row in rows:
-        names, known = answer(row, left_out=False)
-        p, none = null.probabilities(known.misfits, known.touches)
-        best = names[int(p.argmax())]
-        looked.append(known.truth >= 0)
-        first.append(best == row["object"])
-        inseparable.append(known.truth >= 0 and p[known.truth] >= AS_PROBABLE * p.max())
-        right.append(best == row["object"] and p.max() > none)
-        known_none.append(none)
-        if not right[-1]:
-            taken[row["object"], best if p.max() > none else "none"] += 1
-        if is_called_certain(row, names, p, none):
-            certain.append(right[-1])
-        names, strange = answer(row, left_out=True)
-        p, none = null.probabilities(strange.misfits, row["touches"])
-        strange_none.append(none)
-        strange_certain.append(is_called_certain(row, names, p, none))
-    limit = np.quantile(known_none, 1 - FALSE_ALARMS)
+        if situation in row["floors"]:
+            names, known = answer(row, situation)
+            p, none = null.probabilities(known.misfits, known.floors)
+            judged.append(Judged(row, known.truth, names, p, none, is_called_certain(row, names, p, none)))
+    return judged
+
+
+def summarise(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
+    """Return shares over examples with the same number of touches, and the confused objects."""
+    known, unknown, like = (judge(rows, null, situation) for situation in SITUATIONS)
+    limit = np.quantile([one.none for one in known], 1 - FALSE_ALARMS)
+    certain = [one.right for one in known if one.certain]
+    taken = Counter(
+        (one.row["object"], one.first if one.p.max() > one.none else "none") for one in known if not one.right
+    )  # fmt: skip
     return {
         "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike") for row in rows]),
         "looked_into": np.mean([is_own_first(row, "rough_ious") for row in rows]),
-        "located": np.mean(looked), "first": np.mean(first), "inseparable": np.mean(inseparable),
-        "right": np.mean(right),
-        "rejected": np.mean(np.array(strange_none) > 0.5), "rejected_at_5": np.mean(np.array(strange_none) > limit),
+        "located": np.mean([one.truth >= 0 for one in known]),
+        "first": np.mean([one.first == one.row["object"] for one in known]),
+        "inseparable": np.mean([one.truth >= 0 and one.p[one.truth] >= AS_PROBABLE * one.p.max() for one in known]),
+        "right": np.mean([one.right for one in known]),
+        "rejected": np.mean([one.none > 0.5 for one in unknown]),
+        "rejected_at_5": np.mean([one.none > limit for one in unknown]),
         "certain": len(certain) / len(rows), "certain_right": np.mean(certain) if certain else np.nan,
-        "strange_certain": np.mean(strange_certain),
+        "strange_certain": np.mean([one.certain for one in unknown]), "likenesses": len(like),
+        "like_rejected": np.mean([one.none > 0.5 for one in like]) if like else np.nan,
+        "like_named": np.mean([one.first in one.row["likenesses"] for one in like]) if like else np.nan,
+        "like_certain": np.mean([one.certain for one in like]) if like else np.nan,
         "seconds": np.median([row["seconds"] for row in rows]),
     }, taken  # fmt: skip
+
+
+def compare_shares(rows: list[dict[str, Any]], null: NullEvidence) -> Iterator[tuple[str, list[float]]]:
+    """Yield for "none of these" and for the first object, and each bin of BINS, what is stated and what is true.
+
+    The values are the number of examples, their weight, the mean probability, and the share for which it is true.
+    Unknown objects count less than known ones, so that their share is the prior of `null`.
+    """
+    known, unknown = (judge(rows, null, situation) for situation in (KNOWN, UNKNOWN))
+    weights = np.repeat([(1 - null.prior) / len(known), null.prior / len(unknown)], [len(known), len(unknown)])
+    every = [*known, *unknown]
+    strange = np.repeat([False, True], [len(known), len(unknown)])
+    first = np.array([one.first == one.row["object"] for one in every])
+    none, best = np.array([one.none for one in every]), np.array([one.p.max() for one in every])
+    for what, said, true in ((NONE, none, strange), ("first object", best, first)):
+        bins = np.digitize(said, BINS)
+        for k in range(len(BINS) + 1):
+            if (some := bins == k).any():
+                said_mean, share = (float(np.average(values[some], weights=weights[some])) for values in (said, true))
+                yield what, [int(some.sum()), float(weights[some].sum()), said_mean, share]
 
 
 def time_comparisons(library: Library, touches: list[Touch]) -> float:
@@ -168,6 +248,7 @@ def main() -> None:
     parser.add_argument("--library", type=Path, help="library on disk, instead of meshes")
     parser.add_argument("--asked", default="", help="regular expression for the names of touched objects")
     parser.add_argument("--most", type=int, help="number of touched objects; default: all")
+    parser.add_argument("--among", type=int, help="identify among as many random parts; default: all")
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(SUFFERING))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3])
@@ -181,16 +262,20 @@ def main() -> None:
     library = open_library(arguments)
     rows = []
     for count in arguments.touches:
-        for name in choose_asked(library, arguments):
+        for name in choose_asked(library, arguments.asked, arguments.most):
             number = library.names.index(name)
             for again in range(arguments.examples):
-                label = f"{name}-{arguments.level}-{count}-{again}-{len(library)}.json"
+                label = f"{name}-{arguments.level}-{count}-{again}-{arguments.among or len(library)}.json"
                 kept = arguments.out / label if arguments.out else None
                 if kept is not None and kept.exists():
                     rows.append(json.loads(kept.read_text()))
                     continue
                 touches = draw_example(library, number, arguments, again)[:count]
-                rows.append({"object": name, "touches": count, **measure_object(library, touches)})
+                asked = library
+                if arguments.among is not None:
+                    rng = np.random.default_rng([arguments.seed, *map(ord, name), again, arguments.among])
+                    asked = choose_among(library, name, arguments.among, rng)
+                rows.append(measure_object(asked, name, touches))
                 if kept is not None:
                     kept.parent.mkdir(parents=True, exist_ok=True)
                     kept.write_text(json.dumps(rows[-1]))
@@ -206,27 +291,35 @@ def main() -> None:
 
 
 def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
-    """Print the table and the confused objects."""
+    """Print the tables and the confused objects."""
     null = NullEvidence()
     if arguments.fit:
-        known = [answer(row, left_out)[1] for row in rows for left_out in (False, True)]
-        null = fit_null_evidence(known)
+        null = fit_null_evidence([answer(row, key)[1] for row in rows for key in (KNOWN, UNKNOWN)])
         print(null)
     header = (
         "| touches | examples | first at once | first | located | most probable | or inseparable | right | certain "
     )
-    print(header + "| of these right | left out: rejected | at 5 % false alarms | certain | s |")
-    print("|---" * 14 + "|")
-    for count in sorted({row["touches"] for row in rows}):
-        said, taken = judge([row for row in rows if row["touches"] == count], null)
-        shares = (
-            "glanced", "looked_into", "located", "first", "inseparable", "right", "certain", "certain_right",
-            "rejected", "rejected_at_5", "strange_certain",
-        )  # fmt: skip
-        percent = [f"{said[key]:.0%}" for key in shares]
-        print(f"| {count} | {said['examples']} | {' | '.join(percent)} | {said['seconds']:.1f} |")
+    header += "| of these right | unknown: rejected | at 5 % false alarms | certain | s |"
+    print(f"{header}\n{'|---' * 14}|")
+    counts = sorted({row["touches"] for row in rows})
+    said = {count: summarise([row for row in rows if row["touches"] == count], null) for count in counts}
+    for count, (shares, taken) in said.items():
+        print(f"| {count} | {shares['examples']} | {format_shares(shares, SHARES)} | {shares['seconds']:.1f} |")
         for (own, other), times in taken.items():
             print(f"  {count} touches: {own} taken for {other}" + (f", {times} times" if times > 1 else ""))
+    print("\n| touches | examples with a likeness | rejected | likeness first | called certain |")
+    print("|---" * 5 + "|")
+    for count, (shares, _) in said.items():
+        print(f"| {count} | {shares['likenesses']} | {format_shares(shares, LIKE_SHARES)} |")
+    print("\n| probability of | examples | weight | stated | true |")
+    print("|---" * 5 + "|")
+    for what, (examples, *values) in compare_shares(rows, null):
+        print(f"| {what} | {examples} | {' | '.join(f'{value:.0%}' for value in values)} |")
+
+
+def format_shares(shares: dict[str, float], keys: Sequence[str]) -> str:
+    """Return shares as cells of a table."""
+    return " | ".join("" if np.isnan(shares[key]) else f"{shares[key]:.0%}" for key in keys)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from statistics import geometric_mean, mean, median
 
 from results import Results
 
-from tactile_loc.tasks.identify import NullEvidence
+from tactile_loc.tasks.null_evidence import NullEvidence
 
 Values = Callable[[Results], Sequence[float]]
 
@@ -191,8 +191,13 @@ QUOTES: dict[str, dict[str, Values]] = {
         "has {} (a round part) to {} places":
             lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },
-    "docs/identify.md": {"a fixed misfit: {} nats for one touch, {} nats for each of several":
-                         lambda r: [NullEvidence().alone, NullEvidence().together]},
+    "docs/identify.md": {
+        "A floor counts at most {} nats": lambda r: [NullEvidence().noise],
+        "If it is above {} nats, an unknown object": lambda r: [NullEvidence().gap],
+        "explained by chance: {} % after one touch, and {} % of these":
+            lambda r: [100 * NullEvidence().chance, 100 * NullEvidence().again],
+        "unknown with a probability of {} %": lambda r: [100 * NullEvidence().prior],
+    },
     "docs/app.md": FINGER,
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
     "docs/benchmarks/one-touch.md": {

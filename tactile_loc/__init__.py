@@ -67,7 +67,6 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.clearance import make_box_finger as make_box_finger
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
-    from tactile_loc.tasks.identify import NullEvidence as NullEvidence
     from tactile_loc.tasks.identify import identify as identify
     from tactile_loc.tasks.library import Library as Library
     from tactile_loc.tasks.live import LiveLocator as LiveLocator
@@ -78,6 +77,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.next_touch import NextTouch as NextTouch
     from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
     from tactile_loc.tasks.next_touch import choose_next_touch as choose_next_touch
+    from tactile_loc.tasks.null_evidence import NullEvidence as NullEvidence
     from tactile_loc.tasks.pose_modes import PoseModes as PoseModes
     from tactile_loc.tasks.replay import FolderReplay as FolderReplay
     from tactile_loc.tasks.replay import Replay as Replay

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 IMPRINT = "imprint IoU %"
 MOST_NAMED = 3  # names of touches that are shown
+NEXT_TOUCHES = 3  # approaches that are shown after an identification
 LEAST_SHOWN = 0.01  # least probability of unlisted poses that is shown
 POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
@@ -174,10 +175,10 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
             f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
             "run --top N lists more"
         )
-    if record.symmetry != "none":
+    if set(record.symmetry.split(" or ")) != {"none"}:
         say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
     for group in record.alike:
-        say(f"no approach distinguishes poses {', '.join(map(str, group))}")
+        say(f"no approach distinguishes poses {', '.join(map(record.name_mode, group))}")
     if record.stops:
         count = next(len(group) for group in record.alike if 1 in group)
         say(f"no further touch of these can tell these {count} poses apart: stop")
@@ -206,6 +207,8 @@ def say_identification(record: IdentificationRecord) -> None:
     say_table([header, *map(_list_known_cells, located), none], left=1, gap=2)
     if others := len(record.objects) - len(located):
         say(f"not located, because others explain the touches better or no pose explains them: {others} more")
+    if record.next_touch is not None:
+        say_next_touch(record.next_touch, NEXT_TOUCHES)
 
 
 def _list_known_cells(one: KnownObjectRecord) -> list[str]:

@@ -35,7 +35,7 @@ def draw_approaches(
     """
     return [
         replace(approach, press_m=press * geometry.max_depth_m)
-        for approach in _draw_clear(obj, geometry, count, CLEAR_M, rng)
+        for approach in _draw_clear(obj, geometry, count, CLEAR_M + _measure_radius_m(obj), rng)
     ]
 
 
@@ -48,20 +48,28 @@ def draw_approaches_to_modes(
     in every mode, and press as deep as in the previous touch. A `finger` in the sensor frame is moved sideways until,
     in this mode, the object touches its gel before the rest of the finger, if that is possible.
     """
-    centres_m = modes.T_base_object[:, :3, :3] @ modes.object.mesh.centroid_m + modes.T_base_object[:, :3, 3]
-    apart_m = np.linalg.norm(centres_m[:, None] - centres_m[None], axis=-1).max()
-    drawn = _draw_clear(modes.object, modes.geometry, count, CLEAR_M + float(apart_m), rng)
+    start_m = CLEAR_M + _measure_spread_m(modes)
+    drawn = [_draw_clear(obj, modes.geometry, count, start_m, rng) for obj, _ in modes.by_object]
     aimed = rng.choice(len(modes.probabilities), count, p=modes.probabilities)
-    if finger is not None:
-        surface = np.concatenate([modes.object.mesh.sample(POINTS, rng), modes.object.mesh.hull_corners_m])
-        drawn = [
-            replace(approach, T_base_sensor=_bring_contact_to_gel(approach.T_base_sensor, surface, finger, modes, rng))
-            for approach in drawn
-        ]
-    return [
-        replace(approach, T_base_sensor=T_base_object @ approach.T_base_sensor)
-        for approach, T_base_object in zip(drawn, modes.T_base_object[aimed], strict=True)
-    ]
+    approaches: dict[int, Approach] = {}
+    for (obj, own), some in zip(modes.by_object, drawn, strict=True):
+        surface_m = None if finger is None else np.concatenate([obj.mesh.sample(POINTS, rng), obj.mesh.hull_corners_m])
+        for n in np.flatnonzero(np.isin(aimed, own)).tolist():
+            T = some[n].T_base_sensor
+            if finger is not None and surface_m is not None:
+                T = _bring_contact_to_gel(T, surface_m, finger, modes, rng)
+            approaches[n] = replace(some[n], T_base_sensor=modes.T_base_object[aimed[n]] @ T)
+    return [approaches[n] for n in range(count)]
+
+
+def _measure_spread_m(modes: PoseModes) -> float:
+    """Return the radius of spheres about the object's centre in each mode that contain the object in every mode."""
+    centres_m = np.empty((len(modes.probabilities), 3))
+    for obj, own in modes.by_object:
+        T = modes.T_base_object[own]
+        centres_m[own] = T[:, :3, :3] @ obj.mesh.centroid_m + T[:, :3, 3]
+    apart_m = np.linalg.norm(centres_m[:, None] - centres_m[None], axis=-1).max()
+    return float(apart_m) + max(_measure_radius_m(obj) for obj, _ in modes.by_object)
 
 
 def _bring_contact_to_gel(
@@ -90,12 +98,15 @@ def _bring_contact_to_gel(
     return np.asarray(T_object_sensor @ make_translation([*moved, 0.0]))
 
 
+def _measure_radius_m(obj: ObjectModel) -> float:
+    return float(np.linalg.norm(obj.mesh.corners_m - obj.mesh.centroid_m, axis=1).max())
+
+
 def _draw_clear(
-    obj: ObjectModel, geometry: SensorGeometry, count: int, clear_m: float, rng: np.random.Generator
+    obj: ObjectModel, geometry: SensorGeometry, count: int, start_m: float, rng: np.random.Generator
 ) -> list[Approach]:
-    """Return approaches in the object's frame whose gels start `clear_m` metres clear of the bounding sphere."""
+    """Return approaches in the object's frame whose gels start `start_m` metres before the plane of its centre."""
     centre = obj.mesh.centroid_m
-    start_m = clear_m + float(np.linalg.norm(obj.mesh.corners_m - centre, axis=1).max())
     found = []
     for k, (R, aim_m) in enumerate(zip(draw_rotations(count, rng), obj.mesh.sample(count, rng), strict=True)):
         z = R[:, 2]

@@ -7,16 +7,17 @@ touches fully. The misfit does not depend on how much of the object is touched.
 To find the misfits, objects are located with TYPICAL scalings of probabilities. They hardly affect the poses, and need
 no fit to the object, which takes seconds. Only the objects that are probable in the end are located with their own.
 
-If the touched object is not in the library, the best other object still explains the touches to some extent, by chance.
-So "none of these" has a misfit, too. It was fitted to simulated touches of objects that were left out of the library.
+If the touched object is not in the library, other objects still explain each touch separately, but hardly ever all
+touches together. So each touch is also located separately. The least misfit of a touch is its floor: noise, which no
+object explains. If the best object has a larger misfit than the floors of all touches, an unknown object was probably
+touched. How probably was fitted to simulated touches of objects that were left out of the library.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ from tactile_loc.locate.probabilities import FusedScaling, Scalings, Temperature
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.tasks.library import Comparison, Library
+from tactile_loc.tasks.null_evidence import NullEvidence
+from tactile_loc.tasks.pose_modes import PoseModes, join_modes
 
 Float64 = NDArray[np.float64]
 
@@ -44,73 +47,9 @@ LOCATED = 8  # objects that are located: the ones that explain the touches best 
 LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
 # The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.
 TYPICAL = Scalings(TemperatureScaling(0.021, 0.4, (-6.4, 7.8)), FusedScaling(0.4, (-2.0, 2.3)))
-MISFITS = np.geomspace(0.3, 20, 30).round(2).tolist()  # tried in the fit, nats
-TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()
-LEAST = 1e-3  # least probability of the true object in the fit, so that no single touch decides
-
-
-@keep_old_names(shortfall="measure_misfit")
-@dataclass(frozen=True)
-class NullEvidence:
-    """The misfit of "none of these", and the `temperature`, both in nats.
-
-    An object becomes e times as probable if its misfit decreases by `temperature`. The misfit of "none of these" is
-    `alone` for one touch, and `together` for each of several touches. They differ because many objects have a feature
-    in common, but few have several features at the same distances. Raises ConfigError unless all numbers are positive.
-    """
-
-    alone: float = 1.97
-    together: float = 6.28
-    temperature: float = 0.45
-
-    def __post_init__(self) -> None:
-        if not min(self.alone, self.together, self.temperature) > 0:
-            raise ConfigError(f"{self} cannot weigh objects; give numbers above 0")
-
-    def measure_misfit(self, touches: int) -> float:
-        """Return the misfit of "none of these" with this number of touches, nats."""
-        return self.alone if touches == 1 else touches * self.together
-
-    def probabilities(self, misfits: Float64, touches: int) -> tuple[Float64, float]:
-        """Return the probabilities (K,) of K objects, and the probability of "none of these".
-
-        `misfits` (K,), nats, are the objects' misfits; an infinite misfit gives probability 0.
-        """
-        logits = -np.append(misfits, self.measure_misfit(touches)) / self.temperature
-        weights = np.exp(logits - logits.max())
-        p = weights / weights.sum()
-        return p[:-1], float(p[-1])
-
-    def loss(self, answers: Sequence[KnownAnswer]) -> float:
-        """Return the negative log-likelihood of the true objects, nats, summed over the answers."""
-        said = [(*self.probabilities(answer.misfits, answer.touches), answer.truth) for answer in answers]
-        return -float(np.sum([np.log(max(none if k < 0 else p[k], LEAST)) for p, none, k in said]))
-
-
-class KnownAnswer(NamedTuple):
-    """The result of comparing K objects with touches of a known object.
-
-    `misfits` (K,), nats, belong to the K objects. `truth` is the index of the touched object; -1 if it was left out.
-    `touches` is the number of touches.
-    """
-
-    misfits: Float64
-    truth: int
-    touches: int
-
-
-def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
-    """Return the null evidence with the least negative log-likelihood of the true objects."""
-    single = [answer for answer in answers if answer.touches == 1]
-    several = [answer for answer in answers if answer.touches > 1]
-
-    def best_of(temperature: float) -> tuple[float, NullEvidence]:
-        tried = [NullEvidence(nats, nats, temperature) for nats in MISFITS]
-        alone, together = (min(tried, key=lambda null: null.loss(some)) for some in (single, several))
-        null = NullEvidence(alone.alone, together.together, temperature)
-        return null.loss(answers), null
-
-    return min(map(best_of, TEMPERATURES), key=lambda pair: pair[0])[1]
+# If there are several touches, each is also located separately in ALONE objects. No further object is tried for a touch
+# with a misfit below EXPLAINED nats.
+ALONE, EXPLAINED = 2, 0.2
 
 
 @keep_old_names(shortfall="misfit")
@@ -121,7 +60,8 @@ class KnownObject:
     `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison.
     `rough_iou`, 0 to 1, is the best mean imprint IoU in the rough search; 0 if the object was not searched. `found` is
     the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence that the
-    best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is the probability
+    best pose lacks to explain the touches fully; infinite without a pose. `apart` (N,), nats, are the least misfits of
+    each touch over all poses in `found`. `probability`, 0 to 1, is the probability
     that this object was touched. If the object is improbable, `fitted` is False: the probabilities of the poses in
     `found` come from TYPICAL scalings, not from a fit to this object. They are rough, and files leave them out.
     """
@@ -133,23 +73,36 @@ class KnownObject:
     misfit: float
     found: Localization | None
     fitted: bool = True
+    apart: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
     """The objects, the most probable first, and the probability that `none` of them was touched.
 
-    `KnownObject.found` has the distribution of an object's pose, assuming that this object was touched.
+    `floors` (N,), nats, are the least misfits of the touches, each explained separately. `KnownObject.found` has the
+    distribution of an object's pose, assuming that this object was touched.
     """
 
     objects: tuple[KnownObject, ...]
     none: float
+    floors: tuple[float, ...] = ()
 
     @property
     def best(self) -> KnownObject | None:
         """The most probable object; None if "none of these" is more probable."""
         first = self.objects[0]
         return first if first.probability > self.none else None
+
+    @property
+    def modes(self) -> PoseModes | None:
+        """The pairs of an object and its pose that are still possible, which the next touch has to distinguish.
+
+        They are those of objects with a probability of at least LEAST_REPORTED; None if there is no such object.
+        """
+        probable = [one for one in self.objects if one.probability >= LEAST_REPORTED]
+        known = [(PoseModes.of(one.found), one.probability) for one in probable if one.found is not None]
+        return join_modes(*zip(*known, strict=True)) if known else None
 
     @property
     def verdict(self) -> Verdict:
@@ -174,8 +127,9 @@ def identify(
 
     If there are several touches, each needs `T_base_sensor` (4, 4), metres. The LOOKED_INTO most similar objects are
     searched roughly, and the best `located` of them are located. The probabilities of poses are fitted only to objects
-    with a probability of at least LEAST_REPORTED. The order of the models does not matter. Raises TactileLocError for
-    touches of another sensor, several touches without sensor poses, models that share a name, or no models.
+    with a probability of at least LEAST_REPORTED. "None of these" is weighed by `null`: see `NullEvidence`.
+    The order of the models does not matter. Raises TactileLocError for touches of another sensor, several touches
+    without sensor poses, models that share a name, or no models.
     """
     library = models if isinstance(models, Library) else Library(models)
     if not touches:
@@ -191,59 +145,97 @@ def identify(
     tried = _Tried(library, touches)
     with library.progress.task("locating objects", len(chosen)) as advance:
         for k in chosen:
-            tried.locate(int(k), TYPICAL)
+            tried.locate(int(k), fitted=False)
             advance(1)
-    null = null or NullEvidence()
-    p, none = null.probabilities(tried.misfits, len(touches))
+    null, floors = null or NullEvidence(), find_floors(library, touches, tried.apart)
+    p, none = null.probabilities(tried.misfits, floors)
     while probable := [k for k in sorted(tried.unfitted) if p[k] >= LEAST_REPORTED]:
         for k in probable:
             tried.locate(k)
-        p, none = null.probabilities(tried.misfits, len(touches))
+        p, none = null.probabilities(tried.misfits, floors)
     objects = [
         KnownObject(
             name, float(p[k]), float(alike[k]), float(rough[k]), float(tried.misfits[k]), tried.found.get(k),
-            k not in tried.unfitted,
+            k not in tried.unfitted, tuple(tried.apart[k].tolist()) if k in tried.apart else (),
         )
         for k, name in enumerate(library.names)
     ]  # fmt: skip
-    return Identification(tuple(objects[k] for k in np.lexsort((-alike, -rough, -p))), none)
+    return Identification(tuple(objects[k] for k in np.lexsort((-alike, -rough, -p))), none, tuple(floors.tolist()))
 
 
 class _Tried:
     """The located objects of a library.
 
     `found` are their locations, and `misfits` (K,), nats, are those of all objects, infinite if an object was not
-    found. `unfitted` are the numbers of the objects that were located without a fit of their probabilities.
+    found. `apart` (N,), nats, are the misfits of each touch: see `KnownObject`. `unfitted` are the numbers of the
+    objects that were located without a fit of their probabilities.
     """
 
     def __init__(self, library: Library, touches: Sequence[Touch]) -> None:
         self.library, self.touches = library, touches
         self.found: dict[int, Localization] = {}
+        self.apart: dict[int, Float64] = {}
         self.misfits = np.full(len(library), np.inf)
         self.unfitted: set[int] = set()
 
-    def locate(self, k: int, scalings: Scalings | None = None) -> None:
-        """Locate object k, with `scalings` instead of a fit, unless the user gave a temperature."""
+    def locate(self, k: int, fitted: bool = True) -> None:
+        """Locate object k. Unless `fitted`, the probabilities of its poses are rough: see `KnownObject`."""
         with self.library.use(k) as model:
-            scalings = scalings if model.config.temperature is None else None
+            scalings = None if fitted else _choose_scalings(model)
             answer = _locate(model, self.touches, scalings)
-            self.misfits[k] = np.inf if answer is None else measure_misfit(model, answer)
+            lacks = None if answer is None else compare_fully(model, answer)
         self.found.pop(k, None)
+        self.apart.pop(k, None)
         self.unfitted.discard(k)
-        if answer is not None:
+        self.misfits[k] = np.inf if lacks is None else _sum_best(lacks)
+        if answer is not None and lacks is not None:
             self.found[k] = answer
+            order = [id(touch) for touch in (*answer.touches, *answer.left_out)]
+            self.apart[k] = lacks.min(axis=0)[[order.index(id(touch)) for touch in self.touches]]
             if scalings is not None:
                 self.unfitted.add(k)
 
 
+def find_floors(library: Library, touches: Sequence[Touch], apart: Mapping[int, Float64]) -> Float64:
+    """Return the least misfit (N,), nats, of each of N touches separately: no object explains the touch better.
+
+    `apart` are the least misfits (N,) of the touches over the poses of each located object of the library. But poses
+    that explain all touches may explain none of them as well as possible. So if there are several touches, each is also
+    located separately, in the ALONE objects that explain it best.
+    """
+    floors = np.array([_compute_full_evidence(touch) for touch in touches])
+    for number, touch in enumerate(touches if apart else ()):
+        order = sorted(apart, key=lambda k: apart[k][number])
+        floors[number] = apart[order[0]][number]
+        for k in order[:ALONE] if len(touches) > 1 else ():
+            if floors[number] < EXPLAINED:
+                break
+            with library.use(k) as model:
+                answer = _locate(model, [touch], _choose_scalings(model))
+                floors[number] = min(floors[number], np.inf if answer is None else measure_misfit(model, answer))
+    return np.maximum(floors, 0.0)
+
+
 def measure_misfit(model: Localizer, found: Localization) -> float:
     """Return the evidence, nats, that the best hypothesis lacks to explain the touches fully."""
+    return _sum_best(compare_fully(model, found))
+
+
+def compare_fully(model: Localizer, found: Localization) -> Float64:
+    """Return the evidence (K, N), nats, that K hypotheses lack to explain N touches fully.
+
+    The touches that were left out come last: no hypothesis explains them.
+    """
     views = [make_view(found.touch, model, touch) for touch in found.touches]
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     seen = None if len(views) == 1 else find_seen_poses(views, [h.refined for h in found.hypotheses])
-    evidence = compare_where_seen(views, poses, seen)[1].sum(axis=1)
-    fully = sum(map(_compute_full_evidence, (*found.touches, *found.left_out)))  # no pose explains the left-out ones
-    return max(0.0, fully - float(evidence.max()))
+    evidence = compare_where_seen(views, poses, seen)[1]
+    fully, left_out = (np.array([_compute_full_evidence(t) for t in some]) for some in (found.touches, found.left_out))
+    return np.concatenate([fully - evidence, np.broadcast_to(left_out, (len(poses), len(left_out)))], axis=1)
+
+
+def _sum_best(lacks: Float64) -> float:
+    return max(0.0, float(lacks.sum(axis=1).min()))
 
 
 def _look_into(library: Library, comparison: Comparison) -> Float64:
@@ -275,6 +267,11 @@ def _shortlist(nats: Float64, most_behind: float) -> list[int]:
     order = np.argsort(-nats, kind="stable")
     near = int(np.count_nonzero(nats >= nats.max() - most_behind))
     return [int(k) for k in order[: min(max(near, LEAST_LOOKED_INTO), LOOKED_INTO)]]
+
+
+def _choose_scalings(model: Localizer) -> Scalings | None:
+    """Return TYPICAL scalings, which need no fit; None if the user gave a temperature."""
+    return TYPICAL if model.config.temperature is None else None
 
 
 def _locate(model: Localizer, touches: Sequence[Touch], scalings: Scalings | None) -> Localization | None:

@@ -22,6 +22,8 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification
 from tactile_loc.tasks.library import Library
 from tactile_loc.tasks.library_parts import StoredParts
+from tactile_loc.tasks.next_touch import NextTouch
+from tactile_loc.tasks.next_touch_files import NextTouchRecord, make_next_touch_record
 
 SCHEMA_VERSION = 1
 NONE_OF_THESE = "none of these"
@@ -65,6 +67,9 @@ class IdentificationRecord(Record):
     identified: str | None = Field(description="the object that they are of; null: none of these is more probable")
     none: float = Field(description="probability that they are of none of these objects, 0 to 1")
     objects: list[KnownObjectRecord] = Field(description="the library, the most probable first")
+    next_touch: NextTouchRecord | None = Field(
+        default=None, description="the rated approaches, as in next_touch.json; null: none was asked for"
+    )
 
     @property
     def inseparable(self) -> list[str]:
@@ -107,11 +112,13 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
     return Library(models)
 
 
-def make_identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
+def make_identification_record(
+    found: Identification, touches: list[str], next_touch: NextTouch | None = None
+) -> IdentificationRecord:  # fmt: skip
     """Make the record of an identification; `touches` are the touches' names."""
     return IdentificationRecord(
         touches=touches, verdict=found.verdict, identified=None if found.best is None else found.best.name,
-        none=found.none,
+        none=found.none, next_touch=None if next_touch is None else make_next_touch_record(next_touch),
         objects=[
             KnownObjectRecord(
                 name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,

@@ -159,8 +159,10 @@ class NextTouch:
         scene = self.scene.press(_find_press_m(rated.approach, self.modes))
         depths = np.full((len(self.modes.probabilities), *scene.geometry.shape), scene.geometry.max_depth_m, np.float32)
         met = seen.meets[0]
-        if met.any():
-            depths[met] = scene.render_gel_depths(seen.T_sensor_object[0, met])
+        for obj, own in self.modes.by_object:
+            if len(some := own[met[own]]):
+                own_scene = dataclasses.replace(scene, object=obj)
+                depths[some] = own_scene.render_gel_depths(seen.T_sensor_object[0, some])
         return depths
 
 
@@ -210,10 +212,12 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
     """Return the encounters of approaches with the object, for each mode as the true one."""
     T = invert(np.stack([a.T_base_sensor for a in approaches]))[:, None] @ modes.T_base_object[None]
     bare = dataclasses.replace(scene.geometry, standoff_m=scene.geometry.surface_m, indentation_m=0.0)  # unpressed
-    touching, over = dataclasses.replace(scene, geometry=bare).bring_to_contact(T.reshape(-1, 4, 4))
-    T_contact = touching.reshape(T.shape)
+    T_contact, over = np.empty_like(T), np.empty(T.shape[:2], bool)
+    for obj, own in modes.by_object:
+        some = T[:, own]
+        touching, met = dataclasses.replace(scene, object=obj, geometry=bare).bring_to_contact(some.reshape(-1, 4, 4))
+        T_contact[:, own], over[:, own] = touching.reshape(some.shape), met.reshape(some.shape[:2])
     travel_m = T[..., 2, 3] - T_contact[..., 2, 3]
-    over = over.reshape(travel_m.shape)
     T_contact[..., 2, 3] -= np.array([_find_press_m(a, modes) for a in approaches])[:, None]
     longest_m = np.array([a.travel_m for a in approaches])[:, None]
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
@@ -279,7 +283,7 @@ def _compare_drawn(
         step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
         glance = dataclasses.replace(scene, geometry=geometry.subsample(step))
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
-        for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
+        for k, (rows, depths) in zip(some, _draw(glance, modes, _select(seen, some)), strict=True):
             if not len(rows):
                 continue
             contacts = depths
@@ -295,11 +299,16 @@ def _compare_drawn(
     return [(np.minimum(nats, MOST_NATS), located) for nats, located in found]
 
 
-def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+def _draw(
+    glance: Scene, modes: PoseModes, seen: Foreseen
+) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:  # fmt: skip
     """Return the modes that each approach meets, and the contact depths (M, h, w), metres, that they would make."""
-    poses = seen.T_sensor_object[seen.meets]
-    depths = [glance.render_contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
-    every = np.concatenate(depths) if depths else np.empty((0, *glance.geometry.shape), np.float32)
+    poses, of = seen.T_sensor_object[seen.meets], np.nonzero(seen.meets)[1]
+    every = np.empty((len(poses), *glance.geometry.shape), np.float32)
+    for obj, own in modes.by_object:
+        scene, drawn = dataclasses.replace(glance, object=obj), np.flatnonzero(np.isin(of, own))
+        for some in (drawn[start : start + AT_ONCE] for start in range(0, len(drawn), AT_ONCE)):
+            every[some] = scene.render_contact_depths(poses[some])
     ends = np.cumsum(seen.meets.sum(axis=1))
     return [
         (np.flatnonzero(meets), some) for meets, some in zip(seen.meets, np.split(every, ends[:-1]), strict=True)

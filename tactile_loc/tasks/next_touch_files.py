@@ -46,6 +46,7 @@ class OutOfReachRecord(Record):
 class ModeRecord(Record):
     """A pose that is still possible."""
 
+    object: str = Field("", description="the object's name; empty in older files")
     probability: float = Field(description="0 to 1; those of all modes sum to one")
     T_base_object: Matrix = Field(description="(4, 4), m; in the frame of the approaches")
 
@@ -56,8 +57,8 @@ class NextTouchRecord(Record):
     schema_version: int = Field(
         default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
     )
-    object: str = Field(description="the object's name")
-    symmetry: str = Field(description="its rotations onto itself: modes that differ by one are merged")
+    object: str = Field(description="the object's name, or the names of all possible objects")
+    symmetry: str = Field(description="its rotations onto itself: modes that differ by one are merged; of each object")
     modes: list[ModeRecord] = Field(description="the distinct poses that are still possible, the likeliest first")
     unlisted: float = Field(description="probability of poses that the result does not list, 0 to 1")
     entropy_nats: float = Field(description="the entropy of the modes, before the touch")
@@ -68,6 +69,11 @@ class NextTouchRecord(Record):
         description="probability that the truth is in such a group, but is not its likeliest mode"
     )
     stops: bool = Field(False, description="true: no approach tells any of the probable modes apart, so stop touching")
+
+    def name_mode(self, number: int) -> str:
+        """Return a mode's number, from 1, with the object's name if several objects are possible."""
+        several = len({mode.object for mode in self.modes}) > 1
+        return f"{number} ({self.modes[number - 1].object})" if several else str(number)
 
 
 def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
@@ -96,11 +102,14 @@ def _find_pose(h: HypothesisRecord, T_base_sensor: NDArray[np.float64] | None) -
 def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
     """Make the record of rated approaches."""
     modes = found.modes
+    objects = [obj for obj, _ in modes.by_object]
+    names = {k: obj.name for obj, own in modes.by_object for k in own.tolist()}
     return NextTouchRecord(
-        object=modes.object.name, symmetry=str(modes.object.symmetry), unlisted=modes.unlisted,
+        object=" or ".join(obj.name for obj in objects), symmetry=" or ".join(str(obj.symmetry) for obj in objects),
+        unlisted=modes.unlisted,
         modes=[
-            ModeRecord(probability=float(p), T_base_object=T.tolist())
-            for p, T in zip(modes.probabilities, modes.T_base_object, strict=True)
+            ModeRecord(object=names[k], probability=float(p), T_base_object=T.tolist())
+            for k, (p, T) in enumerate(zip(modes.probabilities, modes.T_base_object, strict=True))
         ],
         entropy_nats=modes.entropy, ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],

@@ -1,9 +1,13 @@
-"""The modes of an object's pose: a few distinct poses with probabilities, which the next touch has to distinguish."""
+"""The modes of an object's pose: a few distinct poses with probabilities, which the next touch has to distinguish.
+
+If several objects are possible, the modes are pairs of an object and its pose.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +33,8 @@ class PoseModes:
 
     `unlisted`, 0 to 1, is the probability of poses left out, which favour no approach. `geometry` is that of the next
     touch's sensor. `press_m`, metres, is the press depth of approaches that state none. `sharpness`, 1 or more, is the
-    ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`.
+    ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`. `objects`
+    (K,) are the modes' objects if there are several; otherwise it is empty, and all modes are poses of `object`.
     """
 
     object: ObjectModel
@@ -39,6 +44,7 @@ class PoseModes:
     press_m: float
     unlisted: float = 0.0
     sharpness: float = 1.0
+    objects: tuple[ObjectModel, ...] = ()
 
     @classmethod
     def of(cls, found: Localization) -> PoseModes:
@@ -57,6 +63,13 @@ class PoseModes:
     def entropy(self) -> float:
         """The entropy of the modes, nats: 0 if one mode is certain."""
         return float(compute_entropy(self.probabilities))
+
+    @cached_property
+    def by_object(self) -> tuple[tuple[ObjectModel, NDArray[np.int64]], ...]:
+        """Each object with the numbers of its modes, the object of the first mode first."""
+        objects = self.objects or (self.object,) * len(self.probabilities)
+        distinct = list(dict.fromkeys(objects))
+        return tuple((one, np.flatnonzero([other is one for other in objects])) for one in distinct)
 
 
 def measure_sharpness(imprint_ious: Sequence[float]) -> float:
@@ -88,6 +101,27 @@ def find_distinct_modes(
     p, poses = mass[likelier], T_base_object[order[kept[likelier]]]
     unlisted, sharpness = max(0.0, 1 - float(p.sum())), measure_sharpness(imprint_ious)
     return PoseModes(obj, poses, p / p.sum(), geometry, press_m, unlisted, sharpness)
+
+
+def join_modes(every: Sequence[PoseModes], shares: Sequence[float]) -> PoseModes:
+    """Return the modes of several objects as pairs of an object and its pose, at most MOST_MODES, the likeliest first.
+
+    `every` has the modes of each object, in a common frame and for the same sensor. `shares` are the probabilities of
+    the objects; what they lack to 1 belongs to other objects, and counts as unlisted. Raises TouchError without any
+    modes.
+    """
+    if not every:
+        raise TouchError("no object has a mode; identify the touches again")
+    weights = [(1 - m.unlisted) * share for m, share in zip(every, shares, strict=True)]
+    listed = np.concatenate([weight * m.probabilities for m, weight in zip(every, weights, strict=True)])
+    objects = [m.object for m in every for _ in m.probabilities]
+    order = np.argsort(-listed, kind="stable")[:MOST_MODES]
+    p, poses = listed[order], np.concatenate([m.T_base_object for m in every])[order]
+    return replace(
+        every[0], object=objects[order[0]], T_base_object=poses, probabilities=p / p.sum(),
+        unlisted=max(0.0, 1 - float(p.sum())), sharpness=max(m.sharpness for m in every),
+        objects=tuple(objects[k] for k in order),
+    )  # fmt: skip
 
 
 def compute_entropy(p: Float64) -> Float64:

@@ -16,19 +16,19 @@ IDENTIFY = ["identify", "--objects", "parts", "--units", "mm", "--sensor", "gels
 
 @pytest.fixture
 def parts(cli) -> Path:
-    """A folder with a plate and a rod, and a touch of the plate."""
+    """A folder with a plate and a rod, and three touches of the plate."""
     Path("parts").mkdir()
     trimesh.creation.box((30, 20, 6)).export("parts/plate.stl")
     trimesh.creation.cylinder(4, 40, sections=32).export("parts/rod.stl")
     Path("run.toml").write_text(SETTINGS)
     plate = ["--object", "parts/plate.stl", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
-    made = cli("simulate", *plate, "--count", 1, "--seed", 3, "--out", "touches")
+    made = cli("simulate", *plate, "--together", 3, "--seed", 3, "--out", "touches")
     assert made.exit_code == 0, made.stderr
     return Path("parts")
 
 
 def test_identify_names_the_object_or_none(cli, parts):
-    done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--report", "--json")
+    done = cli(*IDENTIFY, "--touch", "touches/touches.toml", "--out", "out", "--report", "--json")
     assert done.exit_code == 0, done.stderr
     said = json.loads(done.stdout)
     assert said["verdict"] == "certain"
@@ -37,13 +37,15 @@ def test_identify_names_the_object_or_none(cli, parts):
     assert said["objects"][0]["poses"][0]["imprint_iou"] > 0.95
     assert json.loads(Path("out/identification.json").read_text()).items() <= said.items()
     (parts / "plate.stl").unlink()
-    done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out")
+    done = cli(*IDENTIFY, "--touch", "touches/touches.toml", "--out", "out")
     assert done.exit_code == 1, done.stderr
     assert done.stdout.startswith("not found: none of these")
 
 
 def test_a_required_verdict_decides_the_exit_code(cli, parts):
-    wanted = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--require", "certain", "--out", "out"]
+    wanted = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--require", "certain", "--out", "out", "--around", 20]
+    assert cli(*wanted).exit_code == 3, "after one touch, an unknown object is too probable"
+    wanted += ["--unknown", 0.02]
     done = cli(*wanted)
     assert done.exit_code == 0, done.stderr
     assert re.match(r"certain: plate \d", done.stdout)
@@ -51,7 +53,12 @@ def test_a_required_verdict_decides_the_exit_code(cli, parts):
     done = cli(*wanted)
     assert done.exit_code == 3, done.stderr
     assert re.match(r"ambiguous: (plate|same) \d.* %, (plate|same) \d", done.stdout)
-    assert json.loads(Path("out/identification.json").read_text())["verdict"] == "ambiguous"
+    said = json.loads(Path("out/identification.json").read_text())
+    assert said["verdict"] == "ambiguous"
+    assert {mode["object"] for mode in said["next_touch"]["modes"]} == {"plate", "same"}
+    best = said["next_touch"]["ranked"][0]["name"]
+    assert best in Path("out/approaches.toml").read_text()
+    assert re.search(rf"1 +{best}", done.stdout)
 
 
 def test_a_given_symmetry_counts_for_every_object(cli, parts):
@@ -71,6 +78,7 @@ def test_bad_input_is_one_sentence(cli, parts):
     Path("empty").mkdir()
     assert_refused(cli("identify", "--objects", "empty", *touch), "empty", "mesh")
     assert_refused(cli(*IDENTIFY, "--touch", "no.npz"), "no.npz")
+    assert_refused(cli(*IDENTIFY, *touch, "--unknown", 0), "prior=0.0")
     trimesh.creation.box((30, 20, 6)).export(parts / "plate.obj")
     assert_refused(cli(*IDENTIFY, *touch), "plate")
     assert not Path("tactile-loc-identify").exists()

@@ -13,7 +13,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.tasks.approaches import draw_approaches, draw_approaches_to_modes
 from tactile_loc.tasks.next_touch import choose_next_touch, foresee
-from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
+from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes, join_modes
 
 GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm
 HERE = make_transform(rotation_about([1, 2, 3], 1.0), [0.4, 0.1, -0.2])
@@ -62,6 +62,16 @@ def test_approaches_are_aimed_at_the_modes_by_their_probability(box):
     )  # of the likelier mode: those aimed at the other, but for those in line
     assert 0.05 < missing < 0.12
     assert {one.press_m for one in approaches} == {None}  # as deep as in the touch before
+
+
+def test_approaches_to_several_objects_start_clear_of_all_and_aim_at_each(box, make_box):
+    large = make_box(0.12, 0.1, 0.1)
+    modes = join_modes([modes_of(box, 0.5), modes_of(large, 0.5)], [0.5, 0.5])
+    seen = foresee_all(modes, draw_approaches_to_modes(modes, 100, np.random.default_rng(0)))
+    assert not seen.blocked.any()
+    assert seen.meets.any(axis=1).all()
+    for _, own in modes.by_object:
+        assert 25 < np.count_nonzero(seen.meets[:, own].any(axis=1)) <= 100
 
 
 def test_equal_seeds_draw_equal_approaches(box):

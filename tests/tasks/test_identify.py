@@ -21,21 +21,13 @@ from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks import identify as module
-from tactile_loc.tasks.identify import (
-    LEAST_REPORTED,
-    Identification,
-    KnownAnswer,
-    KnownObject,
-    NullEvidence,
-    fit_null_evidence,
-    identify,
-    measure_misfit,
-)
+from tactile_loc.tasks.identify import LEAST_REPORTED, Identification, KnownObject, identify, measure_misfit
 from tactile_loc.tasks.library import PROPOSED, Library
+from tactile_loc.tasks.null_evidence import NullEvidence
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
 
-CLEAN = NullEvidence(alone=1.1, together=3.5, temperature=0.3)  # of touches without noise
+CLEAN = NullEvidence(prior=0.1, noise=1.0)  # of touches without noise
 
 
 def solids() -> dict[str, trimesh.Trimesh]:
@@ -78,6 +70,7 @@ def test_touches_identify_their_object(library, touches, name):
     assert sum(one.probability for one in said.objects) + said.none == pytest.approx(1.0)
     assert said.best.misfit == min(one.misfit for one in said.objects)
     assert said.verdict == Verdict.CERTAIN
+    assert max(said.floors) < 0.5, "clean touches have no misfit separately"
 
 
 @pytest.mark.parametrize("name", list(solids()))
@@ -155,7 +148,8 @@ def test_probabilities_are_fitted_only_to_probable_objects(unfitted, touches, mo
     assert unfitted.names[1] == "ring"
     assert said.objects[0].found.best.probability == alone.best.probability
     asked.clear()
-    assert identify(touches["ring"], Library([unfitted.models[0]]), null=CLEAN).best is None
+    doubtful = dataclasses.replace(CLEAN, prior=0.5)
+    assert identify(touches["ring"], Library([unfitted.models[0]]), null=doubtful).best is None
     assert asked == set()
 
 
@@ -163,13 +157,13 @@ def test_an_object_that_becomes_probable_by_the_fits_is_fitted_too(unfitted, tou
     asked: list[str] = []
     fitted, misfits = Scalings(TemperatureScaling(0.05), FusedScaling()), {"ring": 0.0, "plate": 3.0, "rod": 9.0}
 
-    def measure(model: Localizer, _: object) -> float:
+    def compare(model: Localizer, _: object) -> np.ndarray:
         name = model.object.name
-        return 50.0 if name == "ring" and name in asked else misfits[name]
+        return np.full((1, 2), (50.0 if name == "ring" and name in asked else misfits[name]) / 2)
 
     monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.append(self.object.name) or fitted))
-    monkeypatch.setattr(module, "measure_misfit", measure)
-    said = identify(touches["ring"], unfitted, null=NullEvidence(alone=5.0, together=5.0, temperature=0.5))
+    monkeypatch.setattr(module, "compare_fully", compare)
+    said = identify(touches["ring"], unfitted, null=NullEvidence(gap=5.0, temperature=0.5))
     assert list(dict.fromkeys(asked)) == ["ring", "plate"]
     assert [(one.name, one.misfit, one.fitted) for one in said.objects] == [
         ("plate", 3.0, True), ("rod", 9.0, False), ("ring", 50.0, True),
@@ -181,7 +175,7 @@ def test_the_misfits_hardly_depend_on_the_scalings(models, unfitted, touches):
     for name, seen in touches.items():
         for some in (seen, seen[:1]):
             given, typical = (
-                {one.name: one.misfit for one in identify(some, library, null=NullEvidence(1e-3, 1e-3, 1e-3)).objects}
+                {one.name: one.misfit for one in identify(some, library, null=NullEvidence(prior=1 - 1e-9)).objects}
                 for library in (Library(models), unfitted)
             )
             assert typical[name] == pytest.approx(given[name], abs=0.1)
@@ -230,30 +224,6 @@ def test_the_verdict_judges_the_first_object(models, touches):
     assert judge(0.0, 1.0, None) == Verdict.NOT_FOUND
 
 
-def test_the_null_hypothesis_counts_like_one_more_object():
-    null = NullEvidence(alone=1.0, together=2.0, temperature=0.5)
-    p, none = null.probabilities(np.array([4.0, np.inf]), touches=2)
-    assert p.tolist() == pytest.approx([0.5, 0.0])
-    assert none == pytest.approx(0.5)
-    assert null.probabilities(np.array([1.0 + 0.5 * np.log(3)]), touches=1)[1] == pytest.approx(0.75)
-    p, none = null.probabilities(np.array([np.inf, np.inf]), touches=1)
-    assert (p.tolist(), none) == ([0.0, 0.0], 1.0)
-
-
-def test_the_null_evidence_is_fitted_to_known_and_unknown_objects():
-    rng = np.random.default_rng(0)
-    answers = []
-    for touches, nats in ((1, 3.0), (2, 16.0)):  # the mean misfit of unknown objects
-        own, other = rng.uniform(0, 0.2, (20, 1)) * nats, rng.uniform(0.7, 1.3, (20, 3)) * nats
-        answers += [KnownAnswer(s, 0, touches) for s in np.concatenate([own, other], axis=1)]
-        answers += [KnownAnswer(s, -1, touches) for s in other]
-    null = fit_null_evidence(answers)
-    assert 0.6 < null.alone < 2.2
-    assert 1.6 < null.together < 6
-    left_out = [answer for answer in answers if answer.truth < 0]
-    assert all(null.probabilities(answer.misfits, answer.touches)[1] > 0.5 for answer in left_out)
-
-
 def test_a_full_store_is_an_error_and_not_a_misfit(monkeypatch):
     def full(*_: object, **__: object) -> None:
         raise StoreError("full")
@@ -281,5 +251,3 @@ def test_invalid_touches_and_libraries_are_refused(models, touches, library):
     learned = RunConfig.from_dict({"encoder": "moco"}).encoder
     with pytest.raises(ConfigError, match="`encoder` pixel"):
         Library([Localizer(models[0].config.model_copy(update={"encoder": learned}), models[0].object)])
-    with pytest.raises(ConfigError, match=naming("alone=0.0")):
-        NullEvidence(alone=0.0)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -23,7 +23,7 @@ from tactile_loc.tasks.next_touch import (
     find_groups,
     foresee,
 )
-from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
+from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes, join_modes
 
 GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm
 PRESS_M = 8e-4
@@ -217,6 +217,36 @@ def test_a_large_contact_is_preferred_to_a_small_one(make_box):
     assert found.ranked[0].safe > 1.5 * found.ranked[1].safe > 0
     assert found.ranked[0].information == pytest.approx(found.ranked[1].information, rel=0.1)
     assert all(rated.safe < rated.information for rated in found.ranked)
+
+
+def test_the_side_that_distinguishes_two_objects_is_chosen(knobbed, make_box):
+    plain = make_box(0.04, 0.03, 0.02, symmetry="none")
+    modes = join_modes([modes_of(plain, np.eye(4)), modes_of(knobbed, np.eye(4), p=[1.0])], [0.5, 0.4])
+    assert [obj for obj, _ in modes.by_object] == [plain, knobbed]
+    assert modes.probabilities.tolist() == pytest.approx([5 / 9, 4 / 9])
+    assert modes.unlisted == pytest.approx(0.1)
+    sides = {"top": [0, 0, -1], "front": [0, -1, 0], "knob": [-1, 0, 0]}
+    found = choose_next_touch(modes, [edge_of(direction, name=name) for name, direction in sides.items()])
+    assert found.best.approach.name == "knob"
+    assert found.best.entropy == pytest.approx(0.0, abs=0.01)
+    assert [rated.information for rated in found.ranked[1:]] == pytest.approx([0.0, 0.0], abs=1e-3)
+    plain_m, knobbed_m = found.best.travel_m
+    assert plain_m - knobbed_m == pytest.approx(0.003, abs=1e-6)
+    shown = found.contacts(found.ranked[-1])
+    assert np.array_equal(shown[0], shown[1])
+    assert not np.array_equal(*found.contacts(found.best))
+    assert choose_next_touch(modes, [edge_of([0, 0, -1])]).stops
+
+
+def test_the_likeliest_pairs_of_object_and_pose_are_kept(knobbed, make_box):
+    plain = make_box(0.04, 0.03, 0.02, symmetry="none")
+    third = make_transform(np.eye(3), [0, 0, 3e-3])
+    modes = join_modes([modes_of(plain, np.eye(4), third, p=[0.9, 0.1]), modes_of(knobbed, HALF_TURN)], [0.5, 0.5])
+    assert modes.probabilities.tolist() == pytest.approx([0.5, 0.45, 0.05])
+    assert modes.objects == (knobbed, plain, plain)
+    assert np.array_equal(modes.T_base_object, [HALF_TURN, np.eye(4), third])
+    with pytest.raises(TouchError):
+        join_modes([], [])
 
 
 def test_groups_join_modes_that_are_alike_directly_or_indirectly():

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 DEFAULT_OUT = Path("tactile-loc-next-touch")
 BOX = re.compile(r"(\d*\.?\d+)x(\d*\.?\d+)x(\d*\.?\d+)mm")
 DRAWN, MOST = "approaches.toml", 10_000  # file of the drawn approaches, and their largest number
+SEED = 0
 
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="Folder written by run, or its result.json.")]
 Candidates = Annotated[
@@ -81,7 +82,7 @@ def next_touch(
     fixture: Fixture = None,
     floor: Floor = None,
     units: MeshUnits = options.Units.AUTO,
-    seed: Seed = 0,
+    seed: Seed = SEED,
     top: Top = 10,
     out: Out = DEFAULT_OUT,
     report: options.Report = False,
@@ -104,7 +105,7 @@ def next_touch(
     in_base = T_base_sensor is not None
     clearance = _find_clearance(finger, fixture, floor, cast("Units", units.value), modes.geometry, in_base)
     body = None if clearance is None else clearance.finger
-    approaches = _find_approaches(candidates, around, seed, modes, T_base_sensor, body)
+    approaches = find_approaches(candidates, around, seed, modes, T_base_sensor, body)
     require_writable(out)
     found = choose(modes, approaches, clearance=clearance)
     record = make_next_touch_record(found)
@@ -124,7 +125,7 @@ def next_touch(
     return {**record.model_dump(mode="json"), "written": say_written(written)}
 
 
-def _find_approaches(
+def find_approaches(
     candidates: Path | None,
     around: int | None,
     seed: int,
@@ -142,9 +143,7 @@ def _find_approaches(
         return read_approaches(candidates, T_base_sensor)
     if candidates is None and around is not None:
         return draw_approaches_to_modes(modes, around, np.random.default_rng(seed), finger)
-    raise ConfigError(
-        "next-touch takes its approaches from one source; give either --candidates FILE.toml or --around N"
-    )
+    raise ConfigError("approaches come from one source; give either --candidates FILE.toml or --around N")
 
 
 def _find_clearance(

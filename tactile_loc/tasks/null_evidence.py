@@ -1,0 +1,132 @@
+"""The evidence for "none of these": touches that objects of the library explain separately, but no object together.
+
+An unknown object has features in common with objects of the library, such as edges of the same shape. So its touches
+are explained separately, by one object or another, but hardly ever all by one object. Touches keep a misfit even
+separately, because of noise. The excess over it was fitted to simulated touches of parts, which were left out of
+libraries of 3 to 130 parts. The touches were clean, or had mild noise. The size of the library made no measurable
+difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError
+
+Float64 = NDArray[np.float64]
+
+MOST_BETRAYED = 50.0  # largest exponent
+TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()  # tried in the fit, nats
+LEAST = 1e-3  # least probability of the true object in the fit, so that no single touch decides
+# values of `NullEvidence` that are tried in the fit
+TRIED: dict[str, list[float]] = {
+    "gap": np.geomspace(0.5, 12, 20).round(2).tolist(), "blur": np.geomspace(0.2, 4, 12).round(2).tolist(),
+    "noise": np.arange(3.0, 13.0).tolist(), "chance": [0.6, 0.7, 0.8, 0.85, 0.9, 0.95],
+    "again": np.linspace(0.05, 0.8, 16).round(2).tolist(), "missed": [0.01, 0.02, 0.03, 0.05, 0.1],
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class NullEvidence:
+    """How the misfits of objects, nats, become probabilities of the objects and of "none of these".
+
+    An object becomes e times as probable as another one if its misfit decreases by `temperature`. The *excess* is the
+    misfit of the best object beyond the floors of the touches, of which each counts at most `noise`. A floor is the
+    misfit that a touch keeps even if it is explained separately, because of its noise.
+
+    Before any touch, an object is unknown with the probability `prior`. An unknown object is mostly betrayed by an
+    excess above `gap`; this limit is blurred by `blur`. But the share `chance` of unknown objects is not betrayed by
+    one touch, and the share `again` of them is not by each further touch. The share `missed` of known objects has such
+    an excess as well, because the search misses them. Nats are positive; shares and `prior` lie between 0 and 1.
+    Otherwise, ConfigError is raised.
+    """
+
+    prior: float = 0.2
+    gap: float = 3.7
+    blur: float = 0.7
+    noise: float = 8.0
+    chance: float = 0.9
+    again: float = 0.35
+    missed: float = 0.01
+    temperature: float = 0.82
+
+    def __post_init__(self) -> None:
+        shares = (self.prior, self.chance, self.again, self.missed)
+        if not (min(self.gap, self.blur, self.noise, self.temperature) > 0 and min(shares) > 0 and max(shares) < 1):
+            raise ConfigError(f"{self} cannot weigh objects; give nats above 0, and shares between 0 and 1")
+
+    def measure_excess(self, misfits: Float64, floors: Float64) -> float:
+        """Return the excess, nats, of the best of K objects with `misfits` (K,) over the `floors` (N,) of N touches."""
+        return max(0.0, float(misfits.min() - np.minimum(floors, self.noise).sum()))
+
+    def compute_none(self, excess: Float64 | float, touches: NDArray[np.int64] | int) -> Float64:
+        """Return the probabilities (...) of "none of these" for excesses (...), nats, after `touches` (...) touches."""
+        by_chance = self.chance * self.again ** (np.asarray(touches) - 1.0)
+        betrayed = np.exp(np.minimum((np.asarray(excess) - self.gap) / self.blur, MOST_BETRAYED))
+        ratio = (by_chance + (1 - by_chance) * betrayed) / (1 - self.missed + self.missed * betrayed)
+        return np.asarray(self.prior * ratio / (self.prior * ratio + 1 - self.prior))
+
+    def probabilities(self, misfits: Float64, floors: Float64) -> tuple[Float64, float]:
+        """Return the probabilities (K,) of K objects, and the probability of "none of these".
+
+        `misfits` (K,) are the objects' misfits, and `floors` (N,) those of the touches, nats. An infinite misfit gives
+        probability 0.
+        """
+        if np.isinf(misfits).all():
+            return np.zeros(len(misfits)), 1.0
+        none = float(self.compute_none(self.measure_excess(misfits, floors), len(floors)))
+        return (1 - none) * _share(misfits, self.temperature), none
+
+
+class KnownAnswer(NamedTuple):
+    """The result of comparing K objects with N touches of a known object.
+
+    `misfits` (K,) belong to the objects, and `floors` (N,) to the touches, nats. `truth` is the index of the touched
+    object; -1 if it was not located. `left_out` is true if it was left out of the library.
+    """
+
+    misfits: Float64
+    floors: Float64
+    truth: int
+    left_out: bool = False
+
+
+def fit_null_evidence(answers: Sequence[KnownAnswer], prior: float = NullEvidence.prior) -> NullEvidence:
+    """Return the null evidence with the least negative log-likelihood, with a given `prior`.
+
+    "None of these" is fitted to all answers. Known and left-out objects count the same, and so does each number of
+    touches. The temperature is fitted to the objects that were located.
+    """
+    groups = [
+        [answer for answer in answers if (len(answer.floors), answer.left_out) == key]
+        for key in sorted({(len(answer.floors), answer.left_out) for answer in answers})
+    ]
+
+    def measure_loss(null: NullEvidence) -> float:
+        losses = []
+        for group in groups:
+            excess = [null.measure_excess(answer.misfits, answer.floors) for answer in group]
+            none = null.compute_none(np.array(excess), len(group[0].floors))
+            losses.append(-np.log(none if group[0].left_out else 1 - none).mean())
+        return float(np.mean(losses))
+
+    null, loss = NullEvidence(prior=0.5), np.inf
+    while (least := measure_loss(null)) < loss:
+        loss = least
+        tried = (replace(null, **{name: value}) for name, values in TRIED.items() for value in values)
+        null = min((null, *tried), key=measure_loss)
+    located = [answer for answer in answers if answer.truth >= 0]
+    shares = {t: [_share(answer.misfits, t)[answer.truth] for answer in located] for t in TEMPERATURES}
+    temperature = min(TEMPERATURES, key=lambda t: -np.log(np.maximum(shares[t], LEAST)).sum())
+    return replace(null, prior=prior, temperature=temperature)
+
+
+def _share(misfits: Float64, temperature: float) -> Float64:
+    """Return the shares (K,) of objects with `misfits` (K,), nats, of the probability of all objects."""
+    weights = np.exp(-(misfits - misfits.min()) / temperature)
+    return np.asarray(weights / weights.sum())
