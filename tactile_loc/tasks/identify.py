@@ -33,13 +33,13 @@ from tactile_loc.locate.probabilities import FusedScaling, Scalings, Temperature
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.tasks.library import Comparison, Library
+from tactile_loc.tasks.shortlist import Shortlist
 
 Float64 = NDArray[np.float64]
 
-LEAST_LOOKED_INTO, LOOKED_INTO = 8, 64  # least and largest number of objects that are searched roughly
-# By as many nats may the true object be less likely than the likeliest one, after the votes and after the examination.
-# About 98 of 100 clean and noisy examples are nearer.
-MOST_VOTES_BEHIND, MOST_BEHIND = 13.0, 6.5
+# The objects that are examined, and those of them that are searched roughly. The true object may be less likely than
+# the likeliest one by as many nats. About 98 of 100 clean and noisy examples are nearer.
+EXAMINED, LOOKED_INTO = Shortlist(13.0), Shortlist(6.5)
 LOCATED = 8  # objects that are located: the ones that explain the touches best in the rough search
 LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
 # The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.
@@ -118,7 +118,8 @@ def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
 class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
-    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison.
+    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison, or an
+    upper bound of it if the object is too improbable to be examined.
     `rough_iou`, 0 to 1, is the best mean imprint IoU in the rough search; 0 if the object was not searched. `found` is
     the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence that the
     best pose lacks to explain the touches fully; infinite without a pose. `probability`, 0 to 1, is the probability
@@ -172,8 +173,8 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Return the probability that each of the models' objects was touched, and the probability of "none of these".
 
-    If there are several touches, each needs `T_base_sensor` (4, 4), metres. The LOOKED_INTO most similar objects are
-    searched roughly, and the best `located` of them are located. The probabilities of poses are fitted only to objects
+    If there are several touches, each needs `T_base_sensor` (4, 4), metres. The most similar objects are searched
+    roughly, and the best `located` of them are located. The probabilities of poses are fitted only to objects
     with a probability of at least LEAST_REPORTED. The order of the models does not matter. Raises TactileLocError for
     touches of another sensor, several touches without sensor poses, models that share a name, or no models.
     """
@@ -184,7 +185,7 @@ def identify(
         raise ConfigError(f"the number of objects to locate cannot be {located}; give 1 or more")
     if len(touches) > 1:
         require_sensor_poses([touch.T_base_sensor for touch in touches])
-    comparison = library.compare(touches)
+    comparison = library.compare(touches, EXAMINED)
     alike = comparison.alike
     rough = _look_into(library, comparison)
     chosen = np.lexsort((-alike, -rough))[:located]
@@ -251,30 +252,19 @@ def _look_into(library: Library, comparison: Comparison) -> Float64:
 
     The votes choose the objects that are examined, and the examination chooses those that are searched.
     """
-    chosen = _shortlist(comparison.nats, MOST_VOTES_BEHIND)
+    chosen = EXAMINED.choose(comparison.nats)
     with library.progress.task("examining objects", len(chosen)) as advance:
         examined = {}
         for k in chosen:
             examined[k] = library.examine(k, comparison)
             advance(1)
-    searched = [chosen[n] for n in _shortlist(np.array([examined[k].nats for k in chosen]), MOST_BEHIND)]
+    searched = [chosen[n] for n in LOOKED_INTO.choose(np.array([examined[k].nats for k in chosen]))]
     rough = np.zeros(len(library))
     with library.progress.task("looking into objects", len(searched)) as advance:
         for k in searched:
             rough[k] = library.look_into(k, comparison, examined[k])
             advance(1)
     return rough
-
-
-def _shortlist(nats: Float64, most_behind: float) -> list[int]:
-    """Return the numbers of the likeliest objects, the likeliest first, given their log-likelihoods (K,), nats.
-
-    LEAST_LOOKED_INTO to LOOKED_INTO objects are returned: those that are at most `most_behind` less likely than the
-    likeliest one.
-    """
-    order = np.argsort(-nats, kind="stable")
-    near = int(np.count_nonzero(nats >= nats.max() - most_behind))
-    return [int(k) for k in order[: min(max(near, LEAST_LOOKED_INTO), LOOKED_INTO)]]
 
 
 def _locate(model: Localizer, touches: Sequence[Touch], scalings: Scalings | None) -> Localization | None:
