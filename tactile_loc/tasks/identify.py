@@ -16,11 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.compiled import map_in_threads
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.sensing.imprints import compare_imprints
@@ -191,8 +193,7 @@ def identify(
     chosen = np.lexsort((-alike, -rough))[:located]
     tried = _Tried(library, touches)
     with library.progress.task("locating objects", len(chosen)) as advance:
-        for k in chosen:
-            tried.locate(int(k), TYPICAL)
+        for _ in map_in_threads(partial(tried.locate, scalings=TYPICAL), map(int, chosen)):
             advance(1)
     null = null or NullEvidence()
     p, none = null.probabilities(tried.misfits, len(touches))
@@ -254,15 +255,16 @@ def _look_into(library: Library, comparison: Comparison) -> Float64:
     """
     chosen = EXAMINED.choose(comparison.nats)
     with library.progress.task("examining objects", len(chosen)) as advance:
-        examined = {}
-        for k in chosen:
-            examined[k] = library.examine(k, comparison)
+        examined = []
+        for one in map_in_threads(partial(library.examine, comparison=comparison), chosen):
+            examined.append(one)
             advance(1)
-    searched = [chosen[n] for n in LOOKED_INTO.choose(np.array([examined[k].nats for k in chosen]))]
+    searched = LOOKED_INTO.choose(np.array([one.nats for one in examined]))
     rough = np.zeros(len(library))
     with library.progress.task("looking into objects", len(searched)) as advance:
-        for k in searched:
-            rough[k] = library.look_into(k, comparison, examined[k])
+        ious = map_in_threads(lambda n: library.look_into(chosen[n], comparison, examined[n]), searched)
+        for n, iou in zip(searched, ious, strict=True):
+            rough[chosen[n]] = iou
             advance(1)
     return rough
 
