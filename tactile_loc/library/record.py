@@ -95,6 +95,8 @@ class PartRecord:
 
     def pack(self) -> bytes:
         """Return the record as bytes."""
+        from tactile_loc.core.sensing.patch_differences import differentiate  # numba takes a while to import
+
         values = {
             "version": VERSION, "name": self.name, "units": self.units, "symmetry": self.symmetry,
             "centre_m": list(self.centre_m), "source": self.source, "source_sha256": self.source_sha256,
@@ -103,7 +105,7 @@ class PartRecord:
             "faces": len(self.faces), "places": len(self.patches), "dimensions": self.vectors.shape[1],
         }  # fmt: skip
         faces = np.diff(self.faces.ravel(), prepend=np.int32(0))
-        streams = (self.vertices_m.astype("<f4"), faces.astype("<i4"), _differentiate(self.patches))
+        streams = (self.vertices_m.astype("<f4"), faces.astype("<i4"), differentiate(self.patches))
         stream = zlib.compress(b"".join(one.tobytes() for one in streams), LEVEL)
         header = write_canonical_json({**values, "stream": len(stream)}).encode()
         tail = self.placements.astype("<f4").tobytes() + self.vectors.tobytes()
@@ -112,6 +114,8 @@ class PartRecord:
     @classmethod
     def unpack(cls, packed: bytes) -> PartRecord:
         """Return the record that `pack` wrote. Raises LibraryError if the bytes are no record of this version."""
+        from tactile_loc.core.sensing.patch_differences import integrate  # numba takes a while to import
+
         values, start, body, *_ = read_header(packed)
         try:
             stream = zlib.decompress(packed[start:body])
@@ -128,7 +132,7 @@ class PartRecord:
         return cls(
             values["name"], vertices_m, np.cumsum(faces, dtype=np.int32).reshape(-1, 3), values["units"],
             values["symmetry"], (x, y, z), values["source"], values["source_sha256"], values["grid"], placed,
-            _integrate(patches), described, values["descriptor"], values["places_version"],
+            integrate(patches), described, values["descriptor"], values["places_version"],
         )  # fmt: skip
 
 
@@ -186,18 +190,6 @@ def read_header(packed: bytes) -> Header:
 def hash_record(packed: bytes) -> str:
     """Return the SHA-256 (hex) of a packed record."""
     return hashlib.sha256(packed).hexdigest()
-
-
-def _differentiate(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the differences, modulo 256, of patches (N, S, S) along both axes. They compress well."""
-    zero = np.uint8(0)
-    return np.diff(np.diff(patches, axis=1, prepend=zero), axis=2, prepend=zero)
-
-
-def _integrate(differences: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the patches (N, S, S) with these differences: see `_differentiate`."""
-    across = np.cumsum(differences, axis=2, dtype=np.uint8)
-    return np.cumsum(across, axis=1, dtype=np.uint8)
 
 
 def _split(content: bytes, *arrays: tuple[str, tuple[int, ...]]) -> list[NDArray[Any]]:

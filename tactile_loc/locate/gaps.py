@@ -18,11 +18,14 @@ GAP_POINTS, GAP_PX = 30, 60  # points per touch, and long side of their image, p
 A_TURN = 30_000  # poses that are compared with a touch in one turn
 
 
-def estimate_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
-    """Return the summed distances (K,), metres, from the touches' points to the object's surface at poses (K, 4, 4)."""
-    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
+def estimate_gaps(views: Sequence[View], poses: Poses, cell_m: float | None = None) -> NDArray[np.float64]:
+    """Return the summed distances (K,), metres, from the touches' points to the object's surface at poses (K, 4, 4).
 
-    field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)
+    `cell_m`, metres, is the size of the cells of the surface's field: see `build_surface_field`.
+    """
+    from tactile_loc.core.objects.surface_field import CELL_M, build_surface_field  # numba takes a while to import
+
+    field, seen_from = build_surface_field(views[0].scene.object.mesh, cell_m or CELL_M), invert(poses)
     gaps = np.zeros(len(poses))
     for view in views:
         pause_before(len(poses) / A_TURN)

@@ -48,6 +48,7 @@ MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
+ROUGH_CELL_M = 1e-3  # side of a cell of the surface's field in a rough search
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
 WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
@@ -405,30 +406,35 @@ def _register_in_batches(views: Sequence[View], search: PlaceSearch, poses: Pose
 def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
     """Return the best mean imprint IoU, 0 to 1, of several touches with any of the poses (K, 4, 4), metres.
 
-    Only the `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely.
+    Only the `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely. The
+    field of the surface has larger cells, because its building takes longest.
     """
-    _, ious = _register(views, search, _keep_nearest(views, search, poses, 0, count))
+    nearest = _keep_nearest(views, search, poses, 0, count, ROUGH_CELL_M)
+    _, ious = _register(views, search, nearest, cell_m=ROUGH_CELL_M)
     return float(ious.mean(axis=1).max())
 
 
-def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, spread: int, count: int) -> Poses:
+def _keep_nearest(
+    views: Sequence[View], search: PlaceSearch, poses: Poses, spread: int, count: int, cell_m: float | None = None
+) -> Poses:
     """Return at most `count` poses whose surface is near to the touches.
 
     The first `spread` poses are far apart, so that they lead to different places of the object. Then follow the poses
     nearest to the touches. `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
     """
-    worth = -estimate_gaps(views, poses)
+    worth = -estimate_gaps(views, poses, cell_m)
     first = keep_apart(poses, worth, search.metric, search.spread_m, spread)
     nearest = keep_apart(poses, worth, search.metric, search.radius_m, count)
     return poses[np.concatenate([first, nearest[~np.isin(nearest, first)]])[:count]]
 
 
 def _register(
-    views: Sequence[View], search: PlaceSearch, poses: Poses, kept: int | None = None, prior: Prior | None = None
-) -> tuple[Poses, NDArray[np.float64]]:
+    views: Sequence[View], search: PlaceSearch, poses: Poses, kept: int | None = None, prior: Prior | None = None,
+    cell_m: float | None = None,
+) -> tuple[Poses, NDArray[np.float64]]:  # fmt: skip
     """Register poses (K, 4, 4), metres, roughly to all N touches; return them and their coarse imprint IoUs (K, N).
 
-    `kept` and `prior` are as for `JointRegistration.register_coarsely`.
+    `kept`, `prior` and `cell_m` are as for `JointRegistration.register_coarsely`.
     """
-    registered, options = search.registration.register_coarsely(views, poses, kept, prior), search.options
+    registered, options = search.registration.register_coarsely(views, poses, kept, prior, cell_m), search.options
     return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)

@@ -18,10 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.compiled import map_in_threads
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.sensing.imprints import compare_imprints
@@ -36,13 +38,13 @@ from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.tasks.library import Comparison, Library
 from tactile_loc.tasks.null_evidence import NullEvidence
 from tactile_loc.tasks.pose_modes import PoseModes, join_modes
+from tactile_loc.tasks.shortlist import Shortlist
 
 Float64 = NDArray[np.float64]
 
-LEAST_LOOKED_INTO, LOOKED_INTO = 8, 64  # least and largest number of objects that are searched roughly
-# By as many nats may the true object be less likely than the likeliest one, after the votes and after the examination.
-# About 98 of 100 clean and noisy examples are nearer.
-MOST_VOTES_BEHIND, MOST_BEHIND = 13.0, 6.5
+# The objects that are examined, and those of them that are searched roughly. The true object may be less likely than
+# the likeliest one by as many nats. About 98 of 100 clean and noisy examples are nearer.
+EXAMINED, LOOKED_INTO = Shortlist(13.0), Shortlist(6.5)
 LOCATED = 8  # objects that are located: the ones that explain the touches best in the rough search
 LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
 # The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.
@@ -57,7 +59,8 @@ ALONE, EXPLAINED = 2, 0.2
 class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
-    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison.
+    `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison, or an
+    upper bound of it if the object is too improbable to be examined.
     `rough_iou`, 0 to 1, is the best mean imprint IoU in the rough search; 0 if the object was not searched. `found` is
     the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence that the
     best pose lacks to explain the touches fully; infinite without a pose. `apart` (N,), nats, are the least misfits of
@@ -125,8 +128,8 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Return the probability that each of the models' objects was touched, and the probability of "none of these".
 
-    If there are several touches, each needs `T_base_sensor` (4, 4), metres. The LOOKED_INTO most similar objects are
-    searched roughly, and the best `located` of them are located. The probabilities of poses are fitted only to objects
+    If there are several touches, each needs `T_base_sensor` (4, 4), metres. The most similar objects are searched
+    roughly, and the best `located` of them are located. The probabilities of poses are fitted only to objects
     with a probability of at least LEAST_REPORTED. "None of these" is weighed by `null`: see `NullEvidence`.
     The order of the models does not matter. Raises TactileLocError for touches of another sensor, several touches
     without sensor poses, models that share a name, or no models.
@@ -138,14 +141,13 @@ def identify(
         raise ConfigError(f"the number of objects to locate cannot be {located}; give 1 or more")
     if len(touches) > 1:
         require_sensor_poses([touch.T_base_sensor for touch in touches])
-    comparison = library.compare(touches)
+    comparison = library.compare(touches, EXAMINED)
     alike = comparison.alike
     rough = _look_into(library, comparison)
     chosen = np.lexsort((-alike, -rough))[:located]
     tried = _Tried(library, touches)
     with library.progress.task("locating objects", len(chosen)) as advance:
-        for k in chosen:
-            tried.locate(int(k), fitted=False)
+        for _ in map_in_threads(partial(tried.locate, fitted=False), map(int, chosen)):
             advance(1)
     null, floors = null or NullEvidence(), find_floors(library, touches, tried.apart)
     p, none = null.probabilities(tried.misfits, floors)
@@ -203,17 +205,23 @@ def find_floors(library: Library, touches: Sequence[Touch], apart: Mapping[int, 
     that explain all touches may explain none of them as well as possible. So if there are several touches, each is also
     located separately, in the ALONE objects that explain it best.
     """
-    floors = np.array([_compute_full_evidence(touch) for touch in touches])
-    for number, touch in enumerate(touches if apart else ()):
-        order = sorted(apart, key=lambda k: apart[k][number])
-        floors[number] = apart[order[0]][number]
-        for k in order[:ALONE] if len(touches) > 1 else ():
-            if floors[number] < EXPLAINED:
-                break
-            with library.use(k) as model:
-                answer = _locate(model, [touch], _choose_scalings(model))
-                floors[number] = min(floors[number], np.inf if answer is None else measure_misfit(model, answer))
-    return np.maximum(floors, 0.0)
+    find = partial(_find_floor, library, touches, apart)
+    return np.array([*map_in_threads(find, range(len(touches)))])
+
+
+def _find_floor(library: Library, touches: Sequence[Touch], apart: Mapping[int, Float64], number: int) -> float:
+    """Return the floor of one of the touches: see `find_floors`."""
+    if not apart:
+        return _compute_full_evidence(touches[number])
+    order = sorted(apart, key=lambda k: apart[k][number])
+    floor = float(apart[order[0]][number])
+    for k in order[:ALONE] if len(touches) > 1 else ():
+        if floor < EXPLAINED:
+            break
+        with library.use(k) as model:
+            answer = _locate(model, [touches[number]], _choose_scalings(model))
+            floor = min(floor, np.inf if answer is None else measure_misfit(model, answer))
+    return max(0.0, floor)
 
 
 def measure_misfit(model: Localizer, found: Localization) -> float:
@@ -243,30 +251,20 @@ def _look_into(library: Library, comparison: Comparison) -> Float64:
 
     The votes choose the objects that are examined, and the examination chooses those that are searched.
     """
-    chosen = _shortlist(comparison.nats, MOST_VOTES_BEHIND)
+    chosen = EXAMINED.choose(comparison.nats)
     with library.progress.task("examining objects", len(chosen)) as advance:
-        examined = {}
-        for k in chosen:
-            examined[k] = library.examine(k, comparison)
+        examined = []
+        for one in map_in_threads(partial(library.examine, comparison=comparison), chosen):
+            examined.append(one)
             advance(1)
-    searched = [chosen[n] for n in _shortlist(np.array([examined[k].nats for k in chosen]), MOST_BEHIND)]
+    searched = LOOKED_INTO.choose(np.array([one.nats for one in examined]))
     rough = np.zeros(len(library))
     with library.progress.task("looking into objects", len(searched)) as advance:
-        for k in searched:
-            rough[k] = library.look_into(k, comparison, examined[k])
+        ious = map_in_threads(lambda n: library.look_into(chosen[n], comparison, examined[n]), searched)
+        for n, iou in zip(searched, ious, strict=True):
+            rough[chosen[n]] = iou
             advance(1)
     return rough
-
-
-def _shortlist(nats: Float64, most_behind: float) -> list[int]:
-    """Return the numbers of the likeliest objects, the likeliest first, given their log-likelihoods (K,), nats.
-
-    LEAST_LOOKED_INTO to LOOKED_INTO objects are returned: those that are at most `most_behind` less likely than the
-    likeliest one.
-    """
-    order = np.argsort(-nats, kind="stable")
-    near = int(np.count_nonzero(nats >= nats.max() - most_behind))
-    return [int(k) for k in order[: min(max(near, LEAST_LOOKED_INTO), LOOKED_INTO)]]
 
 
 def _choose_scalings(model: Localizer) -> Scalings | None:

@@ -1,8 +1,9 @@
 """A library of objects, and two quick comparisons of all objects with touches.
 
-First, each touch votes for places of each object, by descriptors that were computed once: see `votes.py`. This takes
-milliseconds for each object. A rough search starts from these places. It registers a few poses roughly to all touches,
-and takes a thirtieth of the time of locating the object.
+First, each touch votes for places of each object, by descriptors that were computed once: see `votes.py`. The best
+similarities of its places bound the votes of an object, so that the votes of most objects need not be joined. A rough
+search starts from the places of the votes. It registers a few poses roughly to all touches, and takes a thirtieth of
+the time of locating the object.
 
 The votes read only the descriptors from the store. An object's places are read when it is searched. The parts used last
 stay in memory.
@@ -26,7 +27,8 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.localizer import Localizer, make_view
 from tactile_loc.locate.search import PlaceSearch, TouchBounds, bound_touch, compute_rough_iou
 from tactile_loc.tasks.library_parts import GivenParts, Parts, open_search
-from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_object
+from tactile_loc.tasks.shortlist import Shortlist
+from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_alone, rate_object
 
 DESCRIBED, WHOLE = "described", "whole"  # what is kept of an object
 KEPT_BYTES = 2**30
@@ -44,7 +46,8 @@ SOFTER = 2.0  # factor on the temperature of the training: similarities of wrong
 class Comparison:
     """The votes of touches for the places of K objects. `nats` (K,) are log-likelihoods, apart from a constant.
 
-    `bounds` are those of each touch at YAWS_RAD.
+    Those of objects that cannot be chosen may be upper bounds: see `Library.compare`. `bounds` are those of each touch
+    at YAWS_RAD.
     """
 
     touches: tuple[Touch, ...]
@@ -55,7 +58,10 @@ class Comparison:
 
     @property
     def alike(self) -> NDArray[np.float64]:
-        """The mean similarity (K,) of the touches and the most similar places of each object; at most 1, unitless."""
+        """The mean similarity (K,) of the touches and the most similar places of each object; at most 1, unitless.
+
+        The less the places are related as the touches are, the lower it is. It is an upper bound where `nats` are.
+        """
         return self.nats * self.temperature / len(self.touches)
 
 
@@ -109,22 +115,27 @@ class Library:
         with self.use(k) as model:
             return open_search(model)
 
-    def compare(self, touches: Sequence[Touch]) -> Comparison:
+    def compare(self, touches: Sequence[Touch], shortlist: Shortlist | None = None) -> Comparison:
         """Compare touches with all objects. If there are several, each needs `T_base_sensor`.
 
-        Raises TouchError for a touch of another sensor.
+        With a `shortlist`, the log-likelihoods of objects that it does not choose may be upper bounds. They are found
+        sooner, and the shortlist chooses the same objects. Raises TouchError for a touch of another sensor.
         """
         for touch in touches:
             self.models.require_own(touch)
         descriptor = load_descriptor()
         asked, temperature = Asked.about(touches, descriptor), SOFTER * descriptor.temperature
-        nats = np.empty(len(self))
         with self.progress.task("comparing objects", len(self)) as advance:
-            for k in range(len(self)):
-                nats[k] = rate_object(self.describe(k), asked, temperature)
-                advance(1)
+            similar = self.models.find_most_similar(asked.rounded, self.describe, advance)
+        nats = rate_alone(similar, temperature).sum(axis=0)
+        if len(touches) > 1:
+            rate = partial(self._rate, asked, temperature)
+            nats = np.array([*map(rate, range(len(self)))]) if shortlist is None else shortlist.rate(nats, rate)
         bounds = tuple(bound_touch(touch, YAWS_RAD) for touch in touches)
         return Comparison(tuple(touches), asked, bounds, nats, temperature)
+
+    def _rate(self, asked: Asked, temperature: float, k: int, least: float = -np.inf) -> float:
+        return rate_object(self.describe(k), asked, temperature, least)
 
     def examine(self, k: int, comparison: Comparison) -> Examined:
         """Compare the touches in detail with the places of object k for which they voted, without registration."""

@@ -9,8 +9,10 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.descriptor.descriptor import load_descriptor
+from tactile_loc.core.descriptor.similarity import find_most_similar
 from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, quote
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
@@ -32,6 +34,8 @@ STAGE, STAGE_VERSION = "descriptions", 1
 MOST_PLACES = 3000  # of a given localizer's object, evenly spread
 
 Use = Callable[[], AbstractContextManager[Localizer]]
+Describe = Callable[[int], DescribedPlaces]
+Advance = Callable[[int], None]
 
 
 class Parts(Sequence[Localizer]):
@@ -46,6 +50,18 @@ class Parts(Sequence[Localizer]):
     @abstractmethod
     def describe(self, k: int, use: Use) -> DescribedPlaces:
         """Return places of part k with their descriptors. `use` opens its localizer, if necessary."""
+
+    def find_most_similar(self, touches: NDArray[np.int16], describe: Describe, advance: Advance) -> NDArray[np.int32]:
+        """Return the greatest similarities (T, K), in 1 / UNIT, of rounded touches (T, D) and the places of each part.
+
+        `describe` returns the places of a part. Calls `advance` with the number of parts just compared.
+        """
+        found = np.empty((len(touches), len(self)), np.int32)
+        for k in range(len(self)):
+            vectors = describe(k).vectors
+            found[:, [k]] = find_most_similar(vectors, touches, np.zeros(1, int), np.array([len(vectors)]))
+            advance(1)
+        return found
 
     @abstractmethod
     def require_own(self, touch: Touch) -> None:
@@ -130,9 +146,26 @@ class StoredParts(Parts):
         symmetry = SymmetryGroup.parse(row.symmetry, (row.centre_x_m, row.centre_y_m, row.centre_z_m))
         return DescribedPlaces(vectors, placements, symmetry.list_elements(STEP_RAD))
 
+    def find_most_similar(self, touches: NDArray[np.int16], describe: Describe, advance: Advance) -> NDArray[np.int32]:
+        """Return the greatest similarities (T, K) as `Parts.find_most_similar`, from one pass through the shards."""
+        found = np.empty((len(touches), len(self)), np.int32)
+        for shard, (numbers, first, places) in zip(self.folder.shards, self._extents, strict=True):
+            found[:, numbers] = find_most_similar(shard.vectors, touches, first, places)
+            advance(len(numbers))
+        return found
+
     def require_own(self, touch: Touch) -> None:
         """Raise TouchError if a touch is of another sensor than the library is used with."""
         self._first.require_own(touch)
+
+    @cached_property
+    def _extents(self) -> list[NDArray[np.int64]]:
+        """The numbers (3, K) of each shard's parts, with their first rows and their numbers of places."""
+        number = {name: k for k, name in enumerate(self.names)}
+        return [
+            np.array([(number[row.name], row.first, row.places) for row in shard.parts], int).reshape(-1, 3).T
+            for shard in self.folder.shards
+        ]
 
     @cached_property
     def _first(self) -> Localizer:

@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import njit
-from tactile_loc.core.descriptor.descriptor import STEPS, Descriptor
+from tactile_loc.core.descriptor.descriptor import Descriptor
+from tactile_loc.core.descriptor.similarity import UNIT, compare_vectors, round_touches
 from tactile_loc.core.sensing.places import Places
 from tactile_loc.core.sensing.rotated_patches import find_anchor
 from tactile_loc.core.sensing.touch import Touch
@@ -30,6 +32,7 @@ VOTED = 300  # most similar places of an object that a touch votes for
 STD_M, STD_RAD = 2e-3, 0.12  # of distances and angles, mostly due to the spacing of the places
 NEAR_M = 4e-3  # between nearer places, the direction of the line is uncertain
 MOST_LOST = 15.0  # nats that a touch can take from an object, so that a single bad touch does not decide
+ROUNDING = 1e-6  # nats
 STEP_RAD = 0.2  # between the copies of a place about a continuous axis
 
 
@@ -89,6 +92,16 @@ class Asked:
             at.append([*(T[:3, :3] @ anchor_m + T[:3, 3]), *(T[:3, :3] @ R_sensor_gel[:, 2])])
         return cls(np.stack([descriptor.describe_touch(touch) for touch in touches]), np.array(at))
 
+    @cached_property
+    def rounded(self) -> NDArray[np.int16]:
+        """The vectors (T, D) as whole numbers: see `round_touches`."""
+        return round_touches(self.vectors)
+
+    @cached_property
+    def pairs(self) -> list[list[tuple[float, float, float, float, float]]]:
+        """The relation of the places of touches i and j, as `pairs[i][j]`: see `measure_pair`."""
+        return [[measure_pair(one, other) for other in self.at] for one in self.at]
+
 
 @dataclass(frozen=True, eq=False)
 class Votes:
@@ -107,49 +120,61 @@ def join_votes(places: DescribedPlaces, asked: Asked, temperature: float) -> Vot
     A similarity divided by the `temperature`, unitless, is a log-likelihood, apart from a constant.
     """
     numbers, alone = _vote(places, asked, temperature)
-    nats = alone.copy()
-    for i in range(len(nats)):
-        _add_support(nats[i], i, places, asked, numbers, alone)
-    return Votes(numbers, nats)
+    return Votes(numbers, np.stack([_add_support(i, places, asked, [*numbers], [*alone]) for i in range(len(alone))]))
 
 
-def rate_object(places: DescribedPlaces, asked: Asked, temperature: float) -> float:
+def rate_object(places: DescribedPlaces, asked: Asked, temperature: float, least: float = -np.inf) -> float:
     """Return about the greatest of `Votes.nats`: only from the places of the first touch, or of the first two of more.
 
-    This is exact for two touches. Of more touches, one may be bad.
+    This is exact for two touches. Of more touches, one may be bad. A rating below `least` is only a lower bound, which
+    is found sooner.
     """
     numbers, alone = _vote(places, asked, temperature)
-    firsts = range(max(1, min(2, len(alone) - 1)))
-    return max(float(_add_support(alone[i].copy(), i, places, asked, numbers, alone).max()) for i in firsts)
+    least -= ROUNDING
+    # the rating lacks at least as much as one of its places lacks of the best place of the same touch
+    lowest = alone[:, 0] - max(alone[:, 0].sum() - least, 0.0)
+    kept = [np.count_nonzero(nats >= limit) for nats, limit in zip(alone, lowest, strict=True)]
+    few, some = ([row[:count] for row, count in zip(of, kept, strict=True)] for of in (numbers, alone))
+    rating = -np.inf
+    for i in range(max(1, min(2, len(alone) - 1))):
+        rating = max(rating, float(_add_support(i, places, asked, few, some, max(least, rating)).max()))
+    return rating
 
 
 def _vote(places: DescribedPlaces, asked: Asked, temperature: float) -> tuple[NDArray[np.int64], Float64]:
     """Return the places (T, M) that each touch votes for, the most similar first, and the log-likelihoods (T, M)."""
     count = min(VOTED, len(places))
-    similar = compare_vectors(places.vectors, asked.vectors) / temperature
+    similar = compare_vectors(places.vectors, asked.rounded)
     numbers = np.argpartition(-similar, count - 1, axis=1)[:, :count]
-    alone = np.take_along_axis(similar, numbers, axis=1).astype(float)
-    order = np.argsort(-alone, axis=1, kind="stable")
-    return np.take_along_axis(numbers, order, axis=1), np.take_along_axis(alone, order, axis=1)
+    best = np.take_along_axis(similar, numbers, axis=1)
+    order = np.argsort(-best, axis=1, kind="stable")
+    return np.take_along_axis(numbers, order, axis=1), rate_alone(np.take_along_axis(best, order, axis=1), temperature)
+
+
+def rate_alone(similar: NDArray[np.int32], temperature: float) -> Float64:
+    """Return the log-likelihoods of similarities, in 1 / UNIT, apart from a constant."""
+    return similar / (UNIT * temperature)
 
 
 def _add_support(
-    nats: Float64, i: int, places: DescribedPlaces, asked: Asked, numbers: NDArray[np.int64], alone: Float64
-) -> Float64:
-    """Add to `nats` (M,) of the places of touch i the support by the places of all other touches, and return it."""
-    own = places.at[numbers[i]].astype(float)
-    for j in range(len(asked.at)):
-        if i != j:
-            copied, values = places.copy(numbers[j]), np.repeat(alone[j], len(places.copies))
-            nats += _find_support(own, copied, values, *measure_pair(asked.at[i], asked.at[j]))
+    i: int, places: DescribedPlaces, asked: Asked, numbers: Sequence[NDArray[np.int64]], alone: Sequence[Float64],
+    least: float | None = None,
+) -> Float64:  # fmt: skip
+    """Return the log-likelihoods (M,) of the places of touch i, with the support by the places of all other touches.
+
+    If `least` is given, only the greatest one is exact, and only if it is above `least`. The others are lower bounds.
+    """
+    own, nats = places.at[numbers[i]].astype(float), alone[i].copy()
+    others = [j for j in range(len(alone)) if j != i]
+    for n, j in enumerate(others, 1):
+        copied, values = places.copy(numbers[j]), np.repeat(alone[j], len(places.copies))
+        most = sum(float(alone[later][0]) for later in others[n:])  # that later touches can add
+        if least is None:
+            _support(nats, own, copied, values, asked.pairs[i][j], -np.inf, most, -np.inf)
+        else:
+            surely = most - MOST_LOST * len(others[n:])
+            least = _support(nats, own, copied, values, asked.pairs[i][j], least, most, surely)
     return nats
-
-
-def compare_vectors(vectors: NDArray[np.int8], asked: Float32) -> Float32:
-    """Return the similarities (T, N) of T touches' vectors (T, D) to places' vectors (N, D), int8, times STEPS."""
-    similar: Float32 = asked @ vectors.astype(np.float32).T
-    similar /= np.float32(STEPS)
-    return similar
 
 
 def measure_pair(first: Float64, second: Float64) -> tuple[float, float, float, float, float]:
@@ -162,18 +187,22 @@ def measure_pair(first: Float64, second: Float64) -> tuple[float, float, float, 
 
 
 @njit(fast=True)
-def _find_support(first, second, values, distance, both, from_first, from_second, handed):
-    """Return the best support (M,), nats, of points with directions `first` (M, 6) by `second` (N, 6).
+def _support(nats, first, second, values, pair, least, most, surely):
+    """Add the best support by points with directions `second` (N, 6) to `nats` (M,) of points `first` (M, 6).
 
-    The support is the value (N,) of the second point, less the mismatch of the pair with the pair that was touched. It
+    The support is the value (N,) of the second point, less the mismatch of the two with the touched `pair`. It
     is at most MOST_LOST below the greatest value. The values are in descending order, so that a search can end early.
+
+    Later touches add from `surely` to `most` nats. A support may be too low if the sum then stays below `least`, or
+    below the sum of another point. Returns the greatest sum that is sure, or `least` if this is greater.
     """
-    support = np.full(len(first), values[0] - MOST_LOST)
+    distance, both, from_first, from_second, handed = pair
     weight = min(1.0, distance / NEAR_M)
     for i in range(len(first)):
-        best = support[i]
+        best = values[0] - MOST_LOST
+        needed = max(best, least - most - nats[i])
         for j in range(len(second)):
-            spare = 2 * (values[j] - best)
+            spare = 2 * (values[j] - needed)
             if spare <= 0:
                 break
             x, y, z = second[j, 0] - first[i, 0], second[j, 1] - first[i, 1], second[j, 2] - first[i, 2]
@@ -195,5 +224,7 @@ def _find_support(first, second, values, distance, both, from_first, from_second
             turned = weight * (hand - handed) / STD_RAD
             mismatch += along * along + back * back + turned * turned
             best = max(best, values[j] - 0.5 * mismatch)
-        support[i] = best
-    return support
+            needed = max(needed, best)
+        nats[i] += best
+        least = max(least, nats[i] + surely)
+    return least

@@ -24,6 +24,7 @@ from tactile_loc.tasks import identify as module
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification, KnownObject, identify, measure_misfit
 from tactile_loc.tasks.library import PROPOSED, Library
 from tactile_loc.tasks.null_evidence import NullEvidence
+from tactile_loc.tasks.shortlist import Shortlist
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
 
@@ -101,8 +102,8 @@ def test_only_the_object_with_the_best_rough_fit_is_located(library, touches):
 
 
 def test_only_the_most_similar_object_gets_a_rough_fit(library, touches, monkeypatch):
-    monkeypatch.setattr("tactile_loc.tasks.identify.LEAST_LOOKED_INTO", 1)
-    monkeypatch.setattr("tactile_loc.tasks.identify.LOOKED_INTO", 1)
+    for name in ("EXAMINED", "LOOKED_INTO"):
+        monkeypatch.setattr(module, name, Shortlist(0.0, 1, 1))
     said = identify(touches["ring"], library, located=1)
     looked_into = [one for one in said.objects if one.rough_iou > 0]
     assert [one.alike for one in looked_into] == [max(one.alike for one in said.objects)]

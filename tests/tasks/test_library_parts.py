@@ -11,13 +11,15 @@ import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, LibraryError
+from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.library.building import build_library, list_meshes
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.tasks.identify import identify
 from tactile_loc.tasks.library import Library
-from tactile_loc.tasks.library_parts import StoredParts
+from tactile_loc.tasks.library_parts import Parts, StoredParts
+from tactile_loc.tasks.shortlist import Shortlist
 
 pytest.importorskip("pyarrow")
 
@@ -69,6 +71,29 @@ def test_describing_parts_opens_no_localizer(parts, monkeypatch):
     assert np.isfinite(comparison.nats).all()
     assert parts.names[int(comparison.nats.argmax())] == parts.names[0]
     assert library.nbytes < 1e5, "mapped arrays do not count"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_comparison_for_a_shortlist_chooses_the_same_parts(parts, count):
+    library, shortlist = Library(parts), Shortlist(1.0, 1, 2)
+    for model in parts:
+        touches = model.simulate(count, seed=7, press_depth_m=9e-4)
+        touches = [replace(touch, T_base_sensor=invert(touch.T_sensor_object)) for touch in touches]
+        exact, found = library.compare(touches).nats, library.compare(touches, shortlist).nats
+        chosen = shortlist.choose(exact)
+        assert shortlist.choose(found) == chosen
+        assert np.array_equal(found[chosen], exact[chosen])
+        assert (found >= exact).all()
+
+
+def test_one_pass_through_the_shards_compares_the_parts_that_are_left(folder, store):
+    left = replace(folder, rows={name: row for name, row in folder.rows.items() if name != folder.names[1]})
+    parts = StoredParts(left, RunConfig.from_dict(SETTINGS), store)
+    describe, touches = Library(parts).describe, np.random.default_rng(3).normal(0, 3000, (2, 128)).astype(np.int16)
+    done: list[int] = []
+    found = parts.find_most_similar(touches, describe, done.append)
+    assert np.array_equal(found, Parts.find_most_similar(parts, touches, describe, lambda count: None))
+    assert sum(done) == len(parts) == 2
 
 
 def test_a_grid_of_its_own_is_refused(folder, store):

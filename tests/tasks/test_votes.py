@@ -68,7 +68,21 @@ def test_the_rating_is_that_of_the_definition(places, rng):
     few = DescribedPlaces(places.vectors[:40], places.at[:40], NO_COPIES)
     asked = touch_at(few, [3, 17], rng)
     asked.vectors[:] = draw_units(rng, 2, DIMENSIONS)
-    assert rate_object(few, asked, TEMPERATURE) == pytest.approx(rate_slowly(few, asked), rel=1e-5)
+    assert rate_object(few, asked, TEMPERATURE) == pytest.approx(rate_slowly(few, asked), rel=1e-4)
+
+
+@pytest.mark.parametrize("numbers", [[5], [5, 60], [5, 60, 131], [5, 5, 60, 131]])
+def test_a_rating_is_exact_unless_it_is_below_the_least_one(places, rng, numbers):
+    asked = touch_at(places, numbers, rng)
+    asked.vectors[:] = 0.7 * asked.vectors + 0.7 * draw_units(rng, len(numbers), DIMENSIONS).astype(np.float32)
+    symmetric = DescribedPlaces(places.vectors, places.at, np.stack([np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])]))
+    for some in (places, symmetric):
+        votes = join_votes(some, asked, TEMPERATURE).nats
+        exact = votes[:1].max() if len(numbers) < 3 else votes[:2].max()
+        for less in (np.inf, 10.0, 1.0, 0.0):
+            assert rate_object(some, asked, TEMPERATURE, exact - less) == exact
+        for more in (0.1, 3.0, 100.0):
+            assert rate_object(some, asked, TEMPERATURE, exact + more) <= exact
 
 
 def test_touches_vote_for_their_places(places, rng):

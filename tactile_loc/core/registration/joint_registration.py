@@ -91,15 +91,17 @@ class JointRegistration:
         return found.add_to(results, np.flatnonzero(good))
 
     def register_coarsely(
-        self, views: Sequence[View], T_first_object: Poses, kept: int | None = None, prior: Prior | None = None
-    ) -> Poses:
+        self, views: Sequence[View], T_first_object: Poses, kept: int | None = None, prior: Prior | None = None,
+        cell_m: float | None = None,
+    ) -> Poses:  # fmt: skip
         """Register many poses (K, 4, 4), metres, roughly, and return the registered poses (K, 4, 4), metres.
 
         Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before. With
         `kept`, only this many poses are returned: those that explain the touches best after the first EARLY steps.
-        `prior` is as for `refine`.
+        `prior` is as for `refine`. `cell_m`, metres, is the size of the cells of the surface's field: see
+        `build_surface_field`.
         """
-        problem, scales_mm = self._pose_problem(views), self.list_scales_mm(self.options.iterations)
+        problem, scales_mm = self._pose_problem(views, cell_m), self.list_scales_mm(self.options.iterations)
         if kept is not None and kept < len(T_first_object):
             early = self._solve(problem, T_first_object, scales_mm[:EARLY], prior=prior)
             T_first_object = early.T_first_object[np.argsort(early.registered.misfit, kind="stable")[:kept]]
@@ -157,8 +159,8 @@ class JointRegistration:
         pulled = [] if prior is None else _scale_pulls(fit_pulls(prior, T, problem.middle / MILLI))
         return _Found(problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride, *pulled))
 
-    def _pose_problem(self, views: Sequence[View]) -> Registration:
-        from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
+    def _pose_problem(self, views: Sequence[View], cell_m: float | None = None) -> Registration:
+        from tactile_loc.core.objects.surface_field import CELL_M, build_surface_field  # numba takes a while to import
 
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
@@ -171,7 +173,7 @@ class JointRegistration:
         return Registration(
             observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm,
-            _triangles_mm(build_surface_field(mesh)),
+            _triangles_mm(build_surface_field(mesh, cell_m or CELL_M)),
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,
         )  # fmt: skip

@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""Time and memory of identifying among the parts of a library on disk.
+
+Parts are pressed from random directions. The table has medians over the touched parts, for one touch, the first two,
+and so on. The votes of all parts are joined, or only those that decide: see `Shortlist`. The scan is the pass through
+all vectors, which gives the bounds of the votes. Each example is identified twice. The first time, few of its likely
+parts are open; the second time, all are.
+
+Times are those of all processors together, s, because a shared machine delays a program. The memory is that of the
+process without mapped files. `--no-identify` leaves out the identification.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from identify import choose_asked, draw_example, open_library
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.library.folder import LibraryFolder
+from tactile_loc.tasks.identify import EXAMINED, identify
+from tactile_loc.tasks.library import Library
+from tactile_loc.tasks.votes import rate_object
+
+COLUMNS = ("parts", "touches", "examples", "all votes", "deciding votes", "of these the scan", "joined")
+IDENTIFIED = ("first identified", "again")
+
+
+def measure(function: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+    """Return the processor time of a call, s, and its result."""
+    start_s = time.process_time()
+    result = function(*arguments)
+    return time.process_time() - start_s, result
+
+
+def measure_example(library: Library, touches: list[Touch], identifies: bool) -> list[float]:
+    """Return the times, s, and the number of joined parts, in the order of the columns."""
+    all_s, _ = measure(library.compare, touches)
+    with patch("tactile_loc.tasks.library.rate_object", wraps=rate_object) as rated:
+        some_s, comparison = measure(library.compare, touches, EXAMINED)
+    scan_s, _ = measure(
+        library.models.find_most_similar, comparison.asked.rounded, library.describe, lambda count: None
+    )
+    whole = [measure(identify, touches, library)[0] for _ in range(2)] if identifies else []
+    return [all_s, some_s, scan_s, rated.call_count, *whole]
+
+
+def read_own_memory() -> float:
+    """Return the memory of this process without mapped files, GB."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (used,) = (line.split()[1] for line in lines if line.startswith("RssAnon"))
+    return int(used) * 1024 / 1e9
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("library", type=Path)
+    parser.add_argument("--sensor", default="gelsight-mini")
+    parser.add_argument("--asked", default="", help="regular expression for the names of touched parts")
+    parser.add_argument("--most", type=int, help="number of touched parts; default: all")
+    parser.add_argument("--level", default="clean", choices=["clean", "mild"])
+    parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--no-identify", dest="identifies", action="store_false")
+    parser.add_argument("--seed", type=int, default=47)
+    parser.add_argument("--store", type=Path, help="store of models")
+    arguments = parser.parse_args()
+    library = open_library(arguments)
+    rows: dict[int, list[list[float]]] = {count: [] for count in arguments.touches}
+    for name in choose_asked(library, arguments):
+        try:
+            touches = draw_example(library, library.names.index(name), arguments, 0)
+        except TactileLocError as error:
+            print(f"  {name} is left out: {error}", flush=True)
+            continue
+        for count, row in rows.items():
+            row.append(measure_example(library, touches[:count], arguments.identifies))
+    columns = [*COLUMNS, *(IDENTIFIED if arguments.identifies else ())]
+    print(f"| {' | '.join(columns)} |")
+    print("|---" * len(columns) + "|")
+    for count, row in rows.items():
+        every, some, scan, joined, *whole = np.median(row[1:] or row, axis=0)  # the first one loads the compiled code
+        spent = " | ".join(f"{one:.2f}" for one in (every, some, scan))
+        last = "".join(f" {one:.1f} |" for one in whole)
+        print(f"| {len(library)} | {count} | {len(row)} | {spent} | {joined:.0f} |{last}")
+    mapped = sum(
+        shard.vectors.nbytes + shard.placements.nbytes for shard in LibraryFolder.open(arguments.library).shards
+    )
+    print(f"memory {read_own_memory():.2f} GB, mapped arrays {mapped / 1e9:.2f} GB", flush=True)
+
+
+if __name__ == "__main__":
+    main()
