@@ -74,7 +74,7 @@ def main() -> None:
     arguments = parser.parse_args()
     library = open_library(arguments)
     rows: dict[int, list[list[float]]] = {count: [] for count in arguments.touches}
-    for name in choose_asked(library, arguments):
+    for name in choose_asked(library, arguments.asked, arguments.most):
         try:
             touches = draw_example(library, library.names.index(name), arguments, 0)
         except TactileLocError as error:

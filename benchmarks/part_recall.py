@@ -54,7 +54,7 @@ def main() -> None:
     arguments = parser.parse_args()
     folder = LibraryFolder.open(arguments.library)
     library = Library(StoredParts(folder, RunConfig.from_dict({"sensor": arguments.sensor})))
-    asked = [library.names.index(name) for name in choose_asked(library, arguments)]
+    asked = [library.names.index(name) for name in choose_asked(library, arguments.asked, arguments.most)]
     rng = np.random.default_rng(arguments.seed)
     print(
         "| touches | noise | parts | examples | mean rank, share of the parts | among the best 64 | best | ms a part |"
