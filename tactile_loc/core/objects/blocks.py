@@ -8,10 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit
 from tactile_loc.core.objects.mesh import TriangleMesh
-
-# mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 TRIANGLES = 24  # largest number of triangles per block
 
@@ -35,40 +32,16 @@ def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
 
     A larger block is split in two halves along its longest side.
     """
+    from tactile_loc.core.objects.block_splitting import split_into_blocks  # numba takes a while to import
+
     order, starts = np.arange(len(corners)), np.empty(len(corners) + 1, np.int64)
-    starts = starts[: _split(corners.mean(axis=1), most, order, starts) + 1]
+    starts = starts[: split_into_blocks(corners.mean(axis=1), most, order, starts) + 1]
     corners = np.ascontiguousarray(corners[order], float)
     low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
     high = np.maximum.reduceat(corners.max(axis=1), starts[:-1])
     centres = (low + high) / 2
     far = np.linalg.norm(corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
     return Blocks(corners, order, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
-
-
-@njit
-def _split(middles, most, order, starts):
-    """Sort the numbers `order` (N,) of items with `middles` (N, 3) by blocks. Return how many `starts` were filled."""
-    waiting = [(0, len(order))]
-    count = 0
-    starts[0] = 0
-    while len(waiting) > 0:
-        first, last = waiting.pop()
-        if last - first <= most:
-            count += 1
-            starts[count] = last
-            continue
-        some = order[first:last].copy()
-        longest, side = -1.0, 0
-        for axis in range(3):
-            values = middles[some, axis]
-            length = values.max() - values.min()
-            if length > longest:
-                longest, side = length, axis
-        order[first:last] = some[np.argsort(middles[some, side], kind="mergesort")]
-        middle = first + (last - first) // 2
-        waiting.append((middle, last))
-        waiting.append((first, middle))
-    return count
 
 
 @lru_cache(maxsize=16)
