@@ -73,6 +73,7 @@ def test_two_sensors_find_the_pose_that_neither_finds_alone(run):
     assert np.allclose(made["together"].best.T_base_object, made["T_base_object"], atol=5e-4)
 
 
+@pytest.mark.slow
 def test_a_pose_from_vision_resolves_the_touch(run):
     made = run("03")
     truth, obj = made["touch"].T_sensor_object, made["localizer"].object
@@ -127,6 +128,7 @@ def test_the_touched_points_lie_on_the_mesh_in_open3d(run):
     assert len(made["gap_mm"]) > 1000
 
 
+@pytest.mark.slow
 def test_opencv_projects_the_outline_onto_the_contact(run):
     made = run("08")
     assert all(made["inside"])

@@ -252,6 +252,7 @@ def test_circles_are_found_under_dots(dotted):
         assert len(dots) == pytest.approx(len(places), rel=0.1)
 
 
+@pytest.mark.slow
 def test_dots_show_that_the_camera_moved(dotted):
     folder, balls, places = dotted
     images = list(_read_images(folder, len(balls)))

@@ -127,6 +127,7 @@ def test_image_size_sets_the_size_of_the_calibrated_images(cli, presses):
     assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "90 x 80")
 
 
+@pytest.mark.slow
 def test_a_second_calibration_is_reused_and_replaces_the_folder(cli, presses, monkeypatch):
     first = cli("calibrate", presses, *FEW, "--out", "mine")
     monkeypatch.setattr(PhotometricEstimator, "fit", None)

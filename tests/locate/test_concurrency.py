@@ -79,6 +79,7 @@ def test_threads_may_build_a_model(tmp_path):
     require_equal(found, locate(make(StageStore(tmp_path), FACE), touches))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [WHOLE, FACE], ids=["whole", "face"])
 def test_processes_find_the_same_poses(store, settings):
     localizer = make(store, settings)
