@@ -25,8 +25,9 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,14 +99,29 @@ def choose_among(library: Library, name: str, size: int, rng: np.random.Generato
     return Library(StoredParts(replace(parts.folder, rows=rows), parts.config, parts.store))
 
 
+def make_source(model: Localizer, level: str) -> RobotTouches:
+    """Return touches of a model's object with a level of SUFFERING, drawn by another renderer than the model's."""
+    raycast = registry().create("renderer", "raycast", {})
+    return RobotTouches(model.object, model.scene.geometry, raycast, **SUFFERING[level])
+
+
 def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
     """Return the touches of one object. Examples with fewer touches use the first of these touches."""
     model = library.models[number]
-    obj, geometry = model.object, model.scene.geometry
-    raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
-    rng = np.random.default_rng([arguments.seed, *map(ord, obj.name), again])
-    return source.draw_example(max(arguments.touches), rng)[0]
+    rng = np.random.default_rng([arguments.seed, *map(ord, model.object.name), again])
+    return make_source(model, arguments.level).draw_example(max(arguments.touches), rng)[0]
+
+
+def measure_once(kept: Path | None, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return what is kept in a file. If there is no such file, measure, and keep the result there."""
+    if kept is not None and kept.exists():
+        row: dict[str, Any] = json.loads(kept.read_text())
+        return row
+    row = measure()
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(row))
+    return row
 
 
 def measure_object(library: Library, name: str, touches: list[Touch]) -> dict[str, Any]:
@@ -127,6 +143,17 @@ def measure_object(library: Library, name: str, touches: list[Touch]) -> dict[st
         apart = {library.names.index(one.name): np.array(one.apart) for one in located if one.name in names}
         row["floors"][situation] = find_floors(library, touches, apart).tolist()
     return row
+
+
+def measure_example(
+    library: Library, name: str, count: int, arguments: argparse.Namespace, again: int
+) -> dict[str, Any]:  # fmt: skip
+    """Return what `measure_object` returns for `count` touches of an object, among as many parts as requested."""
+    touches = draw_example(library, library.names.index(name), arguments, again)[:count]
+    if arguments.among is not None:
+        rng = np.random.default_rng([arguments.seed, *map(ord, name), again, arguments.among])
+        library = choose_among(library, name, arguments.among, rng)
+    return measure_object(library, name, touches)
 
 
 def list_located(row: dict[str, Any], situation: str) -> list[str]:
@@ -263,22 +290,10 @@ def main() -> None:
     rows = []
     for count in arguments.touches:
         for name in choose_asked(library, arguments.asked, arguments.most):
-            number = library.names.index(name)
             for again in range(arguments.examples):
                 label = f"{name}-{arguments.level}-{count}-{again}-{arguments.among or len(library)}.json"
                 kept = arguments.out / label if arguments.out else None
-                if kept is not None and kept.exists():
-                    rows.append(json.loads(kept.read_text()))
-                    continue
-                touches = draw_example(library, number, arguments, again)[:count]
-                asked = library
-                if arguments.among is not None:
-                    rng = np.random.default_rng([arguments.seed, *map(ord, name), again, arguments.among])
-                    asked = choose_among(library, name, arguments.among, rng)
-                rows.append(measure_object(asked, name, touches))
-                if kept is not None:
-                    kept.parent.mkdir(parents=True, exist_ok=True)
-                    kept.write_text(json.dumps(rows[-1]))
+                rows.append(measure_once(kept, partial(measure_example, library, name, count, arguments, again)))
     report(rows, arguments)
     for size in arguments.sizes:
         some = Library(library.models[:size])

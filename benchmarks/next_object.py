@@ -22,17 +22,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from identify import SUFFERING, choose_among, choose_asked, open_library
+from identify import choose_among, choose_asked, make_source, measure_once, open_library
 
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.results.verdict import Verdict
@@ -115,10 +114,7 @@ def measure(library: Library, name: str, level: str, arguments: argparse.Namespa
     rng = np.random.default_rng(seed)
     some = choose_among(library, name, arguments.among, rng)
     with library.use(library.names.index(name)) as model:
-        geometry = model.scene.geometry
-        source = RobotTouches(
-            model.object, geometry, registry().create("renderer", "raycast", {}), **SUFFERING[level]
-        )  # fmt: skip
+        geometry, source = model.scene.geometry, make_source(model, level)
     example = Example(name, some, source, source.draw_example(arguments.touches, rng)[0], seed)
     said = example.identify()
     row = {"object": name, "level": level, "verdict": said.verdict.value}
@@ -170,13 +166,7 @@ def main() -> None:
         if sum("proposed" in row for row in rows) == arguments.examples:
             break
         kept = arguments.out / f"{name}.json" if arguments.out else None
-        if kept is not None and kept.exists():
-            rows.append(json.loads(kept.read_text()))
-            continue
-        rows.append(measure(library, name, NOISES[number % len(NOISES)], arguments))
-        if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(json.dumps(rows[-1]))
+        rows.append(measure_once(kept, partial(measure, library, name, NOISES[number % len(NOISES)], arguments)))
     report(rows, arguments)
 
 

@@ -36,14 +36,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from identify import measure_once
 
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.errors import TactileLocError
@@ -285,6 +286,14 @@ def write_line(name: str, rows: list[dict[str, Any]], methods: list[str], level:
     return f"| {' | '.join(cells)} |"
 
 
+def measure_mesh(path: str, units: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Measure the examples of the object of a mesh file."""
+    localizer = Localizer.create(
+        path, units=units or "auto", sensor=arguments.sensor, store=StageStore(arguments.store)
+    )  # fmt: skip
+    return measure(localizer, arguments)
+
+
 def main() -> None:
     """Measure, print a table, and keep each object's examples if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -308,18 +317,8 @@ def main() -> None:
     for mesh in arguments.meshes:
         path, _, units = mesh.partition(":")
         kept = arguments.out / f"{Path(path).stem}.json" if arguments.out else None
-        if kept is not None and kept.exists():
-            row = json.loads(kept.read_text())
-        else:
-            localizer = Localizer.create(
-                path, units=units or "auto", sensor=arguments.sensor, store=StageStore(arguments.store)
-            )
-            row = measure(localizer, arguments)
-            if kept is not None:
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                kept.write_text(json.dumps(row, indent=1))
-        rows.append(row)
-        print(write_line(row["object"], [row], arguments.methods), flush=True)
+        rows.append(measure_once(kept, partial(measure_mesh, path, units, arguments)))
+        print(write_line(rows[-1]["object"], rows[-1:], arguments.methods), flush=True)
     for level in arguments.levels:
         print(write_line(f"all, noise {level}", rows, arguments.methods, level))
     print(write_line("all", rows, arguments.methods))

@@ -16,12 +16,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-from identify import SUFFERING, choose_asked
+from identify import SUFFERING, choose_asked, make_source
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.tasks.library import Library
@@ -33,10 +31,8 @@ SHORTLIST = 64
 def rate(library: Library, k: int, level: str, most: int, seed: int) -> NDArray[np.float64]:
     """Return the log-likelihoods (most, K) of all K parts, given the first touches of part k, 1 to `most`."""
     model = library.models[k]
-    source = RobotTouches(
-        model.object, model.scene.geometry, registry().create("renderer", "raycast", {}), **SUFFERING[level]
-    )
-    touches = source.draw_example(most, np.random.default_rng([seed, *map(ord, model.object.name)]))[0]
+    rng = np.random.default_rng([seed, *map(ord, model.object.name)])
+    touches = make_source(model, level).draw_example(most, rng)[0]
     return np.stack([library.compare(touches[: n + 1]).nats for n in range(most)])
 
 

@@ -23,9 +23,9 @@ def estimate_gaps(views: Sequence[View], poses: Poses, cell_m: float | None = No
 
     `cell_m`, metres, is the size of the cells of the surface's field: see `build_surface_field`.
     """
-    from tactile_loc.core.objects.surface_field import CELL_M, build_surface_field  # numba takes a while to import
+    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
-    field, seen_from = build_surface_field(views[0].scene.object.mesh, cell_m or CELL_M), invert(poses)
+    field, seen_from = build_surface_field(views[0].scene.object.mesh, cell_m), invert(poses)
     gaps = np.zeros(len(poses))
     for view in views:
         pause_before(len(poses) / A_TURN)

@@ -67,9 +67,9 @@ class Clearance:
             hit_m = find_first_hit_m(self.finger, self.fixture, T_sensor_base, longest_m)
             if hit_m <= longest_m:
                 yield f"would hit the fixture with the finger after {1e3 * hit_m:.0f} mm"
-        meshes = {k: obj.mesh for obj, own in modes.by_object for k in own.tolist()}
-        for k in checked.tolist():
-            hit_m = find_first_hit_m(rigid, meshes[k], T_sensor_base @ modes.T_base_object[k], moved_m[k])
+        for k in checked:
+            mesh = modes.mode_objects[k].mesh
+            hit_m = find_first_hit_m(rigid, mesh, T_sensor_base @ modes.T_base_object[k], moved_m[k])
             if hit_m <= moved_m[k]:
                 share = format_percent(float(modes.probabilities[k]))
                 yield (

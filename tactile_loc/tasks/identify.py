@@ -192,8 +192,8 @@ class _Tried:
         self.misfits[k] = np.inf if lacks is None else _sum_best(lacks)
         if answer is not None and lacks is not None:
             self.found[k] = answer
-            order = [id(touch) for touch in (*answer.touches, *answer.left_out)]
-            self.apart[k] = lacks.min(axis=0)[[order.index(id(touch)) for touch in self.touches]]
+            order = [*answer.touches, *answer.left_out]
+            self.apart[k] = lacks.min(axis=0)[[order.index(touch) for touch in self.touches]]
             if scalings is not None:
                 self.unfitted.add(k)
 

@@ -103,13 +103,12 @@ def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
     """Make the record of rated approaches."""
     modes = found.modes
     objects = [obj for obj, _ in modes.by_object]
-    names = {k: obj.name for obj, own in modes.by_object for k in own.tolist()}
     return NextTouchRecord(
         object=" or ".join(obj.name for obj in objects), symmetry=" or ".join(str(obj.symmetry) for obj in objects),
         unlisted=modes.unlisted,
         modes=[
-            ModeRecord(object=names[k], probability=float(p), T_base_object=T.tolist())
-            for k, (p, T) in enumerate(zip(modes.probabilities, modes.T_base_object, strict=True))
+            ModeRecord(object=obj.name, probability=float(p), T_base_object=T.tolist())
+            for obj, p, T in zip(modes.mode_objects, modes.probabilities, modes.T_base_object, strict=True)
         ],
         entropy_nats=modes.entropy, ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],

@@ -64,12 +64,16 @@ class PoseModes:
         """The entropy of the modes, nats: 0 if one mode is certain."""
         return float(compute_entropy(self.probabilities))
 
+    @property
+    def mode_objects(self) -> tuple[ObjectModel, ...]:
+        """The object (K,) of each mode."""
+        return self.objects or (self.object,) * len(self.probabilities)
+
     @cached_property
     def by_object(self) -> tuple[tuple[ObjectModel, NDArray[np.int64]], ...]:
         """Each object with the numbers of its modes, the object of the first mode first."""
-        objects = self.objects or (self.object,) * len(self.probabilities)
-        distinct = list(dict.fromkeys(objects))
-        return tuple((one, np.flatnonzero([other is one for other in objects])) for one in distinct)
+        distinct = list(dict.fromkeys(self.mode_objects))
+        return tuple((one, np.flatnonzero([other is one for other in self.mode_objects])) for one in distinct)
 
 
 def measure_sharpness(imprint_ious: Sequence[float]) -> float:

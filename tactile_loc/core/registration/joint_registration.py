@@ -160,7 +160,7 @@ class JointRegistration:
         return _Found(problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride, *pulled))
 
     def _pose_problem(self, views: Sequence[View], cell_m: float | None = None) -> Registration:
-        from tactile_loc.core.objects.surface_field import CELL_M, build_surface_field  # numba takes a while to import
+        from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
@@ -173,7 +173,7 @@ class JointRegistration:
         return Registration(
             observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm,
-            _triangles_mm(build_surface_field(mesh, cell_m or CELL_M)),
+            _triangles_mm(build_surface_field(mesh, cell_m)),
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,
         )  # fmt: skip
