@@ -27,7 +27,7 @@ RETRIES = 2  # repetitions after failures outside the evaluation, such as a brok
 CONNECT_S = 10
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 LOCAL_FAILURES = 1  # deaths of workers after which a combination is tried again, in each of two rounds
-REPLACEMENT_S = 5  # time after which a lost local worker is replaced
+REPLACEMENT_S = 5  # time between two checks of local workers; a worker lost in both is replaced
 LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # loggers that Dask uses
 
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://.+")
@@ -295,7 +295,6 @@ def _start_cluster(local: LocalWorkers) -> Iterator[str]:
     settings = {
         "distributed.scheduler.allowed-failures": LOCAL_FAILURES,
         "distributed.scheduler.worker-ttl": None,
-        "distributed.deploy.lost-worker-timeout": f"{REPLACEMENT_S}s",
     }
     with (
         _open_log(local.log) as handler,
@@ -322,17 +321,33 @@ def _start_cluster(local: LocalWorkers) -> Iterator[str]:
 def replace_lost_workers(cluster: Any, count: int) -> Iterator[None]:
     """Keep a local cluster at `count` workers.
 
-    Dask restarts a worker that dies, except a worker that dies while Dask waits for its start. So a combination that
-    kills its workers at once could leave a cluster without workers, and the sweep would wait forever.
+    The nanny of a worker that dies starts it again, except if the worker dies while the nanny waits for its start. So a
+    combination that kills its workers at once could leave a cluster without workers, and the sweep would wait forever.
+    Here, a nanny that had no process in two checks is replaced. Dask's own replacement is off: it would also replace
+    workers that start slowly, and Dask counts that as a failure of their jobs.
     """
+    import dask
     from tornado.ioloop import PeriodicCallback
 
-    check = PeriodicCallback(lambda: cluster.scale(count), 1e3 * REPLACEMENT_S)
-    cluster.loop.add_callback(check.start)
-    try:
-        yield
-    finally:
-        cluster.loop.add_callback(check.stop)
+    idle: set[Any] = set()  # nannies without a process at the last check
+
+    def replace() -> None:
+        nonlocal idle
+        now_idle = {nanny for nanny in cluster.workers.values() if nanny.pid is None}
+        for name, nanny in list(cluster.workers.items()):
+            if nanny in now_idle & idle:
+                del cluster.workers[name]
+                cluster.loop.add_callback(nanny.close)
+        idle = now_idle
+        cluster.scale(count)
+
+    check = PeriodicCallback(replace, 1e3 * REPLACEMENT_S)
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"}):
+        cluster.loop.add_callback(check.start)
+        try:
+            yield
+        finally:
+            cluster.loop.add_callback(check.stop)
 
 
 def _end(cluster: Any) -> None:
