@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 from pathlib import Path
@@ -9,6 +10,10 @@ from pathlib import Path
 import pytest
 import trimesh
 from cli_helpers import assert_refused
+from tactile_loc_cli.commands.identify import identify as command
+
+from tactile_loc.tasks.identify import LOCATED
+from tactile_loc.tasks.null_evidence import NullEvidence
 
 SETTINGS = "temperature = 0.05\n[grid]\nname = 'whole'\ndirections = 300\nturns = 24\n"
 IDENTIFY = ["identify", "--objects", "parts", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
@@ -82,3 +87,8 @@ def test_bad_input_is_one_sentence(cli, parts):
     trimesh.creation.box((30, 20, 6)).export(parts / "plate.obj")
     assert_refused(cli(*IDENTIFY, *touch), "plate")
     assert not Path("tactile-loc-identify").exists()
+
+
+def test_the_defaults_are_those_of_the_library():
+    defaults = {name: one.default for name, one in inspect.signature(command).parameters.items()}
+    assert (defaults["unknown"], defaults["located"]) == (NullEvidence.prior, LOCATED)
