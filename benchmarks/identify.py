@@ -128,7 +128,7 @@ def measure_object(library: Library, name: str, touches: list[Touch]) -> dict[st
     """Return the objects' rough fits, and the misfits of the objects to be located, in each of the SITUATIONS."""
     like = [one for one in list_likenesses(name) if one in library.names]
     start = time.perf_counter()
-    said = identify(touches, library, LOCATED + 1 + len(like))
+    said = identify(touches, library, replace(LOCATED, most_behind=np.inf, most=LOCATED.most + 1 + len(like)))
     located = [one for one in said.objects if one.found is not None]
     row: dict[str, Any] = {
         "object": name, "touches": len(touches), "seconds": time.perf_counter() - start, "likenesses": like,
@@ -157,10 +157,11 @@ def measure_example(
 
 
 def list_located(row: dict[str, Any], situation: str) -> list[str]:
-    """Return the names of the objects that are located in one of the SITUATIONS, the ones with the best rough fit."""
+    """Return the names of the objects that `identify` locates in one of the SITUATIONS, by their rough fit."""
     out = {KNOWN: set(), LIKENESS: {row["object"]}, UNKNOWN: {row["object"], *row["likenesses"]}}[situation]
     others = [name for name in row["alike"] if name not in out]
-    return sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
+    others.sort(key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))
+    return [others[k] for k in LOCATED.choose(np.array([row["rough_ious"][name] for name in others]))]
 
 
 def answer(row: dict[str, Any], situation: str) -> tuple[list[str], KnownAnswer]:

@@ -21,9 +21,16 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.io.meshes import Units, load_object
 from tactile_loc.library.folder import MANIFEST, LibraryFolder, add_items, lock_library, write_library
-from tactile_loc.library.record import PLACES_VERSION, VERSION, choose_grid, describe_grid, make_record
+from tactile_loc.library.record import (
+    PLACES_VERSION,
+    VERSION,
+    choose_grid,
+    describe_grid,
+    make_record,
+    require_pyarrow,
+)
 from tactile_loc.library.shards import FOLDER, Item
-from tactile_loc.library.table import PartRow, require_pyarrow
+from tactile_loc.library.table import PartRow
 from tactile_loc.locate.stored_object import list_mesh_files
 from tactile_loc.store.files import remove_abandoned, require_writable, write_atomically
 from tactile_loc.store.keys import hash_file, hash_json

@@ -6,8 +6,8 @@ import io
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 
-from tactile_loc.core.errors import LibraryError, MissingLibraryError
-from tactile_loc.library.record import hash_record, read_header
+from tactile_loc.core.errors import LibraryError
+from tactile_loc.library.record import hash_record, read_header, require_pyarrow
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,3 @@ def read_table(content: bytes) -> list[PartRow]:
     except (pa.ArrowException, KeyError) as error:
         raise ValueError(str(error)) from error
     return [PartRow(*values) for values in zip(*columns, strict=True)]
-
-
-def require_pyarrow() -> None:
-    """Raise MissingLibraryError if pyarrow is not installed."""
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise MissingLibraryError(
-            "a library of parts needs pyarrow, which is not installed: pip install 'tactile-loc[library]'"
-        ) from error

@@ -14,7 +14,10 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shortlist:
-    """The objects that are at most `most_behind` nats less likely than the likeliest one: from `least` to `most`."""
+    """The objects that are at most `most_behind` nats less likely than the likeliest one: from `least` to `most`.
+
+    Any other rating can take the place of the log-likelihood, if a greater one is better.
+    """
 
     most_behind: float
     least: int = 8

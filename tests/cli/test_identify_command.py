@@ -91,4 +91,4 @@ def test_bad_input_is_one_sentence(cli, parts):
 
 def test_the_defaults_are_those_of_the_library():
     defaults = {name: one.default for name, one in inspect.signature(command).parameters.items()}
-    assert (defaults["unknown"], defaults["located"]) == (NullEvidence.prior, LOCATED)
+    assert (defaults["unknown"], defaults["located"]) == (NullEvidence.prior, LOCATED.most)

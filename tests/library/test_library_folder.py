@@ -16,8 +16,7 @@ from tactile_loc.core.errors import LibraryError, MissingLibraryError
 from tactile_loc.library import folder, shards
 from tactile_loc.library.building import build_library, list_meshes
 from tactile_loc.library.folder import LibraryFolder
-from tactile_loc.library.record import PartRecord
-from tactile_loc.library.table import require_pyarrow
+from tactile_loc.library.record import PartRecord, require_pyarrow
 
 
 def rename(record: PartRecord, name: str) -> PartRecord:

@@ -31,7 +31,7 @@ Touches = Annotated[
     str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
 ]
 Located = Annotated[
-    int, options.declare("--located", "N", "Number of objects to locate: the most probable ones after a rough search.")
+    int, options.declare("--located", "N", "Most objects to locate: the most probable ones after a rough search.")
 ]
 Unknown = Annotated[
     float,

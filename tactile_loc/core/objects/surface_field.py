@@ -104,15 +104,22 @@ class SurfaceField:
 
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return the neighbours that share an edge with each triangle (F, 3, 3), joined, and where each list ends."""
-    from scipy.sparse import csr_matrix
-
-    which = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].ravel()
-    of = np.repeat(np.arange(len(corners)), 3)
-    touches = csr_matrix((np.ones(len(of), np.int8), (of, which)), shape=(len(corners), int(which.max()) + 1))
-    shared = (touches @ touches.T).tocsr()
-    shared.data[shared.data != 2] = 0  # the number of common corners; a triangle shares three with itself
-    shared.eliminate_zeros()
-    return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
+    points = corners.reshape(-1, 3)
+    order = np.lexsort(points.T)
+    starts = np.r_[False, (np.diff(points[order], axis=0) != 0).any(axis=1)]
+    which = np.empty(len(points), np.int64)
+    which[order] = np.cumsum(starts)  # equal numbers for equal corners
+    ends = np.sort(np.stack([which, np.roll(which.reshape(-1, 3), -1, axis=1).ravel()]), axis=0)
+    edge = ends[0] * len(points) + ends[1]
+    order = np.argsort(edge, kind="stable")
+    edge, face = edge[order], order // 3
+    pairs: list[NDArray[np.int64]] = []  # with a common edge, which may have more than two triangles
+    while len(pairs) < len(face) - 1 and (same := edge[len(pairs) + 1 :] == edge[: -len(pairs) - 1]).any():
+        pairs.append(np.stack([face[: -len(pairs) - 1][same], face[len(pairs) + 1 :][same]]))
+    one, other = np.hstack([*pairs, np.empty((2, 0), np.int64)])
+    both, times = np.unique(np.r_[one * len(corners) + other, other * len(corners) + one], return_counts=True)
+    one, other = np.divmod(both[times == 1], len(corners))  # equal triangles have three common edges
+    return other.astype(np.int32), np.r_[0, np.cumsum(np.bincount(one, minlength=len(corners)))]
 
 
 _fields: ByteCache[tuple[TriangleMesh, float], SurfaceField] = ByteCache(KEPT_BYTES, lambda field: field.nbytes)
@@ -272,7 +279,8 @@ def carry(corners, sides, normals, low, cell, reach, nearest, squared):
     Also fill `squared` (X, Y, Z) with the squared distances to these triangles, where it is infinite at the start.
     """
     X, Y, Z = nearest.shape
-    count = _mark_crossed(corners, sides, normals, low, cell, nearest, squared)
+    boxes = _find_boxes(corners, sides)
+    count = _mark_crossed(corners, sides, normals, boxes, low, cell, nearest, squared)
     wave = np.empty((count, 3), np.int32)
     count = 0
     for i in range(X):
@@ -282,7 +290,6 @@ def carry(corners, sides, normals, low, cell, reach, nearest, squared):
                     wave[count, 0], wave[count, 1], wave[count, 2] = i, j, k
                     count += 1
     queued = np.zeros(nearest.shape, np.int16)
-    x = np.empty(3)
     for layer in range(1, 4 * math.ceil(reach / cell) + 2):
         after, ahead = np.empty((6 * count, 3), np.int32), 0
         for n in range(count):
@@ -291,9 +298,12 @@ def carry(corners, sides, normals, low, cell, reach, nearest, squared):
                 i, j, k = wave[n, 0] + SIDES[s, 0], wave[n, 1] + SIDES[s, 1], wave[n, 2] + SIDES[s, 2]
                 if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
                     continue
-                x[0], x[1], x[2] = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
-                d = _measure_squared_distance(x[0], x[1], x[2], f, corners, sides)
-                if d < squared[i, j, k] and d <= reach * reach:
+                x, y, z = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
+                least = min(squared[i, j, k], reach * reach)
+                if _is_farther(x, y, z, f, corners, normals, boxes, least):
+                    continue
+                d = _measure_squared_distance(x, y, z, f, corners, sides)
+                if d < least:
                     squared[i, j, k], nearest[i, j, k] = d, f
                     if queued[i, j, k] != layer:
                         queued[i, j, k] = layer
@@ -305,31 +315,52 @@ def carry(corners, sides, normals, low, cell, reach, nearest, squared):
 
 
 @njit
-def _mark_crossed(corners, sides, normals, low, cell, nearest, squared):
-    """Assign each triangle to the cells within two cell sides of it. Return how many cells have a triangle."""
-    x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
-    near = 2.0 * cell
+def _find_boxes(corners, sides):
+    """Return the least and the greatest coordinates (F, 6) of triangles."""
+    boxes = np.empty((len(corners), 6))
     for f in range(len(corners)):
         for m in range(3):
-            least = corners[f, m] + min(0.0, sides[f, 0, m], sides[f, 1, m])
-            most = corners[f, m] + max(0.0, sides[f, 0, m], sides[f, 1, m])
-            first[m] = max(0, math.floor((least - low[m]) / cell) - 1)
-            last[m] = min(nearest.shape[m] - 1, math.floor((most - low[m]) / cell) + 1)
-        n, a = normals[f], corners[f]
+            boxes[f, m] = corners[f, m] + min(0.0, sides[f, 0, m], sides[f, 1, m])
+            boxes[f, m + 3] = corners[f, m] + max(0.0, sides[f, 0, m], sides[f, 1, m])
+    return boxes
+
+
+@njit
+def _mark_crossed(corners, sides, normals, boxes, low, cell, nearest, squared):
+    """Assign each triangle to the cells within two cell sides of it. Return how many cells have a triangle."""
+    first, last, count = np.empty(3, np.int64), np.empty(3, np.int64), 0
+    near = 4.0 * cell * cell
+    for f in range(len(corners)):
+        for m in range(3):
+            first[m] = max(0, math.floor((boxes[f, m] - low[m]) / cell) - 1)
+            last[m] = min(nearest.shape[m] - 1, math.floor((boxes[f, m + 3] - low[m]) / cell) + 1)
         for i in range(first[0], last[0] + 1):
-            x[0] = low[0] + (i + 0.5) * cell
+            x = low[0] + (i + 0.5) * cell
             for j in range(first[1], last[1] + 1):
-                x[1] = low[1] + (j + 0.5) * cell
+                y = low[1] + (j + 0.5) * cell
                 for k in range(first[2], last[2] + 1):
-                    x[2] = low[2] + (k + 0.5) * cell
-                    off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
-                    if abs(off) > near:
+                    z = low[2] + (k + 0.5) * cell
+                    least = min(squared[i, j, k], near)
+                    if _is_farther(x, y, z, f, corners, normals, boxes, least):
                         continue
-                    d = _measure_squared_distance(x[0], x[1], x[2], f, corners, sides)
-                    if d < squared[i, j, k] and d <= near * near:
+                    d = _measure_squared_distance(x, y, z, f, corners, sides)
+                    if d < least:
                         count += nearest[i, j, k] < 0
                         squared[i, j, k], nearest[i, j, k] = d, f
     return count
+
+
+@njit(fast=True)
+def _is_farther(x, y, z, f, corners, normals, boxes, least):
+    """Return whether the plane or the box of triangle f shows that its squared distance is at least `least`."""
+    off = normals[f, 0] * (x - corners[f, 0]) + normals[f, 1] * (y - corners[f, 1])
+    off += normals[f, 2] * (z - corners[f, 2])
+    if off * off >= least:
+        return True
+    a = max(0.0, boxes[f, 0] - x, x - boxes[f, 3])
+    b = max(0.0, boxes[f, 1] - y, y - boxes[f, 4])
+    c = max(0.0, boxes[f, 2] - z, z - boxes[f, 5])
+    return a * a + b * b + c * c >= least
 
 
 @njit(fast=True)

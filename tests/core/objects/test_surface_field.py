@@ -99,3 +99,15 @@ def test_the_closest_point_is_right_in_every_region_of_a_triangle():
         np.testing.assert_allclose(
             find_closest_on_triangle(np.array(point), corners[0], corners[1:] - corners[0]), nearest, atol=1e-12
         )
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_triangles_with_a_common_edge_are_neighbours(name):
+    solid = SOLIDS[name]
+    faces = np.concatenate([solid.faces, solid.faces[:1]])  # a triangle twice, which is no neighbour of itself
+    beside, ends = module._find_neighbours(np.array(solid.vertices)[faces])
+    pairs = {(f, int(other)) for f in range(len(faces)) for other in beside[ends[f] : ends[f + 1]]}
+    expected = {(int(a), int(b)) for one, other in solid.face_adjacency for a, b in ((one, other), (other, one))}
+    last = len(solid.faces)
+    copied = {(last, b) for a, b in expected if a == 0} | {(a, last) for a, b in expected if b == 0}
+    assert pairs == expected | copied
