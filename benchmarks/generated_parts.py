@@ -38,7 +38,9 @@ def make_box(*size: float) -> Manifold:
     return Manifold.cube(size, True).translate([0, 0, size[2] / 2])
 
 
-def drill(part: Manifold, radius: float, at: Sequence[float], segments: int = SEGMENTS) -> Manifold:
+def drill(
+    part: Manifold, radius: float, at: Sequence[float] | NDArray[np.float64], segments: int = SEGMENTS
+) -> Manifold:
     """Return the part with a hole along z through the point `at` (x, y), mm."""
     low, high = part.bounding_box()[2], part.bounding_box()[5]
     tool = make_cylinder(THROUGH * (high - low), radius, segments=segments)
