@@ -31,7 +31,7 @@ from tactile_loc.tasks.shortlist import Shortlist
 from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_alone, rate_object
 
 DESCRIBED, WHOLE = "described", "whole"  # what is kept of an object
-KEPT_BYTES = 2**30
+KEPT_BYTES = 768 * 2**20
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
 # of each object, for each touch: places that are compared in detail, and poses that are kept; then registered poses
