@@ -7,6 +7,7 @@ import gc
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.drawing import pictures, pose_panel
+from tactile_loc.drawing import pictures, pose_panel, raytracing, touching_again
 from tactile_loc.locate import conformal_fit, probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
@@ -100,9 +101,21 @@ def small_pictures() -> Iterator[None]:
             pass
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pose_panel, "PIXELS", pose_panel.PIXELS // 4)
+        for drawing in (pose_panel, touching_again):
+            patch.setattr(drawing, "PIXELS", drawing.PIXELS // 4)
+        patch.setattr(raytracing, "LIT_PX", raytracing.LIT_PX // 4)
         patch.setattr(pictures, "DPI", pictures.DPI // 2)
         patch.setattr(pictures, "LAYOUT", LeftAlone())
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_command() -> Iterator[None]:
+    """Make the command of an application once, and not for each of its calls in this process."""
+    import typer.testing
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.testing, "_get_command", lru_cache(typer.testing._get_command))
         yield
 
 
