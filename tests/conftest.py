@@ -16,6 +16,7 @@ import pytest
 import trimesh
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
 
+from tactile_loc.calibration import gel_fit, pressed_balls
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -80,6 +81,16 @@ def shipped_touches() -> Iterator[int]:
         patch.setattr(probabilities, "SEARCHED", 9)
         patch.setattr(probabilities, "SEARCHED_EXAMPLES", 1)
         patch.setattr(conformal_fit, "EXAMPLES", {1: (10, 8, 4), 2: (2, 2, 0)})
+        yield shipped
+
+
+@pytest.fixture(autouse=True, scope="session")
+def shipped_gel_fit() -> Iterator[tuple[np.ndarray, int]]:
+    """The thicknesses, metres, that are tried for a gel, and the pixels; the tests try fewer, with fewer pixels."""
+    shipped = gel_fit.THICKNESSES_M, pressed_balls.PIXELS
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gel_fit, "THICKNESSES_M", shipped[0][1:6])
+        patch.setattr(pressed_balls, "PIXELS", shipped[1] // 2)
         yield shipped
 
 
