@@ -73,10 +73,10 @@ def shared_data() -> Path:
 
 @pytest.fixture(autouse=True, scope="session")
 def shipped_touches() -> Iterator[int]:
-    """The number of touches for fitting probabilities; the tests use a tenth of it, because few depend on it."""
+    """The number of touches for fitting probabilities; the tests use much fewer, because few depend on it."""
     shipped = probabilities.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(probabilities, "TOUCHES", shipped // 10)
+        patch.setattr(probabilities, "TOUCHES", shipped // 20)
         patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
         patch.setattr(probabilities, "SEARCHED", 9)
         patch.setattr(probabilities, "SEARCHED_EXAMPLES", 1)
