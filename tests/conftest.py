@@ -57,10 +57,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: (item.path.parent != STORE, item.path not in slow, rank[item.path]))
 
 
+def pytest_collection() -> None:
+    """Collect no garbage while tests are collected, because nearly everything stays."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """Exclude the collected tests from garbage collection, which makes it faster."""
+    """Exclude the collected tests from garbage collection, which makes it faster, as rarer collections do."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000)
+    gc.enable()
 
 
 @pytest.fixture(scope="session")
