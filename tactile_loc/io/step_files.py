@@ -14,6 +14,7 @@ from tactile_loc.core.errors import MissingLibraryError, ObjectError
 
 STEP_SUFFIXES = (".step", ".stp")
 DEVIATION_MM, ANGLE_RAD = 0.005, 0.2  # largest distance and angle between the triangles and the exact surface
+
 # In a process of its own, because OpenCASCADE writes to stdout, and a damaged file may crash it. cascadio would import
 # trimesh to extend its reader, which takes longer than the conversion.
 CONVERT = """\
