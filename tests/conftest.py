@@ -7,6 +7,7 @@ import gc
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ import pytest
 import trimesh
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
 
+from tactile_loc.calibration import gel_fit, pressed_balls
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -22,7 +24,7 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.drawing import pictures, pose_panel
+from tactile_loc.drawing import pictures, pose_panel, raytracing, touching_again
 from tactile_loc.locate import conformal_fit, probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Localization
@@ -55,10 +57,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: (item.path.parent != STORE, item.path not in slow, rank[item.path]))
 
 
+def pytest_collection() -> None:
+    """Collect no garbage while tests are collected, because nearly everything stays."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """Exclude the collected tests from garbage collection, which makes it faster."""
+    """Exclude the collected tests from garbage collection, which makes it faster, as rarer collections do."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000)
+    gc.enable()
 
 
 @pytest.fixture(scope="session")
@@ -71,14 +80,24 @@ def shared_data() -> Path:
 
 @pytest.fixture(autouse=True, scope="session")
 def shipped_touches() -> Iterator[int]:
-    """The number of touches for fitting probabilities; the tests use a tenth of it, because few depend on it."""
+    """The number of touches for fitting probabilities; the tests use much fewer, because few depend on it."""
     shipped = probabilities.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(probabilities, "TOUCHES", shipped // 10)
+        patch.setattr(probabilities, "TOUCHES", shipped // 20)
         patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
         patch.setattr(probabilities, "SEARCHED", 9)
         patch.setattr(probabilities, "SEARCHED_EXAMPLES", 1)
         patch.setattr(conformal_fit, "EXAMPLES", {1: (10, 8, 4), 2: (2, 2, 0)})
+        yield shipped
+
+
+@pytest.fixture(autouse=True, scope="session")
+def shipped_gel_fit() -> Iterator[tuple[np.ndarray, int]]:
+    """The thicknesses, metres, that are tried for a gel, and the pixels; the tests try fewer, with fewer pixels."""
+    shipped = gel_fit.THICKNESSES_M, pressed_balls.PIXELS
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gel_fit, "THICKNESSES_M", shipped[0][1:6])
+        patch.setattr(pressed_balls, "PIXELS", shipped[1] // 2)
         yield shipped
 
 
@@ -100,9 +119,21 @@ def small_pictures() -> Iterator[None]:
             pass
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pose_panel, "PIXELS", pose_panel.PIXELS // 4)
+        for drawing in (pose_panel, touching_again):
+            patch.setattr(drawing, "PIXELS", drawing.PIXELS // 4)
+        patch.setattr(raytracing, "LIT_PX", raytracing.LIT_PX // 4)
         patch.setattr(pictures, "DPI", pictures.DPI // 2)
         patch.setattr(pictures, "LAYOUT", LeftAlone())
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_command() -> Iterator[None]:
+    """Make the command of an application once, and not for each of its calls in this process."""
+    import typer.testing
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.testing, "_get_command", lru_cache(typer.testing._get_command))
         yield
 
 

@@ -105,6 +105,7 @@ def test_the_gtsam_graph_is_surer_than_the_camera(run):
     assert metric.symmetric_distance(T_solved[None], made["T_base_object"][None])[0] < 1e-3
 
 
+@pytest.mark.slow
 def test_the_rerun_recording_is_written(run, tmp_path):
     made = run("05", "--out", str(tmp_path / "touch.rrd"))
     assert (tmp_path / "touch.rrd").stat().st_size > 10_000

@@ -25,7 +25,9 @@ def dataclasses_of(package: ModuleType) -> Iterator[type]:
         yield from (one for one in classes if dataclasses.is_dataclass(one) and one.__name__ not in GROWING)
 
 
-NOUNS = [*dataclasses_of(core), *dataclasses_of(store)]
+@pytest.fixture(scope="module")
+def nouns() -> list[type]:
+    return [*dataclasses_of(core), *dataclasses_of(store)]
 
 
 def holds_arrays(noun: type) -> bool:
@@ -34,11 +36,12 @@ def holds_arrays(noun: type) -> bool:
     return any(typing.get_origin(t) is np.ndarray for t in types)
 
 
-@pytest.mark.parametrize("noun", NOUNS, ids=lambda noun: noun.__name__)
-def test_dataclasses_are_frozen(noun):
-    assert noun.__dataclass_params__.frozen
+def test_dataclasses_are_frozen(nouns):
+    assert len(nouns) > 50
+    assert [noun for noun in nouns if not noun.__dataclass_params__.frozen] == []
 
 
-@pytest.mark.parametrize("noun", list(filter(holds_arrays, NOUNS)), ids=lambda noun: noun.__name__)
-def test_dataclasses_with_arrays_compare_by_identity(noun):
-    assert noun.__eq__ is object.__eq__
+def test_dataclasses_with_arrays_compare_by_identity(nouns):
+    with_arrays = list(filter(holds_arrays, nouns))
+    assert len(with_arrays) > 25
+    assert [noun for noun in with_arrays if noun.__eq__ is not object.__eq__] == []

@@ -28,7 +28,7 @@ def commands(program: str) -> list[list[str]]:
 
 def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     original = Localizer.create.__func__
-    coarse = {"store": StageStore(tmp_path), "grid": {"name": "face", "spacing_mm": 8.0}}
+    coarse = {"store": StageStore(tmp_path), "grid": {"name": "face", "spacing_mm": 8.0}, "temperature": 0.05}
     monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **{**k, **coarse})))
     (example,) = blocks("python")
     exec(compile(example, "README.md", "exec"), {})

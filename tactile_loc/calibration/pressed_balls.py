@@ -54,10 +54,12 @@ def press_balls(gel: Gel, ball_m: float) -> PressedBalls:
         return PressedBalls(away_m, surface, slope, ball_m * np.sqrt(1 - (1 - DEPTHS) ** 2))
     bare = Gel(gel.thickness_m, gel.poisson)
     surface, pressure = _press(bare, ball_m)
-    solver = make_solver(bare, (PIXELS, PIXELS), (pitch_m, pitch_m))
-    q = np.hypot(*list_wave_numbers(solver.padded, (pitch_m, pitch_m)))
-    spectrum = np.fft.rfft2(pressure, solver.padded) * solver.compliance * compute_smoothing(q, gel)
-    visible = np.fft.irfft2(spectrum, solver.padded)[:, middle, middle:PIXELS]
+    spectrum, padded = _transform(bare, ball_m)
+    smoothing = compute_smoothing(np.hypot(*list_wave_numbers(padded, (pitch_m, pitch_m))), gel)
+    # One row of the inverse transform: the sum along the other axis, then a transform along the row.
+    wave = np.exp(2j * np.pi * middle * np.arange(padded[0]) / padded[0]) / padded[0]
+    row = np.einsum("dkm,km->dm", spectrum, wave[:, None] * smoothing)
+    visible = np.fft.irfft(row, padded[1])[:, middle:PIXELS]
     contact_m = pitch_m * np.sqrt((pressure > 0).sum(axis=(1, 2)) / np.pi)
     slope = np.asarray(-np.gradient(visible, pitch_m, axis=1), float)
     rows = (surface[:, middle, middle:].astype(float), slope, contact_m)
@@ -73,6 +75,15 @@ def _press(gel: Gel, ball_m: float) -> tuple[Float32, Float32]:
     reach_m = ((DEPTHS[::EVERY] * ball_m)[:, None, None] - below_m).astype(np.float32)
     contact = make_solver(gel, below_m.shape, (pitch_m, pitch_m)).press(reach_m, SOLVED)
     return contact.displacement_m, contact.pressure
+
+
+@lru_cache(maxsize=4)  # for the coatings of one gel
+def _transform(gel: Gel, ball_m: float) -> tuple[NDArray[np.complex128], tuple[int, int]]:
+    """Return the spectra (D', N, M / 2 + 1) of the displacements by `_press`, and their padded size (N, M)."""
+    pitch_m = WIDTH * ball_m / PIXELS
+    solver = make_solver(gel, (PIXELS, PIXELS), (pitch_m, pitch_m))
+    spectrum = np.fft.rfft2(_press(gel, ball_m)[1], solver.padded) * solver.compliance
+    return spectrum, solver.padded
 
 
 def _interpolate(solved: Floats) -> Floats:

@@ -28,7 +28,7 @@ METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0
 
 ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused, because archives could inflate without end
 
-_detected: dict[str, SymmetryGroup] = {}  # by the surface's digest; a sweep opens the same file many times
+_found: dict[tuple[str, str], SymmetryGroup] = {}  # by digest and declaration; a sweep opens the same file many times
 
 
 class Surface(NamedTuple):
@@ -102,14 +102,16 @@ def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
     """
     from tactile_loc.core.objects.symmetry_detection import detect_symmetry, require_symmetry
 
-    if declared == "auto":
-        if mesh.digest not in _detected:
-            _detected[mesh.digest] = detect_symmetry(mesh.vertices_m, mesh.faces)
-        return _detected[mesh.digest]
-    group = SymmetryGroup.parse(declared, mesh.centroid_m)
-    if not group.is_trivial:
-        require_symmetry(group, mesh.vertices_m, mesh.faces)
-    return group
+    key = mesh.digest, declared
+    if key not in _found:
+        if declared == "auto":
+            group = detect_symmetry(mesh.vertices_m, mesh.faces)
+        else:
+            group = SymmetryGroup.parse(declared, mesh.centroid_m)
+            if not group.is_trivial:
+                require_symmetry(group, mesh.vertices_m, mesh.faces)
+        _found[key] = group
+    return _found[key]
 
 
 def load_object(

@@ -14,8 +14,15 @@ from tactile_loc.core.errors import MissingLibraryError, ObjectError
 
 STEP_SUFFIXES = (".step", ".stp")
 DEVIATION_MM, ANGLE_RAD = 0.005, 0.2  # largest distance and angle between the triangles and the exact surface
-# In a process of its own, because OpenCASCADE writes to stdout, and a damaged file may crash it.
-CONVERT = "import sys, cascadio; sys.exit(cascadio.step_to_glb(*sys.argv[1:3], *map(float, sys.argv[3:])))"
+
+# In a process of its own, because OpenCASCADE writes to stdout, and a damaged file may crash it. cascadio would import
+# trimesh to extend its reader, which takes longer than the conversion.
+CONVERT = """\
+import sys
+sys.modules["trimesh"] = None
+import cascadio
+sys.exit(cascadio.step_to_glb(*sys.argv[1:3], *map(float, sys.argv[3:])))
+"""
 
 
 def is_step(path: Path) -> bool:

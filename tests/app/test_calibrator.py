@@ -99,6 +99,7 @@ def test_photos_are_needed(calibrator):
         calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
+@pytest.mark.slow
 def test_a_photo_without_contact_that_shows_a_press_is_refused(calibrator):
     photos = list_photos()
     calibrator.set_reference("press.png", photos.pop("ball-0.png"))

@@ -69,6 +69,7 @@ def test_the_untouched_gel_and_every_ball_are_found():
     np.testing.assert_allclose(centres, 40 + 1e3 * PLACES / MM_PER_PX, atol=0.6)
 
 
+@pytest.mark.slow
 def test_the_untouched_gel_is_assembled_from_presses(never_untouched):
     found = never_untouched
     assert found.untouched_names == ()
@@ -146,6 +147,7 @@ def test_the_written_table_is_readable_and_never_overwritten(with_bad_ones, tmp_
         write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
 
 
+@pytest.mark.slow
 def test_the_table_limits_circles_to_the_ball_and_adds_the_untouched_gel(never_untouched, tmp_path):
     for frame in frames(untouched=0):
         write_image(tmp_path / frame.name, frame.image)

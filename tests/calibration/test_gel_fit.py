@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_loc.calibration import gel_fit, pressed_balls
 from tactile_loc.calibration.circles import Circle
 from tactile_loc.calibration.gel_fit import BallImage, fit_gel
 from tactile_loc.calibration.labels import label_elastic_ball
@@ -110,9 +111,12 @@ SET_MM_PX = 0.059259
 
 
 @pytest.mark.slow
-def test_real_presses_give_absolute_depths(shared_data, tmp_path):
+def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fit, monkeypatch):
     """GelSlim: balls calibrate; another ball and a flat prism are read at their stated presses, constant included."""
     pytest.importorskip("torch")
+    thicknesses_m, pixels = shipped_gel_fit
+    monkeypatch.setattr(gel_fit, "THICKNESSES_M", thicknesses_m)
+    monkeypatch.setattr(pressed_balls, "PIXELS", pixels)
     from PIL import Image
 
     from tactile_loc.calibration.calibrate import calibrate

@@ -35,6 +35,7 @@ def test_the_ball_is_found_in_each_photo(photos):
     assert len(labelled.labels.describe()) == 2
 
 
+@pytest.mark.slow
 def test_an_existing_table_is_used(photos):
     first = label_presses(photos, None, RADIUS_MM, MM_PER_PX)
     table = (photos / TABLE).read_text()

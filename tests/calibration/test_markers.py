@@ -158,6 +158,7 @@ def test_too_many_dots_are_refused(diameter_px):
         UntouchedGel.of(draw(GEL, lattice(10), diameter_px))
 
 
+@pytest.mark.slow
 def test_large_images_are_filled_at_their_own_size():
     shape = (480, 640)
     y, x = np.mgrid[: shape[0], : shape[1]]
@@ -213,6 +214,7 @@ def test_presses_without_dots_are_read_to_the_bit(dotted, tmp_path):
     np.testing.assert_array_equal(np.stack(presses.images), balls.images)
 
 
+@pytest.mark.slow
 def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     pytest.importorskip("torch")
     folder, balls, places = dotted

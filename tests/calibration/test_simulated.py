@@ -51,6 +51,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
         assert label.indentation_m.max() <= press_m[number] + 1e-6
 
 
+@pytest.mark.slow
 def test_different_lamps_leave_the_untouched_gel_unchanged(store):
     presses = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
     assert np.array_equal(presses.background, render_background(sensor(), LAMPS))

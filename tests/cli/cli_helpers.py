@@ -11,6 +11,7 @@ import numpy as np
 from typer.testing import Result
 
 TINY = ["--grid", "face", "-o", "grid.spacing_mm=8"]  # a grid of a few hundred poses
+SURE = ["-o", "temperature=0.05"]  # no temperature is fitted, which takes a second for each grid
 FLAT_SENSOR = """\
 camera = "orthographic"
 image_size_px = [80, 80]

@@ -70,8 +70,9 @@ def test_an_object_of_impossible_size_is_refused(refused, units, length):
 
 
 def test_a_wrong_symmetry_is_refused(refused):
-    refused("--symmetry", "z5", mentions=("z5",))
-    refused("--symmetry", "round", mentions=("round",))
+    box = ("--object", write_box(Path("box.obj")), "--units", "mm")
+    refused(*box, "--symmetry", "z5", mentions=("z5",))
+    refused(*box, "--symmetry", "round", mentions=("round",))
 
 
 @pytest.mark.parametrize(

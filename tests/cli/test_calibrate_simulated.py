@@ -66,6 +66,7 @@ def test_equal_seeds_give_equal_weights(calibrate):
     assert record["simulated"]["optics"] == OPTICS["gelslim"].describe()  # the default lamps
 
 
+@pytest.mark.slow
 def test_a_built_in_sensor_also_reads_full_size_camera_images(cli):
     done = cli("calibrate", "--simulated", "--presses", 8, *TINY["photometric"], "--out", "mine")
     assert done.exit_code == 0, done.stderr

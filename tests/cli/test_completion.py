@@ -92,8 +92,8 @@ def test_completion_imports_no_heavy_library(words):
     ("shell", "path"),
     [
         ("bash", ".bash_completions/tactile-loc.sh"),
-        ("zsh", ".zfunc/_tactile-loc"),
-        ("fish", ".config/fish/completions/tactile-loc.fish"),
+        pytest.param("zsh", ".zfunc/_tactile-loc", marks=pytest.mark.slow),
+        pytest.param("fish", ".config/fish/completions/tactile-loc.fish", marks=pytest.mark.slow),
     ],
 )
 def test_completion_is_installed_for_each_shell(tmp_path, shell, path):

@@ -64,6 +64,7 @@ def test_images_are_evaluated_with_a_calibrated_sensor(cli, tmp_path):
     assert re.search(r"\b3 simulated touches\b.*images", (tmp_path / "evaluation" / "results.md").read_text())
 
 
+@pytest.mark.slow
 def test_a_repeated_command_gives_the_same_table(cli, tmp_path):
     tables = []
     for out in ("a", "b"):

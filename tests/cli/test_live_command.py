@@ -177,6 +177,7 @@ def test_live_shows_new_frames_until_ctrl_c(going, touches, tmp_path):
     assert second == "no contact"
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_whole_lines(going, touches, tmp_path):
     live = going(touches, "--no-view", "--once", "--out", "found.jsonl")
     wait_for_lines(tmp_path / "found.jsonl", 1)

@@ -92,16 +92,19 @@ def test_all_new_components_locate_an_object_together(site, tmp_path):
     assert result["errors"]["best_listed_m"] < 0.02
 
 
-@pytest.mark.parametrize("name", ["a", "x" * LONGEST, "-".join("abcdefghij1234")])
-def test_ruff_accepts_packages_with_names_of_any_length(tmp_path, name):
-    for slot in KINDS:
-        folder = tmp_path / slot
-        package.write(Naming(slot, name), folder)
-        for rules in ([], ["--config", str(OUR_RULES)]):
-            for task in (["check", "--no-cache"], ["format", "--check", "--no-cache"]):
-                line = [sys.executable, "-m", "ruff", *task, *rules, "."]
-                done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
-                assert done.returncode == 0, done.stdout
+def test_ruff_accepts_packages_with_names_of_any_length(tmp_path):
+    folders = []
+    for name in ("a", "x" * LONGEST, "-".join("abcdefghij1234")):
+        for slot in KINDS:
+            folders.append(tmp_path / name / slot)
+            package.write(Naming(slot, name), folders[-1])
+    check, layout, ours = ["check", "--no-cache"], ["format", "--check", "--no-cache"], ["--config", str(OUR_RULES)]
+    calls = [(tmp_path, check), (tmp_path, layout), (tmp_path, [*layout, *ours])]
+    calls += [(folder, [*check, *ours]) for folder in folders]  # these rules find own modules from the current folder
+    for folder, words in calls:
+        line = [sys.executable, "-m", "ruff", *words, "."]
+        done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
 
 
 def test_the_output_lists_the_files_and_the_next_commands(cli: Cli, tmp_path):

@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 import trimesh
 from cli_helpers import TINY, assert_refused, touch_depths
+from tactile_loc_cli.main import app
+from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
 
-@pytest.fixture
-def result(cli) -> Path:
+@pytest.fixture(scope="module")
+def result(store, tmp_path_factory) -> Path:
     """The result of one simulated touch."""
-    Path("run.toml").write_text("temperature = 0.05\n")  # no temperature is fitted
-    done = cli("run", "--object", "pin", *TINY, "--config", "run.toml", "--out", "located")
+    folder = tmp_path_factory.mktemp("located")
+    (folder / "run.toml").write_text("temperature = 0.05\n")  # no temperature is fitted
+    words = ["run", "--object", "pin", *TINY, "--config", str(folder / "run.toml"), "--store", str(store)]
+    done = CliRunner().invoke(app, [*words, "--out", str(folder / "located")])
     assert done.exit_code == 0, done.stderr
-    return Path("located/result.json")
+    return folder / "located" / "result.json"
 
 
 def listed(name: str, *starts: np.ndarray, more: str = "") -> str:

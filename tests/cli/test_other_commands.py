@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import FLAT_SENSOR, TINY, Cli, assert_refused
+from cli_helpers import FLAT_SENSOR, SURE, TINY, Cli, assert_refused
 from PIL import Image
 
 from tactile_loc import __version__
@@ -107,7 +107,7 @@ def test_simulate_writes_touches_that_run_reads(cli):
             assert touch["T_sensor_object"].tolist() == record["T_sensor_object"][name]
     with Image.open("out/touches.png") as picture:
         picture.load()
-    run = cli("run", "--object", "hook", *TINY, "--touch", "out/touch-0002.npz", "--out", "result")
+    run = cli("run", "--object", "hook", *TINY, *SURE, "--touch", "out/touch-0002.npz", "--out", "result")
     assert run.exit_code == 0, run.stderr
     result = json.loads(Path("result/result.json").read_text())
     assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]

@@ -152,6 +152,7 @@ def folder(slide, tmp_path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_folder_with_sensor_poses_gives_the_same_pose_as_the_recording(cli, slide, folder):
     words = [*LOCATED, "--fuse", "--json"]
     done = cli("replay", folder, "--poses", folder.parent / "poses.csv", *words)

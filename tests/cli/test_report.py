@@ -26,6 +26,7 @@ def test_a_run_writes_the_files_for_a_report(cli):
     assert page.endswith("</html>\n")
 
 
+@pytest.mark.slow
 def test_the_report_option_writes_the_same_report(cli):
     done = cli("run", *PIN, "--report", "--out", "out")
     assert done.exit_code == 0, done.stderr

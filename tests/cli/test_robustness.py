@@ -137,6 +137,7 @@ def test_a_full_disk_is_reported_without_damaged_files(cli, tmp_path):
         subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_a_failed_write_keeps_the_old_results(cli, monkeypatch):
     assert cli("run", *TINY, "--out", "out").exit_code == 0
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}

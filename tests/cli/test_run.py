@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused, touch_depths, write_box
+from cli_helpers import SURE, TINY, assert_refused, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
 from tactile_loc_cli import results
@@ -160,7 +160,7 @@ def test_the_output_names_the_searched_side_of_the_object(cli, result):
     (line,) = [line for line in result["stdout"].splitlines() if line.startswith("searched: the object's side")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
     assert shown == pytest.approx(find_resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
-    chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
+    chosen = cli("run", "--object", "pin", *TINY, *SURE, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
     assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
 
@@ -190,7 +190,7 @@ def test_the_option_flag_also_sets_plain_settings(cli, tmp_path):
     assert done.exit_code != 0
     assert "drawing" in done.stderr
     assert "pressed" in done.stderr
-    done = cli("run", "--object", "pin", *TINY, "-o", "drawing=paper", "--out", "out")
+    done = cli("run", "--object", "pin", *TINY, *SURE, "-o", "drawing=paper", "--out", "out")
     assert done.exit_code == 0, done.stderr
     assert json.loads((tmp_path / "out/result.json").read_text())["configuration"]["drawing"] == "paper"
 
@@ -234,7 +234,8 @@ def test_the_command_line_overrides_the_file(cli, tmp_path):
         'top = 7\n[object]\npath = "hook"\n[grid]\nname = "face"\nspacing_mm = 9\nmin_contact_percent = 3\n'
         '[refiner]\nname = "icp"\nmax_iterations = 5\n'
     )
-    done = cli("run", "--config", "run.toml", "--object", "pin", "--refiner", "none", "--top", 2, *TINY, "--out", "out")
+    done = cli("run", "--config", "run.toml", "--object", "pin", "--refiner", "none", "--top", 2, *TINY, *SURE, "--out",
+               "out")  # fmt: skip
     assert done.exit_code == 0, done.stderr
     result = json.loads((tmp_path / "out/result.json").read_text())
     configuration = result["configuration"]
@@ -289,7 +290,7 @@ def test_all_kinds_of_one_touch_are_located_alike(cli, tmp_path):
 
 def test_guesses_are_shown_as_one_line_warnings(cli):
     write_box(Path("box.obj"), faces=10)
-    done = cli("run", *TINY, "--object", "box.obj")
+    done = cli("run", *TINY, *SURE, "--object", "box.obj")
     assert done.exit_code == 0, done.stderr
     assert all(line.startswith("warning: ") for line in done.stderr.splitlines())
     assert any("watertight" in line for line in done.stderr.splitlines())

@@ -112,6 +112,7 @@ def test_the_number_of_touches_does_not_change_the_first_ones(evaluation, locali
     np.testing.assert_allclose(fewer.errors_m, evaluation.errors_m[:2], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_all_encoders_get_the_same_touches(plain, localizer):
     settings = {"encoder": {"name": "pixel", "cells": 5}, "refiner": "none"}
     other = evaluate(fresh(localizer.store, **settings), COUNT, SimulatedTouches("strong", 3))

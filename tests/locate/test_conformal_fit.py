@@ -59,6 +59,7 @@ def test_examples_are_drawn_once_for_all_numbers_of_touches(tmp_path, small, mon
     assert again.conformal_sets == sets
 
 
+@pytest.mark.slow
 def test_other_refiners_have_other_examples(localizer, store, small):
     """Without refinement, a pose counts as the true one within the radius of a mode."""
     plain = Localizer.create("pin", store=store, refiner="none", **COARSE)

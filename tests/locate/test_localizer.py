@@ -368,6 +368,7 @@ def test_small_banks_of_all_presses_stay_in_memory(coarse):
     assert all(coarse.listed.matcher(press_m) is one for press_m, one in zip(presses_m, first, strict=True))
 
 
+@pytest.mark.slow
 def test_a_press_that_is_not_in_memory_gives_the_same_poses(store, monkeypatch):
     monkeypatch.setattr(scoring, "KEPT_BYTES", 0)
     monkeypatch.setattr(scoring, "FEWEST_MATCHERS", 1)

@@ -147,6 +147,7 @@ def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
     )  # the refiner may also shift the sensor poses slightly
 
 
+@pytest.mark.slow
 def test_poses_that_start_beside_the_true_pose_are_found_if_they_are_moved_first(localizer, examples, store):
     pairs = [[some[k], some[(k + 1) % 3]] for some in examples for k in range(3)]
     found = []

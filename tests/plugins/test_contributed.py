@@ -126,6 +126,7 @@ def test_each_readme_describes_the_plugin_and_its_installation(name):
     assert has_components(name) or name in project(name)["scripts"]
 
 
+@pytest.mark.slow
 def test_all_are_listed_with_their_distribution(site, tmp_path):
     listed = python(site, tmp_path, "-m", "tactile_loc_cli.main", "plugins")
     assert listed.returncode == 0, listed.stderr

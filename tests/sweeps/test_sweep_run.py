@@ -1,4 +1,4 @@
-"""A sweep on local processes and the same one on a Dask cluster: one table, every stage built once."""
+"""A sweep in this process, on local processes and on a Dask cluster: one table, every stage built once."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tactile_loc.sweeps.finished import FinishedRows
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.results import read_sweep, write_sweep
 from tactile_loc.sweeps.sweep import MOMENTARY, Row, Sweep, make_table, run_sweep
-from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome
+from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome, evaluate_job
 
 distributed = pytest.importorskip("distributed")
 
@@ -49,6 +49,14 @@ class Nobody:
         raise AssertionError(f"{len(jobs)} jobs were run again")
 
 
+class Here:
+    """Does the jobs in this process, which takes less time than starting others."""
+
+    def run_jobs(self, jobs, objects):
+        for job in jobs:
+            yield evaluate_job(job, objects[job.key])
+
+
 @pytest.fixture(scope="module")
 def plan(tiny) -> Plan:
     return Plan.from_values(
@@ -59,6 +67,11 @@ def plan(tiny) -> Plan:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("sweeps")
+
+
+@pytest.fixture(scope="module")
+def swept(plan, folder) -> Sweep:
+    return run_sweep(plan, folder / "here", folder / "store-here", Here())
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +100,8 @@ def lasting(rows: list[Row]) -> list[Row]:
 
 
 @pytest.mark.slow
-def test_local_processes_and_dask_give_the_same_table(locally, on_dask):
-    assert lasting(locally.rows) == lasting(on_dask.rows)
+def test_local_processes_and_dask_give_the_same_table(swept, locally, on_dask):
+    assert lasting(locally.rows) == lasting(on_dask.rows) == lasting(swept.rows)
     assert [row["error"] for row in locally.rows] == [""] * 4
 
 
@@ -110,8 +123,8 @@ def test_every_stage_is_built_once(which, request, folder):
     )  # the first row of each object; another row may build a part at the same time
 
 
-def test_a_row_holds_the_values_of_the_protocol(locally, tmp_path):
-    one, row = locally.combinations[3], locally.rows[3]
+def test_a_row_holds_the_values_of_the_protocol(swept, tmp_path):
+    one, row = swept.combinations[3], swept.rows[3]
     localizer = Localizer(one.config, load_object("head"), StageStore(tmp_path))
     found = evaluate(localizer, 4, SimulatedTouches("strong", 0, False))
     assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.select_errors("reg-1")), rel=1e-4)
@@ -121,18 +134,18 @@ def test_a_row_holds_the_values_of_the_protocol(locally, tmp_path):
     assert row["total_ms"] >= row["match_ms"] > 0
 
 
-def test_partial_files_of_a_killed_sweep_are_removed(plan, locally, folder):
-    before = sorted(path.name for path in (folder / "local/rows").iterdir())
-    for left in (folder / "local/rows" / f".tmp-new-{before[0]}", folder / "local/errors/.tmp-new-x.txt"):
+def test_partial_files_of_a_killed_sweep_are_removed(plan, swept, folder):
+    before = sorted(path.name for path in (folder / "here/rows").iterdir())
+    for left in (folder / "here/rows" / f".tmp-new-{before[0]}", folder / "here/errors/.tmp-new-x.txt"):
         left.mkdir(parents=True)
-    run_sweep(plan, folder / "local", folder / "elsewhere", Nobody())
-    assert sorted(path.name for path in (folder / "local/rows").iterdir()) == before
-    assert not list((folder / "local/errors").iterdir())
+    run_sweep(plan, folder / "here", folder / "elsewhere", Nobody())
+    assert sorted(path.name for path in (folder / "here/rows").iterdir()) == before
+    assert not list((folder / "here/errors").iterdir())
 
 
-def test_a_finished_sweep_repeats_nothing(plan, locally, folder):
-    again = run_sweep(plan, folder / "local", folder / "elsewhere", Nobody())
-    assert again.rows == locally.rows
+def test_a_finished_sweep_repeats_nothing(plan, swept, folder):
+    again = run_sweep(plan, folder / "here", folder / "elsewhere", Nobody())
+    assert again.rows == swept.rows
     assert again.done == 0
 
 
@@ -150,29 +163,29 @@ def test_only_missing_rows_are_computed(plan, locally, folder):
     assert again.rows[2]["model_s"] == 0
 
 
-def test_a_larger_plan_reuses_the_rows_of_a_smaller_plan(locally, folder, tiny):
+def test_a_larger_plan_reuses_the_rows_of_a_smaller_plan(swept, folder, tiny):
     smaller = Plan.from_values(
         {**tiny, "object": "pin", "encoder": {"name": "pixel", "cells": 12}, "refiner": ["filterreg"]}
     )
-    found = run_sweep(smaller, folder / "local", folder / "elsewhere", Nobody())
-    assert found.rows[0]["reg-1_median_mm"] == locally.rows[1]["reg-1_median_mm"]
+    found = run_sweep(smaller, folder / "here", folder / "elsewhere", Nobody())
+    assert found.rows[0]["reg-1_median_mm"] == swept.rows[1]["reg-1_median_mm"]
 
 
-def test_a_sweep_writes_its_tables_and_figures(locally, folder):
-    written = write_sweep(folder / "written", locally, "reg-1")
+def test_a_sweep_writes_its_tables_and_figures(swept, folder):
+    written = write_sweep(folder / "written", swept, "reg-1")
     assert [path.name for path in written] == [
         "sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png",
     ]  # fmt: skip
     rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
-    assert rows == locally.rows
-    assert_frame_equal(make_table(rows), locally.table)
+    assert rows == swept.rows
+    assert_frame_equal(make_table(rows), swept.table)
     assert_frame_equal(
         pd.read_csv(written[0], keep_default_na=False)[["object", "key"]],
-        locally.table[["object", "key"]],
+        swept.table[["object", "key"]],
         check_dtype=False,
     )
     record: dict[str, Any] = json.loads(written[2].read_text())
-    assert (record["combinations"], record["failed"], record["built"]) == (4, 0, locally.built)
+    assert (record["combinations"], record["failed"], record["built"]) == (4, 0, swept.built)
     assert record["plan"]["refiner"][1]["name"] == "filterreg"
     assert {"tactile-loc", "python", "numpy"} <= set(record["versions"])
     assert record["rows"][1]["configuration"]["grid"]["options"]["spacing_mm"] == 8.0

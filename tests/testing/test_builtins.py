@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from press_sets import write_calibrated
 
+from tactile_loc.benchmark.methods.icp_starts import IcpFromStarts
 from tactile_loc.benchmark.methods.ours import TactileLoc
+from tactile_loc.benchmark.methods.particle_filter import ParticleFilter
+from tactile_loc.benchmark.methods.pixel_matching import PixelMatching
+from tactile_loc.benchmark.methods.transform_consensus import TransformConsensus
 from tactile_loc.core.errors import RenderError
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.slots.component import Component
@@ -34,6 +38,7 @@ OPTIONS = {
     ("encoder", "moco"): {"epochs": 2, "queries": 64, "batch": 32, "channels": 4, "noise": "none"},
 }
 ELSEWHERE = ("taxim", "tactile-mnist", "gelslim-shapes")  # tests/benchmark/test_image_sources.py checks these sources
+LONG = (TactileLoc, IcpFromStarts, ParticleFilter, PixelMatching, TransformConsensus)  # they take seconds
 VARIANTS = [
     FaissMatcher(FaissMatcher.Options(kind="hnsw", top_k=50)),
     FaissMatcher(FaissMatcher.Options(kind="ivf", top_k=50)),
@@ -54,7 +59,7 @@ def quick(component: Component) -> Component:
     return WholeGrid(WholeGrid.Options(directions=1000)) if isinstance(component, WholeGrid) else component
 
 
-ALL = [component for component in [*built_ins(), *VARIANTS] if not isinstance(component, TactileLoc)]
+ALL = [component for component in [*built_ins(), *VARIANTS] if not isinstance(component, LONG)]
 QUICK = [quick(component) for component in ALL]
 
 
@@ -64,8 +69,8 @@ def test_contract(component, check):
 
 
 @pytest.mark.slow
-@parametrize_with_checks([TactileLoc()])
-def test_contract_of_our_method(component, check):
+@parametrize_with_checks([method() for method in LONG])
+def test_contract_of_a_method_that_takes_long(component, check):
     check(component)
 
 

@@ -122,18 +122,19 @@ def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], N
     return other.astype(np.int32), np.r_[0, np.cumsum(np.bincount(one, minlength=len(corners)))]
 
 
-_fields: ByteCache[tuple[TriangleMesh, float], SurfaceField] = ByteCache(KEPT_BYTES, lambda field: field.nbytes)
+_fields: ByteCache[tuple[str, float], SurfaceField] = ByteCache(KEPT_BYTES, lambda field: field.nbytes)
 
 
 def build_surface_field(mesh: TriangleMesh, cell_m: float | None = None) -> SurfaceField:
     """Return the field of a mesh, built at its first use. The fields used last are kept, up to KEPT_BYTES.
 
+    Equal meshes share one field, for instance two that are loaded from the same file.
     Its cells have the side `cell_m`, metres; CELL_M by default. Cells of twice this side take an eighth of the memory
     and about a quarter of the time to build. `estimate_gaps` is then less exact. Where parts of a surface are near each
     other, a point may miss the nearest one.
     """
     side_m = CELL_M if cell_m is None else cell_m
-    return _fields.get((mesh, side_m), lambda: SurfaceField.of(mesh, cell_m=side_m))
+    return _fields.get((mesh.digest, side_m), lambda: SurfaceField.of(mesh, cell_m=side_m))
 
 
 @njit

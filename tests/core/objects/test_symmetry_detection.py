@@ -228,7 +228,12 @@ def test_detection_moves_with_the_mesh(name: str) -> None:
         assert abs(there.continuous_axis @ R @ here.continuous_axis) > math.cos(math.radians(0.1))
 
 
-@pytest.mark.parametrize("name", ["box", "cylinder", "tapered screw"])
+ROUND = ("hexagonal prism", "cylinder", "notched cylinder")  # their detection takes longer
+
+
+@pytest.mark.parametrize(
+    "name", ["box", *(pytest.param(name, marks=pytest.mark.slow) for name in ("cylinder", "tapered screw"))]
+)
 def test_detection_does_not_depend_on_the_unit(name: str) -> None:
     (vertices_m, faces), text, _ = BODIES[name]
     group = detect_symmetry(vertices_m * 1e3, faces)
@@ -236,7 +241,7 @@ def test_detection_does_not_depend_on_the_unit(name: str) -> None:
     np.testing.assert_allclose(group.centre_m, 1e3 * found(name).centre_m, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["box", "hexagonal prism", "cylinder", "L", "notched cylinder"])
+@pytest.mark.parametrize("name", ["box", "L", *(pytest.param(name, marks=pytest.mark.slow) for name in ROUND)])
 def test_detection_does_not_depend_on_the_tessellation(name: str) -> None:
     mesh, text, _ = BODIES[name]
     vertices_m, faces = subdivided(mesh, 3)

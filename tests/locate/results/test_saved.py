@@ -126,6 +126,7 @@ def test_the_files_of_run_are_read(run_folder):
         assert found.config.resolve() == record.configuration
 
 
+@pytest.mark.slow
 def test_the_set_of_a_coverage_is_read_back(localizer, tmp_path):
     found = localizer.localize(localizer.simulate(1, seed=0)[0], coverage=0.8)
     found.save(tmp_path)
