@@ -25,7 +25,7 @@ from identify import choose_asked, draw_example, open_library
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.library.folder import LibraryFolder
-from tactile_loc.tasks.identify import EXAMINED, identify
+from tactile_loc.tasks.identify import choose_shortlists, identify
 from tactile_loc.tasks.library import Library
 from tactile_loc.tasks.votes import rate_object
 
@@ -44,7 +44,7 @@ def measure_example(library: Library, touches: list[Touch], identifies: bool) ->
     """Return the times, s, and the number of joined parts, in the order of the columns."""
     all_s, _ = measure(library.compare, touches)
     with patch("tactile_loc.tasks.library.rate_object", wraps=rate_object) as rated:
-        some_s, comparison = measure(library.compare, touches, EXAMINED)
+        some_s, comparison = measure(library.compare, touches, choose_shortlists(len(touches), len(library))[0])
     scan_s, _ = measure(
         library.models.find_most_similar, comparison.asked.rounded, library.describe, lambda count: None
     )

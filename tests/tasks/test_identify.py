@@ -101,6 +101,13 @@ def test_only_the_object_with_the_best_rough_fit_is_located(library, touches):
     assert {one.probability for one in said.objects if one.found is None} == {0.0}
 
 
+def test_more_objects_are_examined_among_many_and_after_more_touches():
+    of_two, of_four, among_many = (module.choose_shortlists(*given)[0] for given in ((2, 300), (4, 300), (2, 10_000)))
+    assert of_two == module.EXAMINED
+    assert of_four.most_behind == 2 * of_two.most_behind
+    assert among_many.most == 400
+
+
 def test_only_the_most_similar_object_gets_a_rough_fit(library, touches, monkeypatch):
     for name in ("EXAMINED", "LOOKED_INTO"):
         monkeypatch.setattr(module, name, Shortlist(0.0, 1, 1))
