@@ -97,9 +97,10 @@ def renew_tables(text: str, results: Results) -> str:
         if shown["run"] not in results:
             raise LookupError(f"there is no run {shown['run']}; there are {', '.join(results)}")
         columns = [column.strip() for column in shown["columns"].split(" | ")[1:]]
-        return shown["marker"] + "\n" + results[shown["run"]].table(int(shown["number"])).markdown(columns)
+        table = results[shown["run"]].table(int(shown["number"])).markdown(columns)
+        return f"{shown['marker']}\n{table}" + ("\n" if shown["rest"] == "\n" else "")
 
-    return re.sub(rf"(?P<marker>{MARKER.pattern})(?:\n(?:^\|.*\n)*)?", format_table, text, flags=re.MULTILINE)
+    return re.sub(rf"(?P<marker>{MARKER.pattern})(?P<rest>\n(?:^\|.*\n)*)?", format_table, text, flags=re.MULTILINE)
 
 
 def find_unmarked(text: str) -> list[str]:

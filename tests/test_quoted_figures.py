@@ -117,6 +117,7 @@ def test_a_marker_selects_columns_of_a_table():
     shown = renew_tables(marker, Results(slides=kept()))
     assert shown == f"{marker}\n| error, mm | object |\n|---|---|\n| 0.004 (0.1) | pin |\n| 0.016 (0.2) | hook |\n"
     assert renew_tables(shown, Results(slides=kept())) == shown
+    assert renew_tables(f"{marker}\nText.\n", Results(slides=kept())) == f"{shown}\nText.\n"
     assert renew_tables("<!-- results: slides -->\nText.\n", Results()) == "<!-- results: slides -->\nText.\n"
 
 
