@@ -280,7 +280,7 @@ QUOTES: dict[str, dict[str, Values]] = {
             r.at("next_touch-expected", 1, f"chosen: {column}", "all")[0] for column in ("known", "certain")
         ],
         "identified as another part in {} % of the examples":
-            lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
+            lambda r: [100 - r.at("identify", 1, "unknown: rejected", "2")[0]],
     },
     "docs/benchmarks/presses-labels.md": {
         "the error with five spread presses is {}, {}, {} and {} times that with all presses": presses("5", 1),
