@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from cli_helpers import TINY, assert_refused, touch_depths
+from cli_helpers import SURE, TINY, assert_refused, touch_depths
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -19,8 +19,7 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 def result(store, tmp_path_factory) -> Path:
     """The result of one simulated touch."""
     folder = tmp_path_factory.mktemp("located")
-    (folder / "run.toml").write_text("temperature = 0.05\n")  # no temperature is fitted
-    words = ["run", "--object", "pin", *TINY, "--config", str(folder / "run.toml"), "--store", str(store)]
+    words = ["run", "--object", "pin", *TINY, *SURE, "--store", str(store)]
     done = CliRunner().invoke(app, [*words, "--out", str(folder / "located")])
     assert done.exit_code == 0, done.stderr
     return folder / "located" / "result.json"
