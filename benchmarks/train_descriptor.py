@@ -6,6 +6,9 @@ directions. A query is shown as a touch: in a rotated gel that sees only a part 
 noise, and sometimes with a blurred surface, as an elastic gel has. The networks learn to give a query a high similarity
 to the keys of its own part, and the highest to the keys nearest to it (Oord et al., 2018: InfoNCE).
 
+With `--start`, the network of places of other weights is kept, so that libraries stay valid. Only the network of
+touches is trained further. Its keys are vectors that are computed once, so a step takes about a second on two cores.
+
 The families of `--families` take part in training. Evaluate with other families only.
 """
 
@@ -22,10 +25,12 @@ import numpy as np
 import torch
 from generated_parts import FAMILIES, list_names, make_mesh
 from numpy.typing import NDArray
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.nn import functional
 
+from tactile_loc.core.descriptor.descriptor import STEPS
+from tactile_loc.core.descriptor.descriptor import Descriptor as Described
 from tactile_loc.core.descriptor.features import ANGLES, RADII_M, RAMPS_M
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
@@ -36,17 +41,30 @@ from tactile_loc.io.meshes import load_object
 HELD_OUT = ("gear", "clip", "fitting", "cam")
 KEY_DIRECTIONS, QUERY_DIRECTIONS = 800, 331
 MOST_QUERIES, NEAREST = 400, 4
+NEAR = 64  # keys near a query, of which the nearest ones depend on where it is touched
 LEVER_M = 0.01  # a rotation by an angle counts as this distance times the angle
 PARTS, QUERIES, KEYS = 384, 2, 48  # per step: parts, queries of each part, and keys of each part
 EPS = 1e-12
+ELASTIC, NOISY = 0.25, 0.7  # shares of the touches
+WARM_UP = 50  # steps
+MOST_MISSING = 2  # discs of missed contact
+FARTHEST_ANCHOR_M = 5e-3
 
 
 class Part(NamedTuple):
-    """A part's key patches (K, S, S) and query patches (Q, S, S), and the numbers (Q, NEAREST) of the nearest keys."""
+    """The K places and Q queries of a part.
 
-    keys: NDArray[np.uint8]
+    `keys` are the places' patches (K, S, S), or their vectors (K, D) if these do not change. `queries` (Q, S, S) are
+    patches, with their `axes` (Q, 2, 3): the directions of their columns and rows in the object frame. `nearest`
+    (Q, NEAR) are the numbers of the nearest keys, and `off` (Q, NEAR, 4) are how far away they are: the difference of
+    the positions, metres, and the angle of the directions, as a length.
+    """
+
+    keys: NDArray[np.uint8] | NDArray[np.int8]
     queries: NDArray[np.uint8]
+    axes: NDArray[np.float32]
     nearest: NDArray[np.int64]
+    off: NDArray[np.float32]
 
 
 def find_places(obj: ObjectModel, directions: int) -> Places:
@@ -54,8 +72,8 @@ def find_places(obj: ObjectModel, directions: int) -> Places:
     return registry().create("grid", "whole", {"directions": directions}).places(obj, Progress())
 
 
-def make_training_part(name: str, folder: Path) -> Part | None:
-    """Return the keys and queries of a generated part; None if its places cannot be found."""
+def make_training_part(name: str, folder: Path, places: Described | None) -> Part:
+    """Return the keys and queries of a generated part. With a descriptor, the keys are vectors."""
     path = folder / f"{name}.stl"
     make_mesh(name).export(path)
     obj = load_object(str(path), units="mm")
@@ -63,15 +81,21 @@ def make_training_part(name: str, folder: Path) -> Part | None:
     rng = np.random.default_rng(len(keys))
     some = np.sort(rng.permutation(len(queries))[:MOST_QUERIES])
     ours, theirs = queries.placements[some], keys.placements
-    off_m = np.linalg.norm(ours[:, None, :3] - theirs[None, :, :3], axis=2)
-    turned = LEVER_M * np.arccos(np.clip(ours[:, 3:] @ theirs[:, 3:].T, -1, 1))
-    nearest = np.argsort(off_m + turned, axis=1)[:, :NEAREST]
-    return Part(keys.patches, queries.patches[some], nearest)
+    off_m = theirs[None, :, :3] - ours[:, None, :3]
+    turned_m = LEVER_M * np.arccos(np.clip(ours[:, 3:] @ theirs[:, 3:].T, -1, 1))
+    off = np.concatenate([off_m, turned_m[:, :, None]], axis=2).astype(np.float32)
+    nearest = np.argsort(np.linalg.norm(off_m, axis=2) + turned_m, axis=1)[:, :NEAR]
+    return Part(
+        keys.patches if places is None else places.describe_in_steps(keys.patches),
+        queries.patches[some], queries.T_place_object[some, :2, :3].astype(np.float32), nearest,
+        np.take_along_axis(off, nearest[:, :, None], axis=1),
+    )  # fmt: skip
 
 
-def _make_in_worker(task: tuple[str, Path]) -> Part | None:
+def _make_in_worker(task: tuple[str, Path, Path | None]) -> Part | None:
+    name, folder, weights = task
     try:
-        return make_training_part(*task)
+        return make_training_part(name, folder, None if weights is None else Described(weights.read_bytes()))
     except Exception as error:  # noqa: BLE001  # one bad part must not end an hour of work
         print(f"{task[0]} is left out: {error}", flush=True)
         return None
@@ -99,6 +123,20 @@ class Tower(nn.Module):
         pooled = torch.cat([x.mean(dim=2), x.amax(dim=2)], dim=1)
         return functional.normalize(self.out(pooled), dim=1)
 
+    def adopt(self, weights: dict[str, Tensor], name: str, x: Tensor) -> None:
+        """Continue from weights of `export`. The norms get the statistics of features (B, C, ANGLES)."""
+        with torch.no_grad():
+            for k, (layer, norm) in enumerate(zip(self.layers, self.norms, strict=True)):
+                layer.weight.copy_(weights[f"{name}.{k}.weight"])
+                x = layer(x)
+                norm.running_mean.copy_(x.mean(dim=(0, 2)))
+                norm.running_var.copy_(x.var(dim=(0, 2)))
+                norm.weight.copy_(torch.sqrt(norm.running_var + norm.eps))
+                norm.bias.copy_(norm.running_mean + weights[f"{name}.{k}.bias"])
+                x = functional.relu(x + weights[f"{name}.{k}.bias"][:, None])
+            self.out.weight.copy_(weights[f"{name}.out.weight"])
+            self.out.bias.copy_(weights[f"{name}.out.bias"])
+
     def export(self, name: str) -> dict[str, Tensor]:
         """Return the weights, with the norms folded into the convolutions."""
         weights = {}
@@ -113,12 +151,12 @@ class Tower(nn.Module):
 class Descriptor(nn.Module):
     """The two towers, and the temperature of the similarities."""
 
-    def __init__(self, dimensions: int) -> None:
+    def __init__(self, dimensions: int, temperature: float) -> None:
         super().__init__()
         rings, ramps = len(RADII_M), len(RAMPS_M)
         self.keys = Tower(rings * ramps, (96, 128, 160), dimensions)
         self.queries = Tower(2 * rings * ramps, (160, 224, 320), dimensions)
-        self.log_temperature = nn.Parameter(torch.tensor(math.log(0.07)))
+        self.log_temperature = nn.Parameter(torch.tensor(math.log(temperature)))
 
     @property
     def temperature(self) -> Tensor:
@@ -126,17 +164,19 @@ class Descriptor(nn.Module):
         return self.log_temperature.exp().clamp(min=0.01)
 
 
-def sample_polar(images: Tensor, yaw_rad: Tensor, shift_m: Tensor, mode: str) -> Tensor:
-    """Sample images (B, S, S) at the rings and angles (B, rings, ANGLES), rotated by yaws (B,), shifted by (B, 2)."""
-    device = images.device
+def make_rings(yaw_rad: Tensor, at_m: Tensor) -> Tensor:
+    """Return the points (B, rings, ANGLES, 2) of the rings about points (B, 2), metres, rotated by yaws (B,)."""
+    device = at_m.device
     radius = torch.as_tensor(RADII_M, dtype=torch.float32, device=device)[None, :, None]
     angle = torch.arange(ANGLES, device=device) * (2 * math.pi / ANGLES)
     angle = angle[None, None, :] + yaw_rad[:, None, None]
-    at = torch.stack([radius * angle.cos(), radius * angle.sin()], dim=3) + shift_m[:, None, None, :]
-    grid = at / (PITCH_M * PATCH_PX / 2)
-    return functional.grid_sample(
-        images[:, None], grid.to(images.dtype), mode=mode, padding_mode="border", align_corners=False
-    )[:, 0]
+    return torch.stack([radius * angle.cos(), radius * angle.sin()], dim=3) + at_m[:, None, None, :]
+
+
+def sample(images: Tensor, points_m: Tensor) -> Tensor:
+    """Sample images (B, S, S) at points (B, rings, ANGLES, 2), metres, from their middle."""
+    grid = points_m / (PITCH_M * PATCH_PX / 2)
+    return functional.grid_sample(images[:, None], grid, padding_mode="border", align_corners=False)[:, 0]
 
 
 def to_heights(patches: Tensor) -> Tensor:
@@ -149,41 +189,31 @@ def encode_ramps(height_m: Tensor) -> Tensor:
     return torch.cat([(height_m / ramp).clamp(max=1) for ramp in RAMPS_M], dim=1)
 
 
-def show_as_touch(patches: Tensor, generator: torch.Generator) -> Tensor:
-    """Return the features (B, C, ANGLES) of patches (B, S, S) that are seen by a gel: see the module's docstring."""
-    device, count = patches.device, len(patches)
+def show_as_touch(patches: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Return features (B, C, ANGLES) of patches (B, S, S) as a gel shows them, and where they are touched (B, 2).
+
+    A touch is described about its deepest point. Noise and flat surfaces move this point from the middle of the patch.
+    Positions are in metres, along the patch's columns and rows.
+    """
+    count = len(patches)
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(count, *shape, generator=generator, device=device)
+        return low + (high - low) * torch.rand(count, *shape, generator=generator, device=patches.device)
 
-    height_m = ((patches.float() - BELOW) * STEP_M).clamp(min=0)
+    height_m = sag(((patches.float() - BELOW) * STEP_M).clamp(min=0), uniform(0, 1) < ELASTIC)
     press_m = 1e-3 * torch.exp(uniform(math.log(0.2), math.log(1.2)))
-    elastic = uniform(0, 1) < 0.25
-    softness_m = 0.08e-3
-    blurred = blur(torch.exp(-height_m / softness_m), 1.2)
-    sagged = (-softness_m * torch.log(blurred + EPS)).clamp(max=3e-3)
-    sagged = sagged - sagged.amin(dim=(1, 2), keepdim=True)
-    height_m = torch.where(elastic[:, None, None], sagged, height_m)
-    noisy = (uniform(0, 1) < 0.6)[:, None, None]
-    strength_m = (uniform(0, 0.06) * press_m)[:, None, None]
-    field = blur(torch.randn(height_m.shape, generator=generator, device=device), 1.5)
-    field = field / field.std()
-    height_m = torch.where(noisy, (height_m + strength_m * field).clamp(min=0), height_m)
-    factor = torch.where(noisy[:, 0, 0], torch.exp(0.1 * torch.randn(count, generator=generator, device=device)), 1.0)
-    believed_m = press_m * factor
-    contact = height_m < press_m[:, None, None]
-    depth_m = torch.where(contact, height_m * factor[:, None, None], believed_m[:, None, None])
-    depth_m = torch.minimum(depth_m, believed_m[:, None, None])
-    depth_m = drop_patches(depth_m, believed_m, noisy, generator)
-    shift_m = 1e-3 * uniform(-0.7, 0.7, 2)
-    here = functional.grid_sample(
-        height_m[:, None], (shift_m / (PITCH_M * PATCH_PX / 2))[:, None, None, :], align_corners=False
-    )[:, 0, 0, 0]
-    shift_m = torch.where((here < 2e-5)[:, None], shift_m, 0.0)
-    yaw_rad = uniform(0, 2 * math.pi)
-    seen = draw_gel(count, shift_m.device, generator)
-    polar_m = sample_polar(depth_m, yaw_rad, shift_m, "bilinear")
-    return encode_seen_ramps(polar_m, seen, believed_m)
+    strength = uniform(0, 1) * (uniform(0, 1) < NOISY)
+    gel = Gel.draw(count, patches.device, generator)
+    y, x = gel.list_pixels()
+    depth_m, measured_m = add_noise(height_m, press_m, strength, gel, generator)
+    contact = (depth_m < measured_m[:, None, None]) & gel.sees(x, y) & (x.hypot(y) < FARTHEST_ANCHOR_M)
+    order = torch.where(contact, depth_m + 1e-6 * uniform(0, 1, PATCH_PX, PATCH_PX), torch.inf).flatten(1)
+    deepest = torch.where(contact.flatten(1).any(dim=1), order.argmin(dim=1), PATCH_PX * PATCH_PX // 2)
+    at_m = torch.stack([x.flatten()[deepest], y.flatten()[deepest]], dim=1)
+    at_m = at_m + (strength > 0)[:, None] * PITCH_M * uniform(-0.5, 0.5, 2)
+    polar = make_rings(uniform(0, 2 * math.pi), at_m)
+    seen = gel.sees(polar[..., 0], polar[..., 1]) & (polar.abs().amax(dim=3) < PITCH_M * PATCH_PX / 2)
+    return encode_seen_ramps(sample(depth_m, polar), seen, measured_m), at_m
 
 
 def encode_seen_ramps(polar_m: Tensor, seen: Tensor, press_m: Tensor) -> Tensor:
@@ -195,32 +225,102 @@ def encode_seen_ramps(polar_m: Tensor, seen: Tensor, press_m: Tensor) -> Tensor:
     return torch.cat(values + known, dim=1)
 
 
-def draw_gel(count: int, device: torch.device, generator: torch.Generator) -> Tensor:
-    """Return which polar samples (count, rings, ANGLES) a random gel sees around a random contact."""
+class Gel(NamedTuple):
+    """B rectangular gels. `middle` (B, 2) and `half` (B, 2), metres, are in axes rotated by `angle` (B,)."""
 
-    def uniform(low: float, high: float) -> Tensor:
-        return low + (high - low) * torch.rand(count, 1, 1, generator=generator, device=device)
+    angle: Tensor
+    middle: Tensor
+    half: Tensor
 
-    radius = torch.as_tensor(RADII_M, dtype=torch.float32, device=device)[None, :, None]
-    angle = (torch.arange(ANGLES, device=device) * (2 * math.pi / ANGLES))[None, None, :] + uniform(0, 2 * math.pi)
-    x, y = radius * angle.cos(), radius * angle.sin()
-    width, height = 1e-3 * uniform(13, 24), 1e-3 * uniform(11, 18)
-    at_x, at_y = uniform(-0.4, 0.4) * width, uniform(-0.4, 0.4) * height
-    return ((x + at_x).abs() < width / 2) & ((y + at_y).abs() < height / 2)
+    @classmethod
+    def draw(cls, count: int, device: torch.device, generator: torch.Generator) -> Gel:
+        """Draw gels of random sizes that see the middle of a patch."""
+
+        def uniform(low: float, high: float) -> Tensor:
+            return low + (high - low) * torch.rand(count, generator=generator, device=device)
+
+        size = 1e-3 * torch.stack([uniform(13, 24), uniform(11, 18)], dim=1)
+        middle = size * torch.stack([uniform(-0.4, 0.4), uniform(-0.4, 0.4)], dim=1)
+        return cls(uniform(0, 2 * math.pi), middle, size / 2)
+
+    def list_pixels(self) -> tuple[Tensor, Tensor]:
+        """Return the y and x (1, S, S), metres, of a patch's pixels."""
+        at = (torch.arange(PATCH_PX, device=self.half.device) - PATCH_PX // 2) * PITCH_M
+        y, x = torch.meshgrid(at, at, indexing="ij")
+        return y[None], x[None]
+
+    def turn(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Return points (B, H, W), metres, from the middle of each gel and in its axes."""
+        wide = (slice(None), None, None)
+        cosine, sine = self.angle.cos()[wide], self.angle.sin()[wide]
+        return cosine * x + sine * y - self.middle[:, 0][wide], cosine * y - sine * x - self.middle[:, 1][wide]
+
+    def sees(self, x: Tensor, y: Tensor) -> Tensor:
+        """Return whether each gel sees points (B, H, W), metres."""
+        u, v = self.turn(x, y)
+        return (u.abs() < self.half[:, 0, None, None]) & (v.abs() < self.half[:, 1, None, None])
+
+    def mark_border(self, x: Tensor, y: Tensor, width_m: Tensor, right: Tensor) -> Tensor:
+        """Return whether points (B, H, W), metres, are within `width_m` (B, 1, 1) of a side, or beyond it.
+
+        `right` (B, 1, 1) chooses the side: all gels have random angles.
+        """
+        u, v = self.turn(x, y)
+        return torch.where(right, self.half[:, 0, None, None] - u, self.half[:, 1, None, None] - v) < width_m
 
 
-def drop_patches(depth_m: Tensor, press_m: Tensor, noisy: Tensor, generator: torch.Generator) -> Tensor:
-    """Miss the contact in a disc of some noisy touches, and add a false contact to some others."""
-    count, device = len(depth_m), depth_m.device
-    at = (torch.arange(PATCH_PX, device=device) - PATCH_PX // 2) * PITCH_M
-    centre = 1e-3 * (torch.rand(count, 2, generator=generator, device=device) * 14 - 7)
-    radius = 1e-3 * (0.4 + 1.2 * torch.rand(count, 1, 1, generator=generator, device=device))
-    inside = (at[None, None, :] - centre[:, 0, None, None]) ** 2 + (at[None, :, None] - centre[:, 1, None, None]) ** 2
-    chosen = torch.rand(count, 1, 1, generator=generator, device=device)
-    press = press_m[:, None, None]
-    inside = (inside < radius**2) & noisy
-    depth_m = torch.where(inside & (chosen < 0.3), press, depth_m)
-    return torch.where(inside & (chosen > 0.8), torch.minimum(depth_m, 0.6 * press), depth_m)
+def sag(height_m: Tensor, elastic: Tensor) -> Tensor:
+    """Return heights (B, S, S), metres, smoothed as by an elastic gel where `elastic` (B,)."""
+    softness_m, sagged = 0.08e-3, height_m.clone()
+    some = (-softness_m * torch.log(blur(torch.exp(-height_m[elastic] / softness_m), 1.2) + EPS)).clamp(max=3e-3)
+    sagged[elastic] = some - some.amin(dim=(1, 2), keepdim=True)
+    return sagged
+
+
+def add_noise(
+    height_m: Tensor, press_m: Tensor, strength: Tensor, gel: Gel, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Return noisy depths (B, S, S) of heights pressed by (B,), and measured presses (B,), metres.
+
+    The kinds of noise are those of `TouchNoise`, with a `strength` (B,) from 0, none, to 1, about "strong".
+    """
+    count, device = len(height_m), height_m.device
+
+    def draw(*shape: int) -> Tensor:
+        return torch.rand(count, *shape, generator=generator, device=device)
+
+    wide = (slice(None), None, None)
+    press, strength, noisy = press_m[wide], strength[wide], (strength > 0)[wide]
+    imprint = (press - height_m).clamp(min=0)
+    imprint = torch.lerp(imprint, blur(imprint, 0.6), strength)
+    least = 5e-5 + 1.5e-4 * strength * draw_field(count, 2, device, generator)
+    contact = imprint > torch.where(noisy, least.clamp(min=1e-5), 0)
+    drift = 1e-4 * strength * draw_field(count, 10, device, generator)
+    depth = torch.where(contact, (press - imprint + drift).clamp(min=0).minimum(press * (1 - 1e-6)), press)
+    y, x = gel.list_pixels()
+    for _ in range(MOST_MISSING):
+        pixel = (contact * draw(PATCH_PX, PATCH_PX)).flatten(1).argmax(dim=1, keepdim=True)
+        radius = 2.5e-3 * (0.4 + 0.6 * strength) * (0.3 + 0.7 * draw(1, 1))
+        near = (x - x.flatten()[pixel][..., None]).hypot(y - y.flatten()[pixel][..., None]) < radius
+        depth = torch.where(near & (draw(1, 1) < 0.6 * strength), press, depth)
+    at = PITCH_M * PATCH_PX * (draw(2, 1, 1) - 0.5)
+    radius = 2.5e-3 * (0.4 + 0.6 * strength) * (0.2 + 0.5 * draw(1, 1))
+    near = (x - at[:, 0]).hypot(y - at[:, 1]) < radius
+    false = press * (0.5 + 0.4 * draw(1, 1))
+    depth = torch.where(near & (draw(1, 1) < 0.6 * strength), depth.minimum(false), depth)
+    depth = torch.where(gel.mark_border(x, y, 2e-3 * strength * draw(1, 1), draw(1, 1) < 0.5), press, depth)
+    factor = 1 + 0.08 * strength * torch.randn(count, 1, 1, generator=generator, device=device)
+    measured = press * factor.clamp(min=0.5)
+    return torch.where(depth < press.minimum(measured), depth, measured), measured[:, 0, 0]
+
+
+def draw_field(count: int, sigma_px: float, device: torch.device, generator: torch.Generator) -> Tensor:
+    """Draw smooth random images (count, S, S) with the mean 0 and the variance 1, unitless."""
+    at = torch.arange(PATCH_PX, device=device)[:, None]
+    lattice = torch.arange(-3 * sigma_px, PATCH_PX + 3 * sigma_px, sigma_px, device=device)[None]
+    weights = functional.normalize(torch.exp(-0.5 * ((at - lattice) / sigma_px) ** 2), dim=1)
+    white = torch.randn(count, lattice.shape[1], lattice.shape[1], generator=generator, device=device)
+    return weights @ white @ weights.T
 
 
 def blur(images: Tensor, sigma_px: float) -> Tensor:
@@ -243,7 +343,7 @@ class Data:
     """The keys and queries of all parts, on the device."""
 
     def __init__(self, joined: dict[str, Tensor], device: torch.device) -> None:
-        self.keys, self.queries, self.nearest = (joined[name].to(device) for name in Part._fields)
+        self.keys, self.queries, self.axes, self.nearest, self.off = (joined[name].to(device) for name in Part._fields)
         self.key_count, self.query_count = (joined[name].to(device) for name in ("keys_count", "queries_count"))
         self.first_key = torch.cumsum(self.key_count, 0) - self.key_count
         self.first_query = torch.cumsum(self.query_count, 0) - self.query_count
@@ -251,56 +351,76 @@ class Data:
     def __len__(self) -> int:
         return len(self.key_count)
 
+    def find_nearest(self, queries: Tensor, at_m: Tensor) -> Tensor:
+        """Return the numbers (B, NEAREST), within their part, of the keys nearest to points (B, 2) of queries (B,)."""
+        moved = torch.einsum("bi,bij->bj", at_m, self.axes[queries])
+        off = self.off[queries]
+        far = (off[..., :3] - moved[:, None]).norm(dim=2) + off[..., 3]
+        return self.nearest[queries].gather(1, far.topk(NEAREST, largest=False).indices)
+
+
+def describe_keys(model: Descriptor, keys: Tensor, generator: torch.Generator) -> Tensor:
+    """Return the vectors (N, D) of keys: patches (N, S, S) at random yaws, or vectors (N, D) times STEPS."""
+    if keys.dtype == torch.int8:
+        return keys.float() / STEPS
+    turned = 2 * math.pi * torch.rand(len(keys), generator=generator, device=keys.device)
+    heights = sample(to_heights(keys), make_rings(turned, turned.new_zeros(len(keys), 2)))
+    vectors: Tensor = model.keys(encode_ramps(heights))
+    return vectors
+
 
 def compute_loss(
-    model: Descriptor, data: Data, parts: int, place_weight: float, generator: torch.Generator
+    model: Descriptor, data: Data, arguments: argparse.Namespace, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
     """Return the loss of a batch, nats, and the share of queries whose own part is the most similar one."""
-    device = data.keys.device
-    chosen = torch.randperm(len(data), generator=generator, device=device)[:parts]
-    pick = (
-        torch.rand(len(chosen), QUERIES, generator=generator, device=device) * data.query_count[chosen, None]
-    ).long()
-    queries = (data.first_query[chosen, None] + pick).flatten()
-    some = (torch.rand(len(chosen), KEYS, generator=generator, device=device) * data.key_count[chosen, None]).long()
-    near = data.nearest[queries].view(len(chosen), QUERIES * NEAREST)
-    keys = data.first_key[chosen, None] + torch.cat([some, near], dim=1)
+    device, count = data.keys.device, arguments.queries
+    chosen = torch.randperm(len(data), generator=generator, device=device)[: arguments.batch]
+
+    def pick(first: Tensor, counts: Tensor, some: int) -> Tensor:
+        share = torch.rand(len(chosen), some, generator=generator, device=device)
+        return first[chosen, None] + (share * counts[chosen, None]).long()
+
+    queries = pick(data.first_query, data.query_count, count).flatten()
+    features, at_m = show_as_touch(data.queries[queries], generator)
+    near = data.find_nearest(queries, at_m).view(len(chosen), count * NEAREST) + data.first_key[chosen, None]
+    keys = torch.cat([pick(data.first_key, data.key_count, arguments.keys), near], dim=1)
     weight = torch.ones(keys.shape, device=device)
-    weight[:, :KEYS] = data.key_count[chosen, None] / KEYS
-    patches = data.keys[keys.flatten()]
-    zero = torch.zeros(len(patches), device=device)
-    turned = 2 * math.pi * torch.rand(len(patches), generator=generator, device=device)
-    heights = sample_polar(to_heights(patches), turned, torch.stack([zero, zero], dim=1), "bilinear")
-    with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-        code = model.keys(encode_ramps(heights))
-        asked = model.queries(show_as_touch(data.queries[queries], generator))
-    logits = asked.float() @ code.float().T / model.temperature + weight.flatten().log()
+    weight[:, : arguments.keys] = data.key_count[chosen, None] / arguments.keys
+    with torch.autocast(device.type, torch.bfloat16):
+        code = describe_keys(model, data.keys[keys.flatten()], generator)
+        asked = model.queries(features)
+    logits = (asked.float() / model.temperature) @ code.float().T + weight.flatten().log()
     logits = logits.view(len(queries), len(chosen), -1)
-    own = torch.arange(len(queries), device=device) // QUERIES
-    every = torch.logsumexp(logits.flatten(1), dim=1)
+    own = torch.arange(len(queries), device=device) // count
     by_part = torch.logsumexp(logits, dim=2)
     which = torch.arange(len(queries), device=device)
-    loss_part = (every - by_part[which, own]).mean()
-    slot = KEYS + (which % QUERIES)[:, None] * NEAREST + torch.arange(NEAREST, device=device)[None]
+    loss_part = (by_part.logsumexp(dim=1) - by_part[which, own]).mean()
+    slot = arguments.keys + (which % count)[:, None] * NEAREST + torch.arange(NEAREST, device=device)[None]
     positive = torch.logsumexp(torch.gather(logits[which, own], 1, slot), dim=1)
     others = by_part.masked_fill(functional.one_hot(own, len(chosen)).bool(), -torch.inf).logsumexp(dim=1)
     loss_place = (torch.logaddexp(others, positive) - positive).mean()
     first = (by_part.argmax(dim=1) == own).float().mean()
-    return loss_part + place_weight * loss_place, first
+    return loss_part + arguments.place_weight * loss_place, first
 
 
 def train(data: Data, held: Data | None, arguments: argparse.Namespace) -> Descriptor:
     """Train for some minutes and return the model. The learning rate follows a cosine over this time."""
-    device, minutes, settings = data.keys.device, arguments.minutes, (arguments.batch, arguments.place_weight)
+    device = data.keys.device
     torch.manual_seed(arguments.seed)
-    model = Descriptor(arguments.dimensions).to(device)
     generator = torch.Generator(device).manual_seed(arguments.seed)
-    optimiser = torch.optim.AdamW(model.parameters(), lr=2e-3, weight_decay=1e-3)
+    model = Descriptor(arguments.dimensions, arguments.temperature).to(device)
+    if arguments.start is not None:
+        some = data.queries[:: max(1, len(data.queries) // 1000)]
+        model.queries.adopt(load_file(arguments.start, arguments.device), "queries", show_as_touch(some, generator)[0])
+    trained = model.parameters() if arguments.start is None else [*model.queries.parameters(), model.log_temperature]
+    optimiser = torch.optim.AdamW(trained, lr=arguments.rate, weight_decay=1e-3)
     start, step, shown = time.monotonic(), 0, 0.0
-    while (share := (time.monotonic() - start) / (60 * minutes)) < 1:
+    while (share := (time.monotonic() - start) / (60 * arguments.minutes)) < 1:
         for group in optimiser.param_groups:
-            group["lr"] = 2e-3 * min(1.0, step / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
-        loss, first = compute_loss(model, data, *settings, generator)
+            group["lr"] = (
+                arguments.rate * min(1.0, step / WARM_UP) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
+            )
+        loss, first = compute_loss(model, data, arguments, generator)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -311,7 +431,7 @@ def train(data: Data, held: Data | None, arguments: argparse.Namespace) -> Descr
             if held is not None:
                 model.eval()
                 with torch.no_grad():
-                    tried = [compute_loss(model, held, *settings, generator) for _ in range(8)]
+                    tried = [compute_loss(model, held, arguments, generator) for _ in range(8)]
                 model.train()
                 text += f"; held out: loss {np.mean([t[0].item() for t in tried]):.3f}, "
                 text += f"first {np.mean([t[1].item() for t in tried]):.1%}"
@@ -327,7 +447,7 @@ def make_parts(arguments: argparse.Namespace) -> list[dict[str, Tensor]]:
     with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
         for families, count in ((arguments.families, arguments.parts), (others, arguments.held_out)):
             if families and count:
-                tasks = [(name, arguments.meshes) for name in list_names(count, families)]
+                tasks = [(name, arguments.meshes, arguments.start) for name in list_names(count, families)]
                 parts = [part for part in pool.imap(_make_in_worker, tasks, chunksize=2) if part is not None]
                 sets.append(join(parts))
     return sets
@@ -342,6 +462,11 @@ def main() -> None:
     parser.add_argument("--held-out", type=int, default=128, help="parts of other families that show the progress")
     parser.add_argument("--minutes", type=float, default=30)
     parser.add_argument("--batch", type=int, default=PARTS, help="parts per step")
+    parser.add_argument("--queries", type=int, default=QUERIES, help="touches of each part per step")
+    parser.add_argument("--keys", type=int, default=KEYS, help="keys of each part per step")
+    parser.add_argument("--temperature", type=float, default=0.07, help="of the similarities, at the start")
+    parser.add_argument("--rate", type=float, default=2e-3, help="greatest learning rate")
+    parser.add_argument("--start", type=Path, help="weights to start from; only the touches' network is trained")
     parser.add_argument("--dimensions", type=int, default=128)
     parser.add_argument("--place-weight", type=float, default=0.5, help="weight of the nearest places in the loss")
     parser.add_argument("--kept", type=Path, help="file that keeps the parts for the next run")
@@ -361,8 +486,8 @@ def main() -> None:
     device = torch.device(arguments.device)
     held = Data(sets[1], device) if len(sets) > 1 else None
     model = train(Data(sets[0], device), held, arguments)
-    weights = {**model.keys.export("keys"), **model.queries.export("queries")}
-    weights["temperature"] = model.temperature.detach().float().cpu().reshape(1)
+    weights = {"temperature": model.temperature.detach().float().cpu().reshape(1), **model.queries.export("queries")}
+    weights = (model.keys.export("keys") if arguments.start is None else load_file(arguments.start)) | weights
     save_file(weights, arguments.out)
     print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB, {time.monotonic() - start:.0f} s in all")
 

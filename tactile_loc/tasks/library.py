@@ -38,7 +38,7 @@ YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
 COMPARED, PROPOSED, REGISTERED = 60, 300, 30
 # The log-likelihood falls by EXCESS_NATS log(EXCESS_FREE + x) if the best place leaves the bounds of a touch by as much
 # as x pixels of a patch at the full press. Both numbers were fitted to touches of generated and real parts.
-EXCESS_NATS, EXCESS_FREE = 4.0, 0.5
+EXCESS_NATS, EXCESS_FREE = 3.0, 0.5
 SOFTER = 2.0  # factor on the temperature of the training: similarities of wrong places have heavy tails
 
 

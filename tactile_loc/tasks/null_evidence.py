@@ -2,9 +2,9 @@
 
 An unknown object has features in common with objects of the library, such as edges of the same shape. So its touches
 are explained separately, by one object or another, but hardly ever all by one object. Touches keep a misfit even
-separately, because of noise. The excess over it was fitted to simulated touches of parts, which were left out of
-libraries of 3 to 130 parts. The touches were clean, or had mild noise. The size of the library made no measurable
-difference.
+separately, because of noise. The noisier they are, the more do they lack together, even on the touched object. This was
+fitted to simulated touches of parts, which were left out of libraries of 3 to 300 parts. The touches were clean, or had
+mild noise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()  # tried in the fit, n
 LEAST = 1e-3  # least probability of the true object in the fit, so that no single touch decides
 # values of `NullEvidence` that are tried in the fit
 TRIED: dict[str, list[float]] = {
-    "gap": np.geomspace(0.5, 12, 20).round(2).tolist(), "blur": np.geomspace(0.2, 4, 12).round(2).tolist(),
+    "gap": np.geomspace(0.5, 12, 20).round(2).tolist(), "growth": [0.0, 0.05, 0.1, 0.15, 0.2],
+    "blur": np.geomspace(0.2, 4, 12).round(2).tolist(),
     "noise": np.arange(3.0, 13.0).tolist(), "chance": [0.6, 0.7, 0.8, 0.85, 0.9, 0.95],
     "again": np.linspace(0.05, 0.8, 16).round(2).tolist(), "missed": [0.01, 0.02, 0.03, 0.05, 0.1],
 }  # fmt: skip
@@ -37,7 +38,8 @@ class NullEvidence:
 
     An object becomes e times as probable as another one if its misfit decreases by `temperature`. The *excess* is the
     misfit of the best object beyond the floors of the touches, of which each counts at most `noise`. A floor is the
-    misfit that a touch keeps even if it is explained separately, because of its noise.
+    misfit that a touch keeps even if it is explained separately, because of its noise. As noise also causes an excess,
+    this is divided by 1 + `growth` times the floors.
 
     Before any touch, an object is unknown with the probability `prior`. An unknown object is mostly betrayed by an
     excess above `gap`; this limit is blurred by `blur`. But the share `chance` of unknown objects is not betrayed by
@@ -47,22 +49,25 @@ class NullEvidence:
     """
 
     prior: float = 0.2
-    gap: float = 3.7
-    blur: float = 0.7
+    gap: float = 1.9
+    growth: float = 0.1
+    blur: float = 0.41
     noise: float = 8.0
-    chance: float = 0.9
-    again: float = 0.35
-    missed: float = 0.01
+    chance: float = 0.89
+    again: float = 0.3
+    missed: float = 0.02
     temperature: float = 0.82
 
     def __post_init__(self) -> None:
         shares = (self.prior, self.chance, self.again, self.missed)
-        if not (min(self.gap, self.blur, self.noise, self.temperature) > 0 and min(shares) > 0 and max(shares) < 1):
+        positive = min(self.gap, self.blur, self.noise, self.temperature) > 0 and self.growth >= 0
+        if not (positive and min(shares) > 0 and max(shares) < 1):
             raise ConfigError(f"{self} cannot weigh objects; give nats above 0, and shares between 0 and 1")
 
     def measure_excess(self, misfits: Float64, floors: Float64) -> float:
         """Return the excess, nats, of the best of K objects with `misfits` (K,) over the `floors` (N,) of N touches."""
-        return max(0.0, float(misfits.min() - np.minimum(floors, self.noise).sum()))
+        noise = float(np.minimum(floors, self.noise).sum())
+        return max(0.0, float(misfits.min()) - noise) / (1 + self.growth * noise)
 
     def compute_none(self, excess: Float64 | float, touches: NDArray[np.int64] | int) -> Float64:
         """Return the probabilities (...) of "none of these" for excesses (...), nats, after `touches` (...) touches."""

@@ -20,21 +20,27 @@ from tactile_loc.core.sensing.touch import Touch
 Float32 = NDArray[np.float32]
 
 WEIGHTS = "descriptor.safetensors"
+PLACES = "keys"  # the name of the network of places in the weights
 STEPS = 127  # of a vector's component from 0 to 1, if it is stored as a whole number
 AT_ONCE = 256  # places that are described together
 SHARPEST = 0.01  # least temperature of the training
 
 
 class Descriptor:
-    """Computes vectors of places and touches from trained weights, the content of a safetensors file."""
+    """Computes vectors of places and touches from trained weights, the content of a safetensors file.
+
+    `digest` identifies the network of places, so stored vectors of places stay valid if only that of touches changes.
+    """
 
     def __init__(self, content: bytes) -> None:
         from safetensors.numpy import load
 
-        weights = {name: array.astype(np.float32) for name, array in load(content).items()}
-        self._places, self._touches = Tower(weights, "keys"), Tower(weights, "queries")
+        stored = load(content)
+        weights = {name: array.astype(np.float32) for name, array in stored.items()}
+        self._places, self._touches = Tower(weights, PLACES), Tower(weights, "queries")
         self.temperature = max(SHARPEST, float(weights["temperature"][0]))
-        self.digest = hashlib.sha256(content).hexdigest()
+        places = (name.encode() + stored[name].tobytes() for name in sorted(stored) if name.startswith(PLACES))
+        self.digest = hashlib.sha256(b"".join(places)).hexdigest()
 
     @property
     def dimensions(self) -> int:

@@ -6,8 +6,9 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from safetensors.numpy import load, save
 
-from tactile_loc.core.descriptor.descriptor import WEIGHTS, load_descriptor
+from tactile_loc.core.descriptor.descriptor import WEIGHTS, Descriptor, load_descriptor
 from tactile_loc.core.descriptor.features import ANGLES, RAMPS_M, encode_places, encode_touch
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
@@ -29,9 +30,9 @@ def places() -> dict[str, Places]:
 
 def test_networks_compute_what_torch_computes(places: dict[str, Places]) -> None:
     torch = pytest.importorskip("torch")
-    from safetensors.torch import load
+    from safetensors.torch import load as load_tensors
 
-    weights = {k: v.float() for k, v in load((files("tactile_loc.data") / WEIGHTS).read_bytes()).items()}
+    weights = {k: v.float() for k, v in load_tensors((files("tactile_loc.data") / WEIGHTS).read_bytes()).items()}
     patches = places["hook"].patches[:50]
     x = torch.from_numpy(encode_places(patches)).transpose(1, 2)
     for k, stride in enumerate((1, 2, 2)):
@@ -41,6 +42,15 @@ def test_networks_compute_what_torch_computes(places: dict[str, Places]) -> None
     vectors = pooled @ weights["keys.out.weight"].T + weights["keys.out.bias"]
     expected = torch.nn.functional.normalize(vectors, dim=1).numpy()
     np.testing.assert_allclose(load_descriptor().describe_places(patches), expected, atol=1e-5)
+
+
+def test_digest_identifies_only_the_network_of_places() -> None:
+    weights = load(content := (files("tactile_loc.data") / WEIGHTS).read_bytes())
+    own = Descriptor(content).digest
+    touches = {name: array + array.dtype.type(name == "queries.0.bias") for name, array in weights.items()}
+    places = {name: array + array.dtype.type(name == "keys.0.bias") for name, array in weights.items()}
+    assert Descriptor(save(touches)).digest == own == load_descriptor().digest
+    assert Descriptor(save(places)).digest != own
 
 
 def test_a_quarter_turn_hardly_changes_the_vector(places: dict[str, Places]) -> None:
