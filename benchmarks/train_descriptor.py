@@ -35,6 +35,7 @@ from tactile_loc.core.descriptor.features import ANGLES, RADII_M, RAMPS_M
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Places
+from tactile_loc.core.simulation.noise import FAINTEST, NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.meshes import load_object
 
@@ -47,6 +48,7 @@ PARTS, QUERIES, KEYS = 384, 2, 48  # per step: parts, queries of each part, and 
 EPS = 1e-12
 ELASTIC, NOISY = 0.25, 0.7  # shares of the touches
 WARM_UP = 50  # steps
+STRONG = NOISE["strong"]  # the noise of a strength of 1
 MOST_MISSING = 2  # discs of missed contact
 FARTHEST_ANCHOR_M = 5e-3
 
@@ -282,7 +284,7 @@ def add_noise(
 ) -> tuple[Tensor, Tensor]:
     """Return noisy depths (B, S, S) of heights pressed by (B,), and measured presses (B,), metres.
 
-    The kinds of noise are those of `TouchNoise`, with a `strength` (B,) from 0, none, to 1, about "strong".
+    The kinds of noise are those of `TouchNoise`, with a `strength` (B,) from 0, none, to 1, about that of STRONG.
     """
     count, device = len(height_m), height_m.device
 
@@ -292,33 +294,34 @@ def add_noise(
     wide = (slice(None), None, None)
     press, strength, noisy = press_m[wide], strength[wide], (strength > 0)[wide]
     imprint = (press - height_m).clamp(min=0)
-    imprint = torch.lerp(imprint, blur(imprint, 0.6), strength)
-    least = 5e-5 + 1.5e-4 * strength * draw_field(count, 2, device, generator)
-    contact = imprint > torch.where(noisy, least.clamp(min=1e-5), 0)
-    drift = 1e-4 * strength * draw_field(count, 10, device, generator)
+    imprint = torch.lerp(imprint, blur(imprint, STRONG.smoothing_m / PITCH_M), strength)
+    least = STRONG.least_m + STRONG.edge_m * strength * draw_field(count, STRONG.edge_patch_m, device, generator)
+    contact = imprint > torch.where(noisy, least.clamp(min=FAINTEST * STRONG.least_m), 0)
+    drift = STRONG.drift_m * strength * draw_field(count, STRONG.drift_patch_m, device, generator)
     depth = torch.where(contact, (press - imprint + drift).clamp(min=0).minimum(press * (1 - 1e-6)), press)
     y, x = gel.list_pixels()
     for _ in range(MOST_MISSING):
         pixel = (contact * draw(PATCH_PX, PATCH_PX)).flatten(1).argmax(dim=1, keepdim=True)
-        radius = 2.5e-3 * (0.4 + 0.6 * strength) * (0.3 + 0.7 * draw(1, 1))
+        radius = STRONG.patch_m * (0.4 + 0.6 * strength) * (0.3 + 0.7 * draw(1, 1))
         near = (x - x.flatten()[pixel][..., None]).hypot(y - y.flatten()[pixel][..., None]) < radius
         depth = torch.where(near & (draw(1, 1) < 0.6 * strength), press, depth)
     at = PITCH_M * PATCH_PX * (draw(2, 1, 1) - 0.5)
-    radius = 2.5e-3 * (0.4 + 0.6 * strength) * (0.2 + 0.5 * draw(1, 1))
+    radius = STRONG.patch_m * (0.4 + 0.6 * strength) * (0.2 + 0.5 * draw(1, 1))
     near = (x - at[:, 0]).hypot(y - at[:, 1]) < radius
     false = press * (0.5 + 0.4 * draw(1, 1))
     depth = torch.where(near & (draw(1, 1) < 0.6 * strength), depth.minimum(false), depth)
-    depth = torch.where(gel.mark_border(x, y, 2e-3 * strength * draw(1, 1), draw(1, 1) < 0.5), press, depth)
-    factor = 1 + 0.08 * strength * torch.randn(count, 1, 1, generator=generator, device=device)
+    depth = torch.where(gel.mark_border(x, y, STRONG.border_m * strength * draw(1, 1), draw(1, 1) < 0.5), press, depth)
+    factor = 1 + STRONG.press_error * strength * torch.randn(count, 1, 1, generator=generator, device=device)
     measured = press * factor.clamp(min=0.5)
     return torch.where(depth < press.minimum(measured), depth, measured), measured[:, 0, 0]
 
 
-def draw_field(count: int, sigma_px: float, device: torch.device, generator: torch.Generator) -> Tensor:
-    """Draw smooth random images (count, S, S) with the mean 0 and the variance 1, unitless."""
+def draw_field(count: int, patch_m: float, device: torch.device, generator: torch.Generator) -> Tensor:
+    """Draw random images (count, S, S), smooth over `patch_m` metres, with the mean 0 and the variance 1, unitless."""
+    step = patch_m / PITCH_M
     at = torch.arange(PATCH_PX, device=device)[:, None]
-    lattice = torch.arange(-3 * sigma_px, PATCH_PX + 3 * sigma_px, sigma_px, device=device)[None]
-    weights = functional.normalize(torch.exp(-0.5 * ((at - lattice) / sigma_px) ** 2), dim=1)
+    lattice = torch.arange(-3 * step, PATCH_PX + 3 * step, step, device=device)[None]
+    weights = functional.normalize(torch.exp(-0.5 * ((at - lattice) / step) ** 2), dim=1)
     white = torch.randn(count, lattice.shape[1], lattice.shape[1], generator=generator, device=device)
     return weights @ white @ weights.T
 
