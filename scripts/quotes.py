@@ -193,7 +193,8 @@ QUOTES: dict[str, dict[str, Values]] = {
     },
     "docs/identify.md": {
         "A floor counts at most {} nats": lambda r: [NullEvidence().noise],
-        "If it is above {} nats, an unknown object": lambda r: [NullEvidence().gap],
+        "divided by 1 + {} times the floors": lambda r: [NullEvidence().growth],
+        "If the result is above {} nats": lambda r: [NullEvidence().gap],
         "explained by chance: {} % after one touch, and {} % of these":
             lambda r: [100 * NullEvidence().chance, 100 * NullEvidence().again],
         "unknown with a probability of {} %": lambda r: [100 * NullEvidence().prior],

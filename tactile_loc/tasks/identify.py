@@ -45,7 +45,7 @@ Float64 = NDArray[np.float64]
 # The objects that are examined, and those of them that are searched roughly. The true object may be less likely than
 # the likeliest one by as many nats. About 95 of 100 clean and noisy examples of two touches are nearer. More touches
 # differ by more nats. Of many objects, the share EXAMINED_SHARE is examined, because more of them have better votes.
-EXAMINED, LOOKED_INTO = Shortlist(8.0), Shortlist(5.0)
+EXAMINED, LOOKED_INTO = Shortlist(8.0), Shortlist(6.5)
 EXAMINED_SHARE = 0.04
 # The objects that are located: their mean imprint IoUs in the rough search are at most 0.2 below the greatest one.
 # In 107 clean and noisy examples, the others among the best eight had 0.2 % of the probability.
