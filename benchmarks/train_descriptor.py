@@ -472,7 +472,7 @@ def main() -> None:
     parser.add_argument("--start", type=Path, help="weights to start from; only the touches' network is trained")
     parser.add_argument("--dimensions", type=int, default=128)
     parser.add_argument("--place-weight", type=float, default=0.5, help="weight of the nearest places in the loss")
-    parser.add_argument("--kept", type=Path, help="file that keeps the parts for the next run")
+    parser.add_argument("--kept", type=Path, help="file that keeps the parts for the next run with the same --start")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
@@ -485,6 +485,8 @@ def main() -> None:
             torch.save(sets, arguments.kept)
     else:
         sets = torch.load(arguments.kept)
+    if (sets[0]["keys"].dtype == torch.int8) != (arguments.start is not None):
+        parser.error(f"{arguments.kept} was made with another choice of --start; name another file")
     print(f"{len(sets[0]['keys'])} keys, made in {time.monotonic() - start:.0f} s", flush=True)
     device = torch.device(arguments.device)
     held = Data(sets[1], device) if len(sets) > 1 else None

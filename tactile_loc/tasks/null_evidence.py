@@ -2,9 +2,8 @@
 
 An unknown object has features in common with objects of the library, such as edges of the same shape. So its touches
 are explained separately, by one object or another, but hardly ever all by one object. Touches keep a misfit even
-separately, because of noise. The noisier they are, the more do they lack together, even on the touched object. This was
-fitted to simulated touches of parts, which were left out of libraries of 3 to 300 parts. The touches were clean, or had
-mild noise.
+separately, because of noise. Noisier touches also lack more together, even on the touched object. This was fitted to
+simulated touches of parts, which were left out of libraries of 3 to 300 parts. The touches were clean or mildly noisy.
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ class NullEvidence:
     Before any touch, an object is unknown with the probability `prior`. An unknown object is mostly betrayed by an
     excess above `gap`; this limit is blurred by `blur`. But the share `chance` of unknown objects is not betrayed by
     one touch, and the share `again` of them is not by each further touch. The share `missed` of known objects has such
-    an excess as well, because the search misses them. Nats are positive; shares and `prior` lie between 0 and 1.
-    Otherwise, ConfigError is raised.
+    an excess as well, because the search misses them. Nats are positive, and `growth` is not negative;
+    shares and `prior` lie between 0 and 1. Otherwise, ConfigError is raised.
     """
 
     prior: float = 0.2
@@ -62,10 +61,15 @@ class NullEvidence:
         shares = (self.prior, self.chance, self.again, self.missed)
         positive = min(self.gap, self.blur, self.noise, self.temperature) > 0 and self.growth >= 0
         if not (positive and min(shares) > 0 and max(shares) < 1):
-            raise ConfigError(f"{self} cannot weigh objects; give nats above 0, and shares between 0 and 1")
+            raise ConfigError(
+                f"{self} cannot weigh objects; give nats above 0, growth >= 0, and shares between 0 and 1"
+            )
 
     def measure_excess(self, misfits: Float64, floors: Float64) -> float:
-        """Return the excess, nats, of the best of K objects with `misfits` (K,) over the `floors` (N,) of N touches."""
+        """Return the excess, nats, of the best of K objects with `misfits` (K,) over the `floors` (N,) of N touches.
+
+        It is divided because of noise: see `growth`.
+        """
         noise = float(np.minimum(floors, self.noise).sum())
         return max(0.0, float(misfits.min()) - noise) / (1 + self.growth * noise)
 
