@@ -25,7 +25,7 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -133,7 +133,7 @@ def measure_object(library: Library, name: str, touches: list[Touch]) -> dict[st
     row: dict[str, Any] = {
         "object": name, "touches": len(touches), "seconds": time.perf_counter() - start, "likenesses": like,
         "alike": {one.name: one.alike for one in said.objects},
-        "rough_ious": {one.name: one.rough_iou for one in said.objects},
+        "rough_misfits": {one.name: one.rough_misfit for one in said.objects},
         "misfits": {one.name: one.misfit for one in located},
         "imprint_ious": {one.name: one.found.best.imprint_iou for one in located if one.found is not None},
         "floors": {KNOWN: list(said.floors)},
@@ -160,8 +160,8 @@ def list_located(row: dict[str, Any], situation: str) -> list[str]:
     """Return the names of the objects that `identify` locates in one of the SITUATIONS, by their rough fit."""
     out = {KNOWN: set(), LIKENESS: {row["object"]}, UNKNOWN: {row["object"], *row["likenesses"]}}[situation]
     others = [name for name in row["alike"] if name not in out]
-    others.sort(key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))
-    return [others[k] for k in LOCATED.choose(np.array([row["rough_ious"][name] for name in others]))]
+    others.sort(key=lambda name: (row["rough_misfits"][name], -row["alike"][name]))
+    return [others[k] for k in LOCATED.choose(np.array([-row["rough_misfits"][name] for name in others]))]
 
 
 def answer(row: dict[str, Any], situation: str) -> tuple[list[str], KnownAnswer]:
@@ -178,9 +178,9 @@ def is_called_certain(row: dict[str, Any], names: list[str], p: NDArray[np.float
     return judge_pose(p[first], row.get("imprint_ious", {}).get(names[first], np.nan), none) == Verdict.CERTAIN
 
 
-def is_own_first(row: dict[str, Any], key: str) -> bool:
-    """Return whether an example's own object has the highest value of `key`."""
-    return bool(row[key][row["object"]] == max(row[key].values()))
+def is_own_first(row: dict[str, Any], key: str, best: Callable[[Iterable[float]], float]) -> bool:
+    """Return whether an example's own object has the `best` value of `key`: the greatest or the least."""
+    return bool(row[key][row["object"]] == best(row[key].values()))
 
 
 class Judged(NamedTuple):
@@ -224,8 +224,8 @@ def summarise(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str,
         (one.row["object"], one.first if one.p.max() > one.none else "none") for one in known if not one.right
     )  # fmt: skip
     return {
-        "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike") for row in rows]),
-        "looked_into": np.mean([is_own_first(row, "rough_ious") for row in rows]),
+        "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike", max) for row in rows]),
+        "looked_into": np.mean([is_own_first(row, "rough_misfits", min) for row in rows]),
         "located": np.mean([one.truth >= 0 for one in known]),
         "first": np.mean([one.first == one.row["object"] for one in known]),
         "inseparable": np.mean([one.truth >= 0 and one.p[one.truth] >= AS_PROBABLE * one.p.max() for one in known]),

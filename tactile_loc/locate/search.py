@@ -38,7 +38,7 @@ from tactile_loc.locate.expected_poses import (
     keep_expected,
 )
 from tactile_loc.locate.gaps import estimate_gaps
-from tactile_loc.locate.hypotheses import compute_imprint_ious, keep_apart
+from tactile_loc.locate.hypotheses import compare_where_seen, compute_imprint_ious, keep_apart
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
@@ -49,6 +49,7 @@ FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 ROUGH_CELL_M = 1e-3  # side of a cell of the surface's field in a rough search
+ROUGHLY_COMPARED = 8  # poses of a rough search that are compared in full
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
 WIDE_SHARE = 1 / 3  # share of `registered_together` that is registered of each further batch of poses
@@ -403,15 +404,19 @@ def _register_in_batches(views: Sequence[View], search: PlaceSearch, poses: Pose
     return registered, ious
 
 
-def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
-    """Return the best mean imprint IoU, 0 to 1, of several touches with any of the poses (K, 4, 4), metres.
+def fit_roughly(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> tuple[float, float]:
+    """Return the evidence, nats, of several touches for the best of the poses (K, 4, 4), metres, and its imprint IoU.
 
     Only the `count` poses whose surface is nearest to the touches are registered roughly and rendered coarsely. The
-    field of the surface has larger cells, because its building takes longest.
+    field of the surface has larger cells, because its building takes longest. The ROUGHLY_COMPARED poses with the
+    greatest imprint IoUs are then compared in full. The imprint IoU, 0 to 1, is the mean over the touches.
     """
     nearest = _keep_nearest(views, search, poses, 0, count, ROUGH_CELL_M)
-    _, ious = _register(views, search, nearest, cell_m=ROUGH_CELL_M)
-    return float(ious.mean(axis=1).max())
+    registered, coarse = _register(views, search, nearest, cell_m=ROUGH_CELL_M)
+    some = np.argsort(-coarse.mean(axis=1), kind="stable")[:ROUGHLY_COMPARED]
+    ious, evidence = compare_where_seen(views, registered[some])
+    best = int(evidence.sum(axis=1).argmax())
+    return float(evidence[best].sum()), float(ious[best].mean())
 
 
 def _keep_nearest(

@@ -1,8 +1,9 @@
 """Identification: which of several objects, if any, was touched, and where it is.
 
-A quick comparison ranks all objects. The best objects are searched roughly, and the best of these are located, each
-from all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its best pose lacks to explain all
-touches fully. The misfit does not depend on how much of the object is touched.
+A quick comparison ranks all objects. The best objects are searched roughly, and so are objects of the same size as the
+best of these. Otherwise, an object may seem to be the touched one only because its mirror image was left out. Then the
+best objects are located, each from all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its
+best pose lacks to explain all touches fully. The misfit does not depend on how much of the object is touched.
 
 To find the misfits, objects are located with TYPICAL scalings of probabilities. They hardly affect the poses, and need
 no fit to the object, which takes seconds. Only the objects that are probable in the end are located with their own.
@@ -26,16 +27,14 @@ from numpy.typing import NDArray
 from tactile_loc.core.compiled import map_in_threads
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
-from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.common_poses import require_sensor_poses
-from tactile_loc.core.slots.scene import IOU_PX
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, judge
-from tactile_loc.tasks.library import Comparison, Library
+from tactile_loc.tasks.library import Comparison, Examined, Library, RoughFit, compute_full_evidence
 from tactile_loc.tasks.null_evidence import NullEvidence
 from tactile_loc.tasks.pose_modes import PoseModes, join_modes
 from tactile_loc.tasks.shortlist import Shortlist
@@ -47,9 +46,11 @@ Float64 = NDArray[np.float64]
 # differ by more nats. Of many objects, the share EXAMINED_SHARE is examined, because more of them have better votes.
 EXAMINED, LOOKED_INTO = Shortlist(8.0), Shortlist(6.5)
 EXAMINED_SHARE = 0.04
-# The objects that are located: their mean imprint IoUs in the rough search are at most 0.2 below the greatest one.
-# In 107 clean and noisy examples, the others among the best eight had 0.2 % of the probability.
-LOCATED = Shortlist(0.2, least=4, most=8)
+# The objects that are located: their misfits in the rough search are at most as many nats above the least one. That of
+# the touched object was at most 4 nats above it in 95 % of the noisy examples, and hardly ever in clean ones.
+LOCATED = Shortlist(5.0, least=4, most=12)
+UNSEARCHED = RoughFit(np.inf, 0.0)
+SAME_SIZE = 16  # most objects that are searched roughly because they have the size of a better one
 LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
 # The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.
 TYPICAL = Scalings(TemperatureScaling(0.021, 0.4, (-6.4, 7.8)), FusedScaling(0.4, (-2.0, 2.3)))
@@ -64,13 +65,13 @@ class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
     `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison, or an
-    upper bound of it if the object is too improbable to be examined.
-    `rough_iou`, 0 to 1, is the best mean imprint IoU in the rough search; 0 if the object was not searched. `found` is
-    the result of locating the object; None if this was not tried or failed. `misfit`, nats, is the evidence that the
-    best pose lacks to explain the touches fully; infinite without a pose. `apart` (N,), nats, are the least misfits of
-    each touch over all poses in `found`. `probability`, 0 to 1, is the probability
-    that this object was touched. If the object is improbable, `fitted` is False: the probabilities of the poses in
-    `found` come from TYPICAL scalings, not from a fit to this object. They are rough, and files leave them out.
+    upper bound of it if the object is too improbable to be examined. `rough_misfit`, nats, is the least misfit in the
+    rough search, and `rough_iou`, 0 to 1, is the mean imprint IoU of that pose. They are infinite and 0 if the object
+    was not searched. `found` is the result of locating the object; None if this was not tried or failed. `misfit`,
+    nats, is the evidence that the best pose lacks to explain the touches fully; infinite without a pose. `apart` (N,),
+    nats, are the least misfits of each touch over all poses in `found`. `probability`, 0 to 1, is the probability that
+    this object was touched. If the object is improbable, `fitted` is False: the probabilities of the poses in `found`
+    come from TYPICAL scalings, not from a fit to this object. They are rough, and files leave them out.
     """
 
     name: str
@@ -81,6 +82,7 @@ class KnownObject:
     found: Localization | None
     fitted: bool = True
     apart: tuple[float, ...] = ()
+    rough_misfit: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,7 @@ def identify(
 
     If there are several touches, each needs `T_base_sensor` (4, 4), metres. The most similar objects are searched
     roughly, and those that then explain the touches nearly as well as the best one are located, at most `located`. A
-    `Shortlist` chooses them by their mean imprint IoUs in the rough search. The probabilities of poses are fitted only
+    `Shortlist` chooses them by their misfits, nats, in the rough search. The probabilities of poses are fitted only
     to objects with a probability of at least LEAST_REPORTED. "None of these" is weighed by `null`: see `NullEvidence`.
     The order of the models does not matter. Raises TactileLocError for touches of another sensor, several touches
     without sensor poses, models that share a name, or no models.
@@ -151,9 +153,11 @@ def identify(
     examined, looked_into = choose_shortlists(len(touches), len(library))
     comparison = library.compare(touches, examined)
     alike = comparison.alike
-    rough = _look_into(library, comparison, examined, looked_into)
-    order = np.lexsort((-alike, -rough))
-    chosen = order[located.choose(rough[order])]
+    rough = _look_into(library, comparison, examined, looked_into, located)
+    fits = [rough.get(k, UNSEARCHED) for k in range(len(library))]
+    misfits = np.array([fit.misfit for fit in fits])
+    order = np.lexsort((-alike, misfits))
+    chosen = order[located.choose(-misfits[order])]
     tried = _Tried(library, touches)
     with library.progress.task("locating objects", len(chosen)) as advance:
         for _ in map_in_threads(partial(tried.locate, fitted=False), map(int, chosen)):
@@ -166,12 +170,12 @@ def identify(
         p, none = null.probabilities(tried.misfits, floors)
     objects = [
         KnownObject(
-            name, float(p[k]), float(alike[k]), float(rough[k]), float(tried.misfits[k]), tried.found.get(k),
-            k not in tried.unfitted, tuple(tried.apart[k].tolist()) if k in tried.apart else (),
+            name, float(p[k]), float(alike[k]), fits[k].iou, float(tried.misfits[k]), tried.found.get(k),
+            k not in tried.unfitted, tuple(tried.apart[k].tolist()) if k in tried.apart else (), fits[k].misfit,
         )
         for k, name in enumerate(library.names)
     ]  # fmt: skip
-    return Identification(tuple(objects[k] for k in np.lexsort((-alike, -rough, -p))), none, tuple(floors.tolist()))
+    return Identification(tuple(objects[k] for k in np.lexsort((-alike, misfits, -p))), none, tuple(floors.tolist()))
 
 
 class _Tried:
@@ -221,7 +225,7 @@ def find_floors(library: Library, touches: Sequence[Touch], apart: Mapping[int, 
 def _find_floor(library: Library, touches: Sequence[Touch], apart: Mapping[int, Float64], number: int) -> float:
     """Return the floor of one of the touches: see `find_floors`."""
     if not apart:
-        return _compute_full_evidence(touches[number])
+        return compute_full_evidence(touches[number])
     order = sorted(apart, key=lambda k: apart[k][number])
     floor = float(apart[order[0]][number])
     for k in order[:ALONE] if len(touches) > 1 else ():
@@ -247,7 +251,7 @@ def compare_fully(model: Localizer, found: Localization) -> Float64:
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     seen = None if len(views) == 1 else find_seen_poses(views, [h.refined for h in found.hypotheses])
     evidence = compare_where_seen(views, poses, seen)[1]
-    fully, left_out = (np.array([_compute_full_evidence(t) for t in some]) for some in (found.touches, found.left_out))
+    fully, left_out = (np.array([compute_full_evidence(t) for t in some]) for some in (found.touches, found.left_out))
     return np.concatenate([fully - evidence, np.broadcast_to(left_out, (len(poses), len(left_out)))], axis=1)
 
 
@@ -265,23 +269,45 @@ def choose_shortlists(touches: int, objects: int) -> tuple[Shortlist, Shortlist]
     )
 
 
-def _look_into(library: Library, comparison: Comparison, examined: Shortlist, looked_into: Shortlist) -> Float64:
-    """Search likely objects roughly; return the mean imprint IoUs (K,) of all objects, 0 for those not searched.
+def _look_into(
+    library: Library, comparison: Comparison, examined: Shortlist, looked_into: Shortlist, located: Shortlist
+) -> dict[int, RoughFit]:
+    """Search likely objects roughly; return their fits by number.
 
-    The votes choose the objects that are `examined`, and the examination chooses those that are `looked_into`.
+    The votes choose the objects that are `examined`, and the examination chooses those that are `looked_into`. Objects
+    of the same size as those that are best for being `located` are examined and searched, too.
     """
     chosen = examined.choose(comparison.nats)
-    with library.progress.task("examining objects", len(chosen)) as advance:
-        found = []
-        for one in map_in_threads(partial(library.examine, comparison=comparison), chosen):
+    found = _examine(library, comparison, chosen)
+    searched = looked_into.choose(np.array([one.nats for one in found]))
+    rough = _search_roughly(library, comparison, {chosen[n]: found[n] for n in searched})
+    tried = list(rough)
+    best = [tried[n] for n in located.choose(np.array([-rough[k].misfit for k in tried]))]
+    others = [k for k in library.find_same_size(best) if k not in rough]
+    others = sorted(others, key=lambda k: -comparison.nats[k])[:SAME_SIZE]
+    if others:
+        examinations = _examine(library, comparison, others)
+        rough |= _search_roughly(library, comparison, dict(zip(others, examinations, strict=True)))
+    return rough
+
+
+def _examine(library: Library, comparison: Comparison, some: Sequence[int]) -> list[Examined]:
+    """Examine some objects, in their order."""
+    found = []
+    with library.progress.task("examining objects", len(some)) as advance:
+        for one in map_in_threads(partial(library.examine, comparison=comparison), some):
             found.append(one)
             advance(1)
-    searched = looked_into.choose(np.array([one.nats for one in found]))
-    rough = np.zeros(len(library))
-    with library.progress.task("looking into objects", len(searched)) as advance:
-        ious = map_in_threads(lambda n: library.look_into(chosen[n], comparison, found[n]), searched)
-        for n, iou in zip(searched, ious, strict=True):
-            rough[chosen[n]] = iou
+    return found
+
+
+def _search_roughly(library: Library, comparison: Comparison, some: Mapping[int, Examined]) -> dict[int, RoughFit]:
+    """Return the rough fits of examined objects, by number."""
+    rough = {}
+    with library.progress.task("looking into objects", len(some)) as advance:
+        fits = map_in_threads(lambda k: library.look_into(k, comparison, some[k]), list(some))
+        for k, fit in zip(some, fits, strict=True):
+            rough[k] = fit
             advance(1)
     return rough
 
@@ -299,11 +325,3 @@ def _locate(model: Localizer, touches: Sequence[Touch], scalings: Scalings | Non
         raise
     except TactileLocError:
         return None
-
-
-def _compute_full_evidence(touch: Touch) -> float:
-    """Return the evidence, nats, of a pose whose contact is exactly the touch's contact."""
-    geometry, shape = touch.thin(IOU_PX)
-    seen = shape.depth_m
-    fully = compare_imprints(seen[None], seen, shape.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
-    return float(fully.evidence[0])

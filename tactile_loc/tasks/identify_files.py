@@ -47,6 +47,9 @@ class KnownObjectRecord(Record):
     probability: float = Field(description="that the touches are of this object, 0 to 1")
     alike: float = Field(description="mean similarity of the touches and its places, at most 1; higher is more similar")
     rough_iou: float = Field(description="mean imprint IoU of a rough search, 0 to 1; 0 without a search")
+    rough_misfit_nats: float | None = Field(
+        default=None, description="the evidence that the best pose of this search lacks; null: it was not searched"
+    )
     misfit_nats: float | None = Field(
         validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # its former name
         description="the evidence that its best pose lacks to explain the touches fully; null: it was not located",
@@ -122,6 +125,7 @@ def make_identification_record(
         objects=[
             KnownObjectRecord(
                 name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,
+                rough_misfit_nats=one.rough_misfit if np.isfinite(one.rough_misfit) else None,
                 misfit_nats=one.misfit if np.isfinite(one.misfit) else None,
                 poses=[
                     PoseRecord(

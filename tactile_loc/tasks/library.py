@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from typing import cast
+from functools import cached_property, partial
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.scene import IOU_PX
 from tactile_loc.locate.localizer import Localizer, make_view
-from tactile_loc.locate.search import PlaceSearch, TouchBounds, bound_touch, compute_rough_iou
+from tactile_loc.locate.search import PlaceSearch, TouchBounds, bound_touch, fit_roughly
 from tactile_loc.tasks.library_parts import GivenParts, Parts, open_search
 from tactile_loc.tasks.shortlist import Shortlist
 from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_alone, rate_object
@@ -39,6 +41,7 @@ COMPARED, PROPOSED, REGISTERED = 60, 300, 30
 # The log-likelihood falls by EXCESS_NATS log(EXCESS_FREE + x) if the best place leaves the bounds of a touch by as much
 # as x pixels of a patch at the full press. Both numbers were fitted to touches of generated and real parts.
 EXCESS_NATS, EXCESS_FREE = 3.0, 0.5
+SAME_SIZE_M = 1e-4  # parts whose boxes differ less may resemble each other: mirror images, or parts with a hole more
 SOFTER = 2.0  # factor on the temperature of the training: similarities of wrong places have heavy tails
 
 
@@ -64,6 +67,11 @@ class Comparison:
         """
         return self.nats * self.temperature / len(self.touches)
 
+    @cached_property
+    def full_evidence(self) -> float:
+        """The evidence of all touches, nats, for a pose that explains them fully."""
+        return sum(map(compute_full_evidence, self.touches))
+
 
 @dataclass(frozen=True, eq=False)
 class Examined:
@@ -74,6 +82,16 @@ class Examined:
 
     poses: tuple[Poses, ...]
     nats: float
+
+
+class RoughFit(NamedTuple):
+    """How well the best pose of a rough search explains the touches.
+
+    `misfit`, nats, is the evidence that it lacks to explain them fully. `iou`, 0 to 1, is its mean imprint IoU.
+    """
+
+    misfit: float
+    iou: float
 
 
 class Library:
@@ -109,6 +127,13 @@ class Library:
             yield model
         finally:
             self._kept.keep((k, WHOLE), model)
+
+    def find_same_size(self, some: Sequence[int]) -> list[int]:
+        """Return the other objects whose boxes are as large as that of one of `some`, in any order of the axes."""
+        sizes_m = np.sort(self.models.extents_m, axis=1)
+        apart_m = np.abs(sizes_m[:, None] - sizes_m[list(some)]).max(axis=2).min(axis=1)
+        same = np.flatnonzero(apart_m < SAME_SIZE_M)
+        return same[~np.isin(same, some)].tolist()
 
     def search(self, k: int) -> PlaceSearch:
         """Return the search of object k. Its places are read from the store, or found if they are not stored."""
@@ -151,19 +176,28 @@ class Library:
             nats -= EXCESS_NATS * np.log(EXCESS_FREE + excess.min() / touch.press_depth_m**2)
         return Examined(tuple(poses), nats)
 
-    def look_into(self, k: int, comparison: Comparison, examined: Examined) -> float:
-        """Search object k roughly, starting from the examined poses; return the best mean imprint IoU, 0 to 1."""
+    def look_into(self, k: int, comparison: Comparison, examined: Examined) -> RoughFit:
+        """Search object k roughly, starting from the examined poses."""
         with self.use(k) as model:
             first, *_ = touches = comparison.touches
             views = [make_view(first, model, touch) for touch in touches]
             poses = [invert(view.T_sensor_first) @ some for view, some in zip(views, examined.poses, strict=True)]
-            return compute_rough_iou(views, open_search(model), np.concatenate(poses), REGISTERED)
+            evidence, iou = fit_roughly(views, open_search(model), np.concatenate(poses), REGISTERED)
+            return RoughFit(comparison.full_evidence - evidence, iou)
 
     def describe(self, k: int) -> DescribedPlaces:
         """Return the places of object k with their descriptors, stored or computed now."""
 
         described = self._kept.get((k, DESCRIBED), lambda: self.models.describe(k, partial(self.use, k)))
         return cast(DescribedPlaces, described)
+
+
+def compute_full_evidence(touch: Touch) -> float:
+    """Return the evidence, nats, for a pose whose contact is exactly the touch's contact."""
+    geometry, shape = touch.thin(IOU_PX)
+    seen = shape.depth_m
+    fully = compare_imprints(seen[None], seen, shape.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
+    return float(fully.evidence[0])
 
 
 def _count_bytes(kept: DescribedPlaces | Localizer) -> int:

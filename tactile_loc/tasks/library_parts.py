@@ -47,6 +47,11 @@ class Parts(Sequence[Localizer]):
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    @abstractmethod
+    def extents_m(self) -> NDArray[np.float64]:
+        """The sizes (K, 3) of the boxes around the parts, along the axes of their object frames, metres."""
+
     @abstractmethod
     def describe(self, k: int, use: Use) -> DescribedPlaces:
         """Return places of part k with their descriptors. `use` opens its localizer, if necessary."""
@@ -90,6 +95,11 @@ class GivenParts(Parts):
 
     def __getitem__(self, k: Any) -> Any:
         return self._models[k]
+
+    @property
+    def extents_m(self) -> NDArray[np.float64]:
+        """The sizes (K, 3) of the boxes around the objects, along the axes of their frames, metres."""
+        return np.stack([model.object.mesh.extents_m for model in self._models])
 
     def describe(self, k: int, use: Use) -> DescribedPlaces:
         """Return some places of part k with their descriptors, stored or computed now."""
@@ -138,6 +148,11 @@ class StoredParts(Parts):
         record = self.folder.read(self.names[k])
         reread = _PlacesOf(self.folder, record)
         return make_localizer(record, self.config, self.store, self.progress, reread)
+
+    @property
+    def extents_m(self) -> NDArray[np.float64]:
+        """The sizes (K, 3) of the boxes around the parts, from the library's table, metres."""
+        return 1e-3 * np.array([(row.x_mm, row.y_mm, row.z_mm) for row in self._rows])
 
     def describe(self, k: int, use: Use) -> DescribedPlaces:
         """Return the places of part k with their descriptors, mapped from the disk."""

@@ -22,7 +22,7 @@ from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks import identify as module
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification, KnownObject, identify, measure_misfit
-from tactile_loc.tasks.library import PROPOSED, Library
+from tactile_loc.tasks.library import PROPOSED, Library, RoughFit
 from tactile_loc.tasks.null_evidence import NullEvidence
 from tactile_loc.tasks.shortlist import Shortlist
 
@@ -97,7 +97,7 @@ def test_a_single_object_has_the_result_of_a_localisation(models, touches):
 def test_only_the_object_with_the_best_rough_fit_is_located(library, touches):
     said = identify(touches["ring"], library, located=1)
     located = [one for one in said.objects if one.found is not None]
-    assert [one.rough_iou for one in located] == [max(one.rough_iou for one in said.objects)]
+    assert [one.rough_misfit for one in located] == [min(one.rough_misfit for one in said.objects)]
     assert {one.probability for one in said.objects if one.found is None} == {0.0}
 
 
@@ -116,6 +116,28 @@ def test_only_the_most_similar_object_gets_a_rough_fit(library, touches, monkeyp
     assert [one.alike for one in looked_into] == [max(one.alike for one in said.objects)]
 
 
+def test_an_object_of_the_same_size_as_the_best_one_gets_a_rough_fit(models, make_object, store, touches, monkeypatch):
+    turned = trimesh.creation.annulus(0.005, 0.011, 0.008, sections=32)
+    turned.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    like = Localizer(models[0].config, make_object(turned, "none", "wider-ring"), store)
+    for name in ("EXAMINED", "LOOKED_INTO"):
+        monkeypatch.setattr(module, name, Shortlist(0.0, 1, 1))
+    said = identify(touches["ring"], [*models, like], located=2)
+    assert {one.name for one in said.objects if one.found is not None} == {"ring", "wider-ring"}
+    assert said.objects[0].name == "ring"
+
+
+def test_objects_of_the_same_size_as_many_others_are_searched_by_their_votes(models, touches, monkeypatch):
+    library, searched = Library(models), []
+    comparison = library.compare(touches["ring"])
+    monkeypatch.setattr(library, "find_same_size", lambda some: [k for k in range(len(library)) if k not in some])
+    monkeypatch.setattr(module, "SAME_SIZE", 1)
+    monkeypatch.setattr(library, "look_into", lambda k, *_: searched.append(k) or RoughFit(1.0, 0.5))
+    one = Shortlist(0.0, 1, 1)
+    module._look_into(library, comparison, one, one, one)
+    assert searched == np.argsort(-comparison.nats)[:2].tolist()
+
+
 @pytest.mark.parametrize("name", list(solids()))
 def test_noisy_touches_fit_their_own_object_best(library, name):
     own = library.names.index(name)
@@ -124,8 +146,9 @@ def test_noisy_touches_fit_their_own_object_best(library, name):
     noisy, _ = source.draw_example(2, np.random.default_rng(8))
     comparison = library.compare(noisy)
     rough = [library.look_into(k, comparison, library.examine(k, comparison)) for k in range(len(library))]
-    assert int(np.argmax(rough)) == own
-    assert 0.5 < rough[own] <= 1
+    assert min(rough) == rough[own]
+    assert rough[own].misfit > 0
+    assert 0.5 < rough[own].iou <= 1
 
 
 def test_votes_propose_poses_near_the_true_pose(library, touches):

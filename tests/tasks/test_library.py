@@ -126,8 +126,8 @@ def test_what_is_kept_in_memory_stays_below_the_bound(open_library, touch, monke
     for _ in range(2):
         said = identify([touch], library)
         assert sum(model.loaded_bytes for model in library.models) <= library.nbytes <= bound
-        assert [(o.name, o.probability, o.misfit, o.rough_iou) for o in said.objects] == [
-            (o.name, o.probability, o.misfit, o.rough_iou) for o in truth.objects
+        assert [(o.name, o.probability, o.misfit, o.rough_misfit) for o in said.objects] == [
+            (o.name, o.probability, o.misfit, o.rough_misfit) for o in truth.objects
         ]
         assert np.array_equal(said.best.found.best.T_sensor_object, truth.best.found.best.T_sensor_object)
     assert 0 < max(held) <= bound

@@ -52,6 +52,11 @@ def parts(folder, store) -> StoredParts:
     return StoredParts(folder, RunConfig.from_dict(SETTINGS), store)
 
 
+def test_the_sizes_of_stored_parts_are_those_of_their_meshes(parts):
+    assert parts.names == ("plate", "ring", "rod")
+    assert parts.extents_m == pytest.approx(np.array([[30, 20, 6], [22, 22, 8], [8, 8, 40]]) * 1e-3, rel=1e-3)
+
+
 def test_a_stored_library_answers_like_localizers_of_its_meshes(parts, meshes, store):
     grid = {"name": "whole", "directions": 300}
     given = Library([Localizer.create(path, units="mm", store=store, grid=grid, **SETTINGS) for path in meshes])

@@ -61,7 +61,7 @@ def identify(
     objects: Objects,
     touch: Touches,
     given: Given,
-    located: Located = 8,
+    located: Located = 12,
     unknown: Unknown = 0.2,
     candidates: Candidates = None,
     around: Around = None,
