@@ -80,6 +80,19 @@ def test_finished_items_that_vanish_unused_are_lost(place):
     assert [word.split()[0] for word in lost] == ["artifact", "line", "line"]
 
 
+def test_parts_that_wait_for_their_library_are_lost_unless_it_is_written(place):
+    waiting = place.work / "library" / ".records"
+    waiting.mkdir(parents=True)
+    (waiting / "workers.log").touch()
+    (waiting / "ab12").write_bytes(b"record")
+    before = remains.list_finished(place)
+    (waiting / "ab12").unlink()
+    (lost,) = remains.find_lost(before, remains.list_finished(place), place)
+    assert lost.startswith("part ab12")
+    (waiting.parent / "library.json").write_text("{}")
+    assert remains.find_lost(before, remains.list_finished(place), place) == []
+
+
 def test_leftover_files_are_listed(place):
     assert remains.list_leftovers(place) == ["HEX.partial"]
     with replace_file(place.work / "a.txt") as temporary:

@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from record import OURS, PROGRAM, Done
 
 FLAT = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
@@ -33,7 +34,9 @@ COMMANDS = {
              "--workers 1 --out swept",
     "live": f"live touches --object pin {GRID} {SURE} --once --no-view --out found.jsonl",
     "replay": f"replay slide.mcap --object head {GRID} {SURE} --base-frame base --out poses.mcap",
+    "library": "library build parts --units mm --directions 100 --workers 2 --out library",
 }  # fmt: skip
+PARTS = {"block": (9, 7, 4), "slab": (16, 12, 2), "bar": (22, 3, 3), "cube": (5, 5, 5)}  # sizes of boxes, mm
 INPUTS = (
     f"simulate --object pin {GRID} --count 8 --seed 1 --out touches",
     f"simulate --object head {GRID} --renderer zbuffer --seed 3 --count 30 --recording slide.mcap",
@@ -173,6 +176,9 @@ def make_inputs(folder: Path) -> Path:
             path.mkdir(parents=True)
         for name, text in (("flat.toml", FLAT), ("small.toml", SMALL)):
             (making.work / name).write_text(text, encoding="utf-8")
+        (making.work / "parts").mkdir()
+        for name, size_mm in PARTS.items():
+            trimesh.creation.box(size_mm).export(making.work / "parts" / f"{name}.stl")
         for line in INPUTS:
             if (done := making.run(line)).code:
                 sys.exit(f"{line} does not work: {done.err}")

@@ -18,6 +18,8 @@ from PIL import Image
 from killing.commands import Place
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.io.streams.recordings import Recording
+from tactile_loc.library.building import WAITING
+from tactile_loc.library.folder import MANIFEST as LIBRARY
 from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
 from tactile_loc.store.store import StageStore
@@ -63,7 +65,9 @@ def list_finished(place: Place) -> set[str]:
                 if (entry.path / name).is_file() and hash_file(entry.path / name) in sums:
                     found.add(f"piece {entry.stage}/{entry.digest}/{name}")
     for path in _list_files(place):
-        if path.suffix in LINES:
+        if path.parent.name == WAITING and not path.suffix:
+            found.add(f"part {path.name} of {path.stat().st_mtime_ns}")
+        elif path.suffix in LINES:
             found |= {f"line {path.name} {number} {_digest(line)}" for number, line in enumerate(_read_lines(path))}
         elif path.parent.name == "rows" and not json.loads(path.read_text(encoding="utf-8"))["error"]:
             found.add(f"row {path.stem} of {path.stat().st_mtime_ns}")
@@ -77,10 +81,12 @@ def find_lost(before: set[str], after: set[str], place: Place) -> list[str]:
 
 
 def _is_replaced(word: str, artifacts: set[str], place: Place) -> bool:
-    """Return whether the finished file exists: the artifact of a piece, or the result of a journal."""
+    """Return whether the finished file exists: the artifact of a piece, the library, or the result of a journal."""
     kind, name, *_ = word.split()
     if kind == "piece":
         return name.rsplit("/", 1)[0] in artifacts
+    if kind == "part":
+        return any(path.name == LIBRARY for path in _list_files(place))
     return kind == "line" and name.endswith(".journal") and (place.work / name.removesuffix(".journal")).exists()
 
 

@@ -131,8 +131,8 @@ class Library:
     def find_same_size(self, some: Sequence[int]) -> list[int]:
         """Return the other objects whose boxes are as large as that of one of `some`, in any order of the axes."""
         sizes_m = np.sort(self.models.extents_m, axis=1)
-        apart_m = np.abs(sizes_m[:, None] - sizes_m[list(some)]).max(axis=2).min(axis=1)
-        same = np.flatnonzero(apart_m < SAME_SIZE_M)
+        near = [np.abs(sizes_m - sizes_m[k]).max(axis=1) < SAME_SIZE_M for k in some]
+        same = np.flatnonzero(np.any(near, axis=0))
         return same[~np.isin(same, some)].tolist()
 
     def search(self, k: int) -> PlaceSearch:

@@ -149,7 +149,7 @@ class StoredParts(Parts):
         reread = _PlacesOf(self.folder, record)
         return make_localizer(record, self.config, self.store, self.progress, reread)
 
-    @property
+    @cached_property
     def extents_m(self) -> NDArray[np.float64]:
         """The sizes (K, 3) of the boxes around the parts, from the library's table, metres."""
         return 1e-3 * np.array([(row.x_mm, row.y_mm, row.z_mm) for row in self._rows])
