@@ -168,8 +168,9 @@ def _is_alive(group: int) -> bool:
 
 
 def make_inputs(folder: Path) -> Path:
-    """Write the sensors, touches and recording that the commands read, unless they exist. Return their folder."""
-    if not folder.is_dir():
+    """Write the sensors, meshes, touches and recording that commands read, unless they exist. Return their folder."""
+    if not (folder / "parts").is_dir():
+        shutil.rmtree(folder, ignore_errors=True)
         making = Place(folder.with_name(f".{folder.name}"))
         shutil.rmtree(making.root, ignore_errors=True)
         for path in (making.work, making.store, making.temporary):

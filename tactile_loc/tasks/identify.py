@@ -1,9 +1,9 @@
 """Identification: which of several objects, if any, was touched, and where it is.
 
 A quick comparison ranks all objects. The best objects are searched roughly, and so are objects of the same size as the
-best of these. Otherwise, an object may seem to be the touched one only because its mirror image was left out. Then the
-best objects are located, each from all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its
-best pose lacks to explain all touches fully. The misfit does not depend on how much of the object is touched.
+best of these. Without them, an object may seem to be the touched one only because its mirror image was not searched.
+Then the best objects are located, each from all touches. An object's misfit is the evidence (`imprints.py`), in nats,
+that its best pose lacks to explain all touches fully. The misfit does not depend on how much of the object is touched.
 
 To find the misfits, objects are located with TYPICAL scalings of probabilities. They hardly affect the poses, and need
 no fit to the object, which takes seconds. Only the objects that are probable in the end are located with their own.
@@ -46,11 +46,11 @@ Float64 = NDArray[np.float64]
 # differ by more nats. Of many objects, the share EXAMINED_SHARE is examined, because more of them have better votes.
 EXAMINED, LOOKED_INTO = Shortlist(8.0), Shortlist(6.5)
 EXAMINED_SHARE = 0.04
-# The objects that are located: their misfits in the rough search are at most as many nats above the least one. That of
-# the touched object was at most 4 nats above it in 95 % of the noisy examples, and hardly ever in clean ones.
+# The objects that are located: their misfits in the rough search are at most this many nats above the least one. That
+# of the touched object is at most 4 nats above it in 95 % of the noisy examples, and at most 0.3 nats in clean ones.
 LOCATED = Shortlist(5.0, least=4, most=12)
+MOST_OF_SAME_SIZE = 16  # objects that are searched only because one of the best has the same size
 UNSEARCHED = RoughFit(np.inf, 0.0)
-SAME_SIZE = 16  # most objects that are searched roughly because they have the size of a better one
 LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
 # The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.
 TYPICAL = Scalings(TemperatureScaling(0.021, 0.4, (-6.4, 7.8)), FusedScaling(0.4, (-2.0, 2.3)))
@@ -65,7 +65,7 @@ class KnownObject:
     """One object of the library, and the result of comparing it with touches.
 
     `alike`, unitless, is the mean similarity of the touches and the object's places in the quick comparison, or an
-    upper bound of it if the object is too improbable to be examined. `rough_misfit`, nats, is the least misfit in the
+    upper bound of it if the votes did not choose the object. `rough_misfit`, nats, is the least misfit in the
     rough search, and `rough_iou`, 0 to 1, is the mean imprint IoU of that pose. They are infinite and 0 if the object
     was not searched. `found` is the result of locating the object; None if this was not tried or failed. `misfit`,
     nats, is the evidence that the best pose lacks to explain the touches fully; infinite without a pose. `apart` (N,),
@@ -153,7 +153,7 @@ def identify(
     examined, looked_into = choose_shortlists(len(touches), len(library))
     comparison = library.compare(touches, examined)
     alike = comparison.alike
-    rough = _look_into(library, comparison, examined, looked_into, located)
+    rough = _look_into(library, comparison, examined, looked_into)
     fits = [rough.get(k, UNSEARCHED) for k in range(len(library))]
     misfits = np.array([fit.misfit for fit in fits])
     order = np.lexsort((-alike, misfits))
@@ -270,21 +270,22 @@ def choose_shortlists(touches: int, objects: int) -> tuple[Shortlist, Shortlist]
 
 
 def _look_into(
-    library: Library, comparison: Comparison, examined: Shortlist, looked_into: Shortlist, located: Shortlist
+    library: Library, comparison: Comparison, examined: Shortlist, looked_into: Shortlist
 ) -> dict[int, RoughFit]:
     """Search likely objects roughly; return their fits by number.
 
     The votes choose the objects that are `examined`, and the examination chooses those that are `looked_into`. Objects
-    of the same size as those that are best for being `located` are examined and searched, too.
+    of the same size as the best of these are also examined and searched.
     """
     chosen = examined.choose(comparison.nats)
     found = _examine(library, comparison, chosen)
     searched = looked_into.choose(np.array([one.nats for one in found]))
     rough = _search_roughly(library, comparison, {chosen[n]: found[n] for n in searched})
-    tried = list(rough)
-    best = [tried[n] for n in located.choose(np.array([-rough[k].misfit for k in tried]))]
+    numbers = list(rough)
+    best = [numbers[n] for n in LOCATED.choose(np.array([-rough[k].misfit for k in numbers]))]
     others = [k for k in library.find_same_size(best) if k not in rough]
-    others = sorted(others, key=lambda k: -comparison.nats[k])[:SAME_SIZE]
+    if len(others) > MOST_OF_SAME_SIZE:
+        others = sorted(others, key=lambda k: -library.rate(k, comparison))[:MOST_OF_SAME_SIZE]
     if others:
         examinations = _examine(library, comparison, others)
         rough |= _search_roughly(library, comparison, dict(zip(others, examinations, strict=True)))

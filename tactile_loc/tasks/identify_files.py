@@ -48,7 +48,8 @@ class KnownObjectRecord(Record):
     alike: float = Field(description="mean similarity of the touches and its places, at most 1; higher is more similar")
     rough_iou: float = Field(description="mean imprint IoU of a rough search, 0 to 1; 0 without a search")
     rough_misfit_nats: float | None = Field(
-        default=None, description="the evidence that the best pose of this search lacks; null: it was not searched"
+        default=None,
+        description="the evidence that its best pose in a rough search lacks to explain the touches fully; null: none",
     )
     misfit_nats: float | None = Field(
         validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # its former name

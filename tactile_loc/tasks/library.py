@@ -2,8 +2,8 @@
 
 First, each touch votes for places of each object, by descriptors that were computed once: see `votes.py`. The best
 similarities of its places bound the votes of an object, so that the votes of most objects need not be joined. A rough
-search starts from the places of the votes. It registers a few poses roughly to all touches, and takes a thirtieth of
-the time of locating the object.
+search starts from the places of the votes. It registers a few poses roughly to all touches, which takes much less time
+than locating the object.
 
 The votes read only the descriptors from the store. An object's places are read when it is searched. The parts used last
 stay in memory.
@@ -49,8 +49,8 @@ SOFTER = 2.0  # factor on the temperature of the training: similarities of wrong
 class Comparison:
     """The votes of touches for the places of K objects. `nats` (K,) are log-likelihoods, apart from a constant.
 
-    Those of objects that cannot be chosen may be upper bounds: see `Library.compare`. `bounds` are those of each touch
-    at YAWS_RAD.
+    Those of objects that the votes do not choose may be upper bounds: see `Library.compare`. `bounds` are those of each
+    touch at YAWS_RAD.
     """
 
     touches: tuple[Touch, ...]
@@ -77,7 +77,8 @@ class Comparison:
 class Examined:
     """Likely `poses` of an object for each touch, (PROPOSED, 4, 4), metres, in the touch's sensor frame.
 
-    `nats` is the log-likelihood of the touches, apart from a constant that all objects share.
+    `nats` is the log-likelihood of the touches, apart from a constant that all objects share. It is an upper bound if
+    that of the votes is one: see `Comparison`.
     """
 
     poses: tuple[Poses, ...]
@@ -129,7 +130,10 @@ class Library:
             self._kept.keep((k, WHOLE), model)
 
     def find_same_size(self, some: Sequence[int]) -> list[int]:
-        """Return the other objects whose boxes are as large as that of one of `some`, in any order of the axes."""
+        """Return the objects, except `some`, with the same size as one of `some`.
+
+        The edges of their boxes differ by less than SAME_SIZE_M, in any order of the axes.
+        """
         sizes_m = np.sort(self.models.extents_m, axis=1)
         near = [np.abs(sizes_m - sizes_m[k]).max(axis=1) < SAME_SIZE_M for k in some]
         same = np.flatnonzero(np.any(near, axis=0))
@@ -161,6 +165,10 @@ class Library:
 
     def _rate(self, asked: Asked, temperature: float, k: int, least: float = -np.inf) -> float:
         return rate_object(self.describe(k), asked, temperature, least)
+
+    def rate(self, k: int, comparison: Comparison) -> float:
+        """Return the log-likelihood of object k by the votes: see `Comparison`. It is no upper bound."""
+        return self._rate(comparison.asked, comparison.temperature, k)
 
     def examine(self, k: int, comparison: Comparison) -> Examined:
         """Compare the touches in detail with the places of object k for which they voted, without registration."""

@@ -96,7 +96,7 @@ class GivenParts(Parts):
     def __getitem__(self, k: Any) -> Any:
         return self._models[k]
 
-    @property
+    @cached_property
     def extents_m(self) -> NDArray[np.float64]:
         """The sizes (K, 3) of the boxes around the objects, along the axes of their frames, metres."""
         return np.stack([model.object.mesh.extents_m for model in self._models])

@@ -129,13 +129,15 @@ def test_an_object_of_the_same_size_as_the_best_one_gets_a_rough_fit(models, mak
 
 def test_objects_of_the_same_size_as_many_others_are_searched_by_their_votes(models, touches, monkeypatch):
     library, searched = Library(models), []
-    comparison = library.compare(touches["ring"])
+    comparison = library.compare(touches["ring"], Shortlist(0.0, 1, 1))
+    order = np.argsort(-library.compare(touches["ring"]).nats)
+    monkeypatch.setattr(module, "LOCATED", Shortlist(0.0, 1, 1))
     monkeypatch.setattr(library, "find_same_size", lambda some: [k for k in range(len(library)) if k not in some])
-    monkeypatch.setattr(module, "SAME_SIZE", 1)
+    monkeypatch.setattr(module, "MOST_OF_SAME_SIZE", 1)
     monkeypatch.setattr(library, "look_into", lambda k, *_: searched.append(k) or RoughFit(1.0, 0.5))
     one = Shortlist(0.0, 1, 1)
-    module._look_into(library, comparison, one, one, one)
-    assert searched == np.argsort(-comparison.nats)[:2].tolist()
+    module._look_into(library, comparison, one, one)
+    assert searched == order[:2].tolist()
 
 
 @pytest.mark.parametrize("name", list(solids()))

@@ -14,7 +14,7 @@ from tactile_loc.tasks.pose_modes import PoseModes
 
 
 def test_probabilities_that_were_not_fitted_are_left_out(localization):
-    probable = KnownObject("hook", 0.9, 1.0, 0.9, 0.1, localization)
+    probable = KnownObject("hook", 0.9, 1.0, 0.9, 0.1, localization, rough_misfit=0.3)
     others = [replace(probable, name="pin", probability=0.01, fitted=False), KnownObject("nut", 0, 1, 0, 9.0, None)]
     record = make_identification_record(Identification((probable, *others), 0.09), ["touch"])
     hook, pin, nut = record.objects
@@ -22,6 +22,7 @@ def test_probabilities_that_were_not_fitted_are_left_out(localization):
     assert len(pin.poses) == len(hook.poses)
     assert {pose.probability for pose in pin.poses} == {None}
     assert nut.poses == []
+    assert (hook.rough_misfit_nats, nut.rough_misfit_nats) == (0.3, None)
     assert IdentificationRecord.model_validate_json(record.model_dump_json()) == record
 
 

@@ -14,7 +14,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store import artifact as artifact_module
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import identify
-from tactile_loc.tasks.library import Comparison, Library
+from tactile_loc.tasks.library import Comparison, Library, RoughFit
 
 NAMES = ("plate", "rod")
 
@@ -63,7 +63,7 @@ def hashed(monkeypatch) -> list[tuple[str, str]]:
     return found
 
 
-def search_roughly(library: Library, k: int, comparison: Comparison) -> float:
+def search_roughly(library: Library, k: int, comparison: Comparison) -> RoughFit:
     return library.look_into(k, comparison, library.examine(k, comparison))
 
 

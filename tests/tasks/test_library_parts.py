@@ -57,6 +57,14 @@ def test_the_sizes_of_stored_parts_are_those_of_their_meshes(parts):
     assert parts.extents_m == pytest.approx(np.array([[30, 20, 6], [22, 22, 8], [8, 8, 40]]) * 1e-3, rel=1e-3)
 
 
+def test_objects_of_the_same_size_are_found_in_any_order_of_the_axes(parts, monkeypatch):
+    library = Library(parts)
+    sizes_mm = np.array([[30, 20, 6], [6.05, 30, 20], [30, 20.2, 6]])
+    monkeypatch.setattr(library.models, "extents_m", 1e-3 * sizes_mm)
+    assert library.find_same_size([0]) == [1]
+    assert library.find_same_size([1, 0]) == library.find_same_size([2]) == library.find_same_size([]) == []
+
+
 def test_a_stored_library_answers_like_localizers_of_its_meshes(parts, meshes, store):
     grid = {"name": "whole", "directions": 300}
     given = Library([Localizer.create(path, units="mm", store=store, grid=grid, **SETTINGS) for path in meshes])
