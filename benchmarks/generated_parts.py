@@ -4,6 +4,9 @@
 A part's name determines its shape: `gear-00012` is always the same gear. Two parts in ten resemble an earlier part of
 their family: one is its mirror image, and one has a small hole more. So a library has parts that touches can hardly
 tell apart, as real catalogues do.
+
+Parts of FAMILIES, of which libraries are made, have flat faces, cylinders and sharp edges. Parts of ROUNDED, such as
+castings and bent rods, have mostly curved faces and few edges. The descriptor is trained on both.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ Rng = np.random.Generator
 MIRRORED, DRILLED, ORIGINAL = 8, 9, 1
 DIGITS = 5
 SEGMENTS = 48  # of a circle
+LEAST_LEFT = 0.3  # share of a casting that is left if it is cut flat
 THROUGH = 1.2  # length of a cutting tool, in units of the material that it cuts
 
 
@@ -271,11 +275,78 @@ def make_cam(rng: Rng) -> Manifold:
     return part
 
 
+def make_rod(rng: Rng) -> Manifold:
+    """Return a bent round rod of varying thickness, perhaps with balls at its ends, or flattened."""
+    at, along = np.zeros(3), draw_direction(rng)
+    radius, part = rng.uniform(1.5, 6), Manifold()
+    first = radius * rng.choice([1, 1, rng.uniform(1.2, 2)])
+    part += make_ball(first, at)
+    for _ in range(rng.integers(1, 6)):
+        there = at + rng.uniform(1, 6) * radius * along
+        thinner = float(np.clip(radius * rng.uniform(0.7, 1.4), 1.2, 9))
+        part += Manifold.batch_hull([make_ball(radius, at), make_ball(thinner, there)])
+        at, radius = there, thinner
+        along = along + rng.uniform(0.3, 1.5) * draw_direction(rng)
+        along /= np.linalg.norm(along)
+    part += make_ball(radius * rng.choice([1, 1, rng.uniform(1.2, 2)]), at)
+    return part.scale([1, 1, rng.choice([1, 1, rng.uniform(0.5, 0.9)])])
+
+
+def make_casting(rng: Rng) -> Manifold:
+    """Return rounded blocks that run into each other, with holes in any direction, perhaps cut flat."""
+    part = Manifold()
+    for _ in range(rng.integers(1, 4)):
+        size, radius = rng.uniform(3, 14, 3), rng.uniform(1, 5)
+        corners = rng.uniform(-1, 1, (int(rng.integers(3, 9)), 3)) * size
+        block = Manifold.batch_hull([make_ball(radius * rng.uniform(0.6, 1.4), corner) for corner in corners])
+        part += block.translate(rng.uniform(-8, 8, 3).tolist())
+    for _ in range(rng.integers(0, 4)):
+        tool = make_cylinder(80, rng.uniform(1, 4)) if rng.random() < 0.7 else make_ball(rng.uniform(2, 7), np.zeros(3))
+        part -= tool.rotate(rng.uniform(0, 360, 3).tolist()).translate(rng.uniform(-12, 12, 3).tolist())
+    if rng.random() < 0.4:
+        low, high = np.array(part.bounding_box()).reshape(2, 3)
+        cut = part.trim_by_plane(draw_direction(rng).tolist(), -0.2 * float(np.linalg.norm(high - low)))
+        part = cut if cut.volume() > LEAST_LEFT * part.volume() else part
+    return max(part.decompose(), key=Manifold.volume)
+
+
+def make_dome(rng: Rng) -> Manifold:
+    """Return a body turned from a smooth curve, or a ring, perhaps oval, with a hollow, or with holes."""
+    angle, waves = np.linspace(0, np.pi, 40), rng.normal(0, 0.5, 3) / np.arange(2, 5)
+    away = rng.uniform(6, 16) * (1 + np.sum([w * np.cos(k * angle) for k, w in enumerate(waves, 2)], axis=0))
+    away = np.maximum(away, 1)
+    profile = np.stack([away * np.sin(angle), rng.uniform(0.4, 1.6) * away * -np.cos(angle)], axis=1)
+    if ring := rng.random() < 0.3:
+        turn = np.linspace(0, 2 * np.pi, 40)[:-1]
+        size = rng.uniform(1.5, 6, 2)
+        profile = np.stack([size[0] * np.cos(turn) + size[0] * rng.uniform(1.2, 4), size[1] * np.sin(turn)], axis=1)
+    part = Manifold.revolve(CrossSection([profile]), SEGMENTS)
+    part = part.scale([1, rng.choice([1, rng.uniform(0.5, 0.9)]), 1])
+    if not ring and rng.random() < 0.4:
+        part -= part.scale([0.8, 0.8, 0.8]).translate([0, 0, rng.uniform(2, 8)])
+    for _ in range(rng.integers(0, 4)):
+        tool = make_cylinder(80, rng.uniform(1, 4)).translate([0, 0, rng.choice([0, -40])])
+        part -= tool.rotate(rng.uniform(0, 360, 3).tolist()).translate(rng.uniform(-9, 9, 3).tolist())
+    return max(part.decompose(), key=Manifold.volume)
+
+
+def make_ball(radius: float, at: NDArray[np.float64]) -> Manifold:
+    """Return a ball about a point (3,), mm."""
+    return Manifold.sphere(radius, SEGMENTS).translate(at.tolist())
+
+
+def draw_direction(rng: Rng) -> NDArray[np.float64]:
+    """Return a random unit vector (3,)."""
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector), float)
+
+
 FAMILIES: dict[str, Callable[[Rng], Manifold]] = {
     "shaft": make_shaft, "plate": make_plate, "bracket": make_bracket, "gear": make_gear, "housing": make_housing,
     "flange": make_flange, "clip": make_clip, "bolt": make_bolt, "plug": make_plug, "fitting": make_fitting,
     "knob": make_knob, "cam": make_cam,
 }  # fmt: skip
+ROUNDED = {"rod": make_rod, "casting": make_casting, "dome": make_dome}
 
 
 def list_names(count: int, families: Sequence[str] = tuple(FAMILIES)) -> list[str]:
@@ -290,13 +361,13 @@ def make_part(name: str) -> Manifold:
     if kind in (MIRRORED, DRILLED):
         like = make_part(f"{family}-{int(number) - kind + ORIGINAL:0{DIGITS}d}")
         return like.mirror([1, 0, 0]) if kind == MIRRORED else drill(like, 1.2, draw_inside(like, name))
-    return FAMILIES[family](np.random.default_rng([int(number), zlib.crc32(family.encode())]))
+    return (FAMILIES | ROUNDED)[family](np.random.default_rng([int(number), zlib.crc32(family.encode())]))
 
 
 def list_likenesses(name: str) -> list[str]:
     """Return the names of the parts that resemble a part on purpose. Other names than those of parts have none."""
     family, _, number = name.rpartition("-")
-    if family not in FAMILIES or int(number) % 10 not in (ORIGINAL, MIRRORED, DRILLED):
+    if family not in FAMILIES | ROUNDED or int(number) % 10 not in (ORIGINAL, MIRRORED, DRILLED):
         return []
     first = int(number) // 10 * 10
     return [like for k in (ORIGINAL, MIRRORED, DRILLED) if (like := f"{family}-{first + k:0{DIGITS}d}") != name]
@@ -320,7 +391,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--families", nargs="+", choices=list(FAMILIES), default=list(FAMILIES))
+    parser.add_argument("--families", nargs="+", choices=[*FAMILIES, *ROUNDED], default=list(FAMILIES))
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for name in list_names(arguments.count, arguments.families):

@@ -48,12 +48,12 @@ class NullEvidence:
     """
 
     prior: float = 0.2
-    gap: float = 1.9
+    gap: float = 1.6
     growth: float = 0.1
-    blur: float = 0.41
+    blur: float = 0.45
     noise: float = 8.0
-    chance: float = 0.89
-    again: float = 0.3
+    chance: float = 0.88
+    again: float = 0.2
     missed: float = 0.02
     temperature: float = 0.82
 
