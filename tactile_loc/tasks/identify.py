@@ -43,9 +43,10 @@ Float64 = NDArray[np.float64]
 
 # The objects that are examined, and those of them that are searched roughly. The true object may be less likely than
 # the likeliest one by as many nats. About 95 of 100 clean and noisy examples of two touches are nearer. More touches
-# differ by more nats. Of many objects, the share EXAMINED_SHARE is examined, because more of them have better votes.
+# differ by more nats. Of many objects, more have better votes, so up to the shares EXAMINED_SHARE and LOOKED_INTO_SHARE
+# are examined and searched.
 EXAMINED, LOOKED_INTO = Shortlist(8.0), Shortlist(6.5)
-EXAMINED_SHARE = 0.04
+EXAMINED_SHARE, LOOKED_INTO_SHARE = 0.04, 0.02
 # The objects that are located: their misfits in the rough search are at most this many nats above the least one. That
 # of the touched object is at most 4 nats above it in 95 % of the noisy examples, and at most 0.3 nats in clean ones.
 LOCATED = Shortlist(5.0, least=4, most=12)
@@ -262,11 +263,11 @@ def _sum_best(lacks: Float64) -> float:
 def choose_shortlists(touches: int, objects: int) -> tuple[Shortlist, Shortlist]:
     """Return the shortlists of the objects to examine, and of those to search roughly."""
     wider = max(1.0, touches / 2)
-    most = max(EXAMINED.most, round(EXAMINED_SHARE * objects))
-    return (
-        replace(EXAMINED, most_behind=wider * EXAMINED.most_behind, most=most),
-        replace(LOOKED_INTO, most_behind=wider * LOOKED_INTO.most_behind),
+    examined, looked_into = (
+        replace(one, most_behind=wider * one.most_behind, most=max(one.most, round(share * objects)))
+        for one, share in ((EXAMINED, EXAMINED_SHARE), (LOOKED_INTO, LOOKED_INTO_SHARE))
     )
+    return examined, looked_into
 
 
 def _look_into(
