@@ -5,8 +5,8 @@ A part's name determines its shape: `gear-00012` is always the same gear. Two pa
 their family: one is its mirror image, and one has a small hole more. So a library has parts that touches can hardly
 tell apart, as real catalogues do.
 
-Parts of FAMILIES, of which libraries are made, have flat faces, cylinders and sharp edges. Parts of ROUNDED, such as
-castings and bent rods, have mostly curved faces and few edges. The descriptor is trained on both.
+Libraries have parts of FAMILIES, with flat faces, cylinders and sharp edges. Parts of ROUNDED, such as castings and
+bent rods, have mostly curved faces and few edges. The descriptor is trained on both.
 """
 
 from __future__ import annotations
@@ -302,12 +302,12 @@ def make_casting(rng: Rng) -> Manifold:
         part += block.translate(rng.uniform(-8, 8, 3).tolist())
     for _ in range(rng.integers(0, 4)):
         tool = make_cylinder(80, rng.uniform(1, 4)) if rng.random() < 0.7 else make_ball(rng.uniform(2, 7), np.zeros(3))
-        part -= tool.rotate(rng.uniform(0, 360, 3).tolist()).translate(rng.uniform(-12, 12, 3).tolist())
+        part -= place_at_random(tool, 12, rng)
     if rng.random() < 0.4:
         low, high = np.array(part.bounding_box()).reshape(2, 3)
         cut = part.trim_by_plane(draw_direction(rng).tolist(), -0.2 * float(np.linalg.norm(high - low)))
         part = cut if cut.volume() > LEAST_LEFT * part.volume() else part
-    return max(part.decompose(), key=Manifold.volume)
+    return keep_largest(part)
 
 
 def make_dome(rng: Rng) -> Manifold:
@@ -326,13 +326,23 @@ def make_dome(rng: Rng) -> Manifold:
         part -= part.scale([0.8, 0.8, 0.8]).translate([0, 0, rng.uniform(2, 8)])
     for _ in range(rng.integers(0, 4)):
         tool = make_cylinder(80, rng.uniform(1, 4)).translate([0, 0, rng.choice([0, -40])])
-        part -= tool.rotate(rng.uniform(0, 360, 3).tolist()).translate(rng.uniform(-9, 9, 3).tolist())
-    return max(part.decompose(), key=Manifold.volume)
+        part -= place_at_random(tool, 9, rng)
+    return keep_largest(part)
 
 
 def make_ball(radius: float, at: NDArray[np.float64]) -> Manifold:
     """Return a ball about a point (3,), mm."""
     return Manifold.sphere(radius, SEGMENTS).translate(at.tolist())
+
+
+def place_at_random(tool: Manifold, reach: float, rng: Rng) -> Manifold:
+    """Return a tool in a random direction, moved by at most `reach` along each axis, mm."""
+    return tool.rotate(rng.uniform(0, 360, 3).tolist()).translate(rng.uniform(-reach, reach, 3).tolist())
+
+
+def keep_largest(part: Manifold) -> Manifold:
+    """Return the largest of the separate pieces of a part."""
+    return max(part.decompose(), key=Manifold.volume)
 
 
 def draw_direction(rng: Rng) -> NDArray[np.float64]:
@@ -347,6 +357,7 @@ FAMILIES: dict[str, Callable[[Rng], Manifold]] = {
     "knob": make_knob, "cam": make_cam,
 }  # fmt: skip
 ROUNDED = {"rod": make_rod, "casting": make_casting, "dome": make_dome}
+EVERY = FAMILIES | ROUNDED
 
 
 def list_names(count: int, families: Sequence[str] = tuple(FAMILIES)) -> list[str]:
@@ -361,13 +372,13 @@ def make_part(name: str) -> Manifold:
     if kind in (MIRRORED, DRILLED):
         like = make_part(f"{family}-{int(number) - kind + ORIGINAL:0{DIGITS}d}")
         return like.mirror([1, 0, 0]) if kind == MIRRORED else drill(like, 1.2, draw_inside(like, name))
-    return (FAMILIES | ROUNDED)[family](np.random.default_rng([int(number), zlib.crc32(family.encode())]))
+    return EVERY[family](np.random.default_rng([int(number), zlib.crc32(family.encode())]))
 
 
 def list_likenesses(name: str) -> list[str]:
     """Return the names of the parts that resemble a part on purpose. Other names than those of parts have none."""
     family, _, number = name.rpartition("-")
-    if family not in FAMILIES | ROUNDED or int(number) % 10 not in (ORIGINAL, MIRRORED, DRILLED):
+    if family not in EVERY or int(number) % 10 not in (ORIGINAL, MIRRORED, DRILLED):
         return []
     first = int(number) // 10 * 10
     return [like for k in (ORIGINAL, MIRRORED, DRILLED) if (like := f"{family}-{first + k:0{DIGITS}d}") != name]
@@ -391,7 +402,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--families", nargs="+", choices=[*FAMILIES, *ROUNDED], default=list(FAMILIES))
+    parser.add_argument("--families", nargs="+", choices=list(EVERY), default=list(FAMILIES))
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for name in list_names(arguments.count, arguments.families):

@@ -157,7 +157,10 @@ def measure_example(
 
 
 def list_located(row: dict[str, Any], situation: str) -> list[str]:
-    """Return the names of the objects that `identify` locates in one of the SITUATIONS, by their rough fit."""
+    """Return the names of the objects that `identify` locates in one of the SITUATIONS, by their rough fit.
+
+    All were searched with the touched object in the library. Its size may have added its likenesses to the search.
+    """
     out = {KNOWN: set(), LIKENESS: {row["object"]}, UNKNOWN: {row["object"], *row["likenesses"]}}[situation]
     others = [name for name in row["alike"] if name not in out]
     others.sort(key=lambda name: (row["rough_misfits"][name], -row["alike"][name]))

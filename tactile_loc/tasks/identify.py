@@ -48,7 +48,7 @@ Float64 = NDArray[np.float64]
 EXAMINED, LOOKED_INTO = Shortlist(8.0), Shortlist(6.5)
 EXAMINED_SHARE, LOOKED_INTO_SHARE = 0.04, 0.02
 # The objects that are located: their misfits in the rough search are at most this many nats above the least one. That
-# of the touched object is at most 4 nats above it in 95 % of the noisy examples, and at most 0.3 nats in clean ones.
+# of the touched object is at most 4 nats above it in 95 % of the noisy examples, and at most 0.5 nats in clean ones.
 LOCATED = Shortlist(5.0, least=4, most=12)
 MOST_OF_SAME_SIZE = 16  # objects that are searched only because one of the best has the same size
 UNSEARCHED = RoughFit(np.inf, 0.0)
