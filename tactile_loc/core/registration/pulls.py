@@ -19,6 +19,7 @@ STEPS = np.array([5e-3] * 3 + [1e-4] * 3)  # of finite differences: rad, then m
 MOST = np.array([1.0] * 3 + [5e-2] * 3)  # largest twist from a pose to the peak that pulls it: rad, then m
 NEWTON_STEPS = 2
 FLAT = 1e-3  # nats at the largest twist MOST, below which a direction of the prior is flat
+ROUNDING = 1e-6  # nats; a peak that seems less probable than its pose by less may be the pose itself
 Floats = NDArray[np.float64]
 
 
@@ -47,7 +48,7 @@ def fit_pulls(prior: Prior, T: Poses, middle_m: Floats) -> Pulls:
         twists, fitted = _fit_quadratic(prior, peaks, middle_m)
         moved = exponential(twists, _find_centres(peaks, middle_m)) @ peaks
         there = np.asarray(prior(moved), float)
-        better = np.isfinite(there) & (there >= here)
+        better = np.isfinite(there) & (there >= here - ROUNDING)
         peaks[better], here[better] = moved[better], there[better]
         information[better] = fitted[better]
     return Pulls(peaks, information)
