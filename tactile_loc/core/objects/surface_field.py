@@ -26,6 +26,7 @@ CELL_M = 5e-4  # side of a cell of a field by default
 MOST_CELLS = 6_000_000
 KEPT_BYTES = 512 * 2**20  # of fields in memory
 FAR = 255  # value of a distance of `reach_m` or more
+SAME, SAME_SQUARED = 1e-9, 1e-18  # squared distances are equal up to this share of them, plus this much
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
@@ -211,25 +212,36 @@ def find_cell_triangle(x, y, z, triangles):
 def walk_to_nearest(x, y, z, f, triangles):
     """Return the triangle nearest to the point x, y, z, and its squared distance.
 
-    The search starts at triangle f, and goes over shared edges as long as the triangles become nearer.
+    The search starts at triangle f, and goes over shared edges as long as the triangles become nearer. If the nearest
+    point is on an edge, rounding must not choose between its triangles. So the triangle that faces the point most is
+    taken, or else the first one.
     """
-    corners, sides, normals, ends, beside = (
-        triangles.corners, triangles.sides, triangles.normals, triangles.ends, triangles.beside,
-    )  # fmt: skip
-    least = _measure_squared_distance(x, y, z, f, corners, sides)
+    corners, sides, ends, beside = triangles.corners, triangles.sides, triangles.ends, triangles.beside
+    least, least_off = _measure_squared_distance(x, y, z, f, corners, sides), _measure_off(x, y, z, f, triangles)
     while True:
         best = f
         for number in range(ends[f], ends[f + 1]):
             other = beside[number]
-            off = normals[other, 0] * (x - corners[other, 0]) + normals[other, 1] * (y - corners[other, 1])
-            off += normals[other, 2] * (z - corners[other, 2])
-            if off * off < least:  # otherwise even the plane of the triangle is farther
+            off = _measure_off(x, y, z, other, triangles)
+            tie = SAME * least + SAME_SQUARED
+            if off <= least + tie:  # otherwise even the plane of the triangle is farther
                 d = _measure_squared_distance(x, y, z, other, corners, sides)
-                if d < least:
-                    least, best = d, other
+                faces_more = off - least_off
+                same = d <= least + tie
+                if d < least - tie or (same and (faces_more > tie or (faces_more >= -tie and other < best))):
+                    least, least_off, best = d, off, other
         if best == f:
             return f, least
         f = best
+
+
+@njit(fast=True)
+def _measure_off(x, y, z, f, triangles):
+    """Return the squared distance of the point x, y, z from the plane of triangle f."""
+    corners, normals = triangles.corners, triangles.normals
+    off = normals[f, 0] * (x - corners[f, 0]) + normals[f, 1] * (y - corners[f, 1])
+    off += normals[f, 2] * (z - corners[f, 2])
+    return off * off
 
 
 @njit

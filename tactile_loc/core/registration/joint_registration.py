@@ -33,7 +33,7 @@ from tactile_loc.core.slots.scene import View
 if TYPE_CHECKING:
     from tactile_loc.core.objects.surface_field import SurfaceField
 
-VERSION = 3  # part of the store's keys: raise it when the output changes
+VERSION = 4  # part of the store's keys: raise it when the output changes
 ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
 FINELY = 4  # number of last steps, which use all points
 EARLY = 2  # number of first steps, after which poses are compared

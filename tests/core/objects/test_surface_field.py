@@ -111,3 +111,20 @@ def test_triangles_with_a_common_edge_are_neighbours(name):
     last = len(solid.faces)
     copied = {(last, b) for a, b in expected if a == 0} | {(a, last) for a, b in expected if b == 0}
     assert pairs == expected | copied
+
+
+def test_rounding_does_not_choose_between_the_triangles_of_an_edge():
+    """Beside an edge, both faces are equally near. The face that the point is farther above is taken."""
+    solid = SOLIDS["box"]
+    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+    field, rng = SurfaceField.of(mesh), np.random.default_rng(0)
+    beyond = rng.uniform(1e-4, 2e-3, (200, 2))
+    beyond[:50, 1] = beyond[:50, 0]  # on the bisector of the edge
+    points = np.column_stack([rng.uniform(-0.012, 0.012, 200), 0.01 + beyond[:, 0], 0.006 + beyond[:, 1]])
+    which = field.find_closest(points)[1]
+    for _ in range(5):
+        assert np.array_equal(field.find_closest(points + rng.normal(0, 1e-15, points.shape))[1], which)
+    normals = field.triangles.normals[which]
+    above_y = beyond[:, 0] > beyond[:, 1]
+    np.testing.assert_allclose(normals[50:][above_y[50:]], np.broadcast_to([0, 1, 0], (above_y[50:].sum(), 3)))
+    np.testing.assert_allclose(normals[50:][~above_y[50:]], np.broadcast_to([0, 0, 1], ((~above_y[50:]).sum(), 3)))

@@ -37,3 +37,18 @@ def test_poses_may_be_in_the_frame_of_a_sensor_whose_touch_is_left_out(make_box,
     for one, other in zip(*found, strict=True):
         assert other == pytest.approx(one, rel=1e-3, abs=1e-6 * np.abs(one).max())
     assert found[0][0][:3, 3] == pytest.approx(true[0][:3, 3], abs=3e-4)
+
+
+def test_rounding_moves_no_pose(make_box, make_scene, flat_camera):
+    """Many points of a box are nearest to an edge, so both of its faces are equally near."""
+    scene = make_scene(make_box(0.012, 0.008, 0.006), flat_camera).press(PRESS_M)
+    true = scene.bring_to_contact(make_transform(TURNS[0], np.array([1e-3, 2e-3, 0.0]))[None])[0]
+    view = View(touch := Touch(scene.contact_shape(true[0], PRESS_M), scene.geometry), scene.match_touch(touch))
+    rng = np.random.default_rng(0)
+    turns = np.stack([rotation_about(rng.normal(size=3), rng.uniform(0, 0.8)) for _ in range(60)])
+    starts = make_transform(turns, rng.normal(0, 1e-3, (60, 3))) @ true
+    found = JointRegistration().register_coarsely([view], starts)
+    for _ in range(3):
+        rounded = starts.copy()
+        rounded[:, :3, 3] += rng.normal(0, 1e-16, (60, 3))
+        np.testing.assert_allclose(JointRegistration().register_coarsely([view], rounded), found, atol=1e-8)
