@@ -14,6 +14,7 @@ from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.poses.ranking import TIE_NATS, group_ties, rank_poses
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import IOU_PX, View
@@ -75,7 +76,7 @@ def find_hypotheses(
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
         counts = sum(1.0 if views[number].touch.has_depths else MASK_SHARE for number in trusted)
         nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), counts)
-        return merge_hypotheses(weigh(hypotheses, nats, log_prior), metric, radius_m)
+        return merge_hypotheses(weigh(hypotheses, nats, metric, log_prior), metric, radius_m)
 
 
 def compare_refined(
@@ -142,19 +143,23 @@ def compute_nats(imprint_ious: NDArray[np.float64], touches: float) -> NDArray[n
 
 
 def weigh(
-    hypotheses: Sequence[Hypothesis], nats: NDArray[np.float64], log_prior: NDArray[np.float64] | None = None
-) -> tuple[Hypothesis, ...]:
+    hypotheses: Sequence[Hypothesis], nats: NDArray[np.float64], metric: PoseMetric,
+    log_prior: NDArray[np.float64] | None = None,
+) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Return hypotheses with probabilities from the log-weights of their refined poses, the most probable first.
 
     Refined poses distinguish explanations better than the grid, whose poses are all slightly wrong and whose shapes are
     coarse. `nats` (K,) are the log-weights given all touches; `log_prior` (K,) is added, and becomes their
-    `prior_nats`. The total probability of the given hypotheses is kept.
+    `prior_nats`. Poses with sums within TIE_NATS are equally probable, and their order does not depend on rounding. The
+    total probability of the given hypotheses is kept.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, EXCLUDED)
     worth = nats + known
+    groups = group_ties(worth, TIE_NATS)
     weights = np.exp(worth - worth.max())
+    weights = (np.bincount(groups, weights) / np.bincount(groups))[groups]
     weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()
-    order = np.lexsort((np.arange(len(hypotheses)), -worth))
+    order = rank_poses(worth, np.stack([h.T_sensor_object for h in hypotheses]), metric)
     return tuple(
         dataclasses.replace(hypotheses[i], probability=float(weights[i]), prior_nats=float(known[i])) for i in order
     )

@@ -334,7 +334,7 @@ class Localizer:
         refinement, and may find a better one.
         """
         posterior, view = self.posterior(touch), make_view(touch, self, touch)
-        index = int(posterior.log_p.argmax())
+        index = posterior.find_likeliest()
         near = posterior.grid.find_within(self.mode_radius_m, index)
         (pose,) = self.refine(touch, posterior, [index])
         iou = view.imprint_ious(pose.T_sensor_object[None])[0] if pose.imprint_iou is None else pose.imprint_iou

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.compiled import map_in_threads
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
+from tactile_loc.core.poses.ranking import TIE_NATS, group_ties
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.common_poses import require_sensor_poses
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
@@ -176,7 +177,18 @@ def identify(
         )
         for k, name in enumerate(library.names)
     ]  # fmt: skip
-    return Identification(tuple(objects[k] for k in np.lexsort((-alike, misfits, -p))), none, tuple(floors.tolist()))
+    return Identification(tuple(objects[k] for k in _rank(objects)), none, tuple(floors.tolist()))
+
+
+def _rank(objects: Sequence[KnownObject]) -> list[int]:
+    """Return the numbers of the objects, the most probable first; equally probable ones by name, which never varies.
+
+    Objects without probability follow by their fit in the rough search and by their similarity.
+    """
+    p = np.array([one.probability for one in objects])
+    tied = group_ties(np.log(np.maximum(p, 1e-300)), TIE_NATS)
+    rest = [(one.rough_misfit, -one.alike) if one.probability == 0 else (0.0, 0.0) for one in objects]
+    return sorted(range(len(objects)), key=lambda k: (tied[k], *rest[k], objects[k].name))
 
 
 class _Tried:

@@ -10,6 +10,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.poses.ranking import TIE_NATS
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
@@ -75,15 +76,31 @@ def test_split_modes_keep_the_peaks_and_share_all_members(metric):
     assert [mode.index for mode in split_modes(posterior, modes, 1.5e-3, 2)] == [0, 6]
 
 
-def test_the_pose_that_explains_the_touch_best_comes_first():
+def test_the_pose_that_explains_the_touch_best_comes_first(metric):
     three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
-    found = weigh(three, np.array([-2.0, 1.0, 0.5]))
+    found = weigh(three, np.array([-2.0, 1.0, 0.5]), metric)
     assert [h.imprint_iou for h in found] == [0.9, 0.8, 0.7]
     p = np.array([h.probability for h in found])
     assert p.sum() == pytest.approx(1)
     np.testing.assert_allclose(np.log(p[:-1] / p[1:]), [0.5, 2.5])
-    alike = weigh([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2))
+    alike = weigh([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2), metric)
     assert [h.probability for h in alike] == pytest.approx([0.45, 0.45])
+
+
+def test_rounding_changes_neither_the_order_nor_the_probabilities_of_equal_poses(metric):
+    rng = np.random.default_rng(0)
+    poses = make_translation(rng.normal(scale=0.01, size=(6, 3)))
+    nats = np.array([0.0, 0.0, 0.0, -1.0, -1.0, -3.0])
+    listed = []
+    for order in (np.arange(6), rng.permutation(6)):
+        some = [hypothesis(1 / 6, poses[k]) for k in order]
+        listed.append(weigh(some, nats[order] + rng.uniform(-1, 1, 6) * TIE_NATS / 3, metric))
+    first, second = (np.stack([h.T_sensor_object for h in found]) for found in listed)
+    assert np.array_equal(first, second)
+    for found in listed:
+        p = [h.probability for h in found]
+        assert p == sorted(p, reverse=True)
+        assert p[0] == p[1] == p[2] > p[3] == p[4] > p[5]
 
 
 def test_no_pose_comes_before_a_pose_that_explains_the_touches_better(make_box, make_scene, flat_camera, metric):
@@ -113,11 +130,11 @@ def test_small_differences_count_more_if_little_is_unexplained():
         assert clean[0] - clean[1] > 5 * (noisy[0] - noisy[1]) > 0
 
 
-def test_a_strong_prior_outweighs_a_better_explanation():
+def test_a_strong_prior_outweighs_a_better_explanation(metric):
     two, evidence = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)], np.array([0.0, 3.0])
-    assert weigh(two, evidence, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
-    assert weigh(two, evidence, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
-    assert weigh(two, evidence, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
+    assert weigh(two, evidence, metric, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
+    assert weigh(two, evidence, metric, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
+    assert weigh(two, evidence, metric, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
 
 
 def test_a_touch_is_compared_at_other_sensor_poses_at_a_cost(make_box, make_scene, flat_camera):

@@ -122,9 +122,11 @@ def test_an_object_of_the_same_size_as_the_best_one_gets_a_rough_fit(models, mak
     like = Localizer(models[0].config, make_object(turned, "none", "wider-ring"), store)
     for name in ("EXAMINED", "LOOKED_INTO"):
         monkeypatch.setattr(module, name, Shortlist(0.0, 1, 1))
-    said = identify(touches["ring"], [*models, like], located=2)
+    said = identify(touches["ring"], [like, *models], located=2)
     assert {one.name for one in said.objects if one.found is not None} == {"ring", "wider-ring"}
-    assert said.objects[0].name == "ring"
+    first, second = said.objects[:2]
+    assert first.probability == pytest.approx(second.probability, rel=0.01), "both touches are beside the hole"
+    assert (first.name, second.name) == ("ring", "wider-ring"), "equally probable objects are listed by name"
 
 
 def test_objects_of_the_same_size_as_many_others_are_searched_by_their_votes(models, touches, monkeypatch):

@@ -20,6 +20,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.surface_field import SurfaceField
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.ranking import rank_poses
 from tactile_loc.core.slots.benchmarking import ScoredPoses
 from tactile_loc.core.slots.component import ComponentOptions
 
@@ -27,6 +28,7 @@ REACH_M, CELL_M = 15e-3, 1e-3  # distance from the surface at which nearest poin
 LEAST_COSINE = 0.5  # normals of corresponding points differ by at most 60 degrees
 DAMPING = 1e-4  # share of the mean diagonal that is added to the diagonal
 APART_M = 1e-3  # listed poses differ by at least this much (RMS distance of surface points)
+TIE = 1e-6  # score; the rounding of another processor changes scores by less
 LISTED = 10  # most poses of an answer
 MOST_MERGED = 200  # poses that are compared with better poses
 START_REACH_M, MIDDLE_REACH_M = 10e-3, 2e-3  # largest distances of corresponding points, at the start and half-way
@@ -133,9 +135,13 @@ class SurfaceFit:
 
 
 def list_best(T_base_object: Poses, scores: Floats, obj: ObjectModel) -> ScoredPoses:
-    """Return the poses (K, 4, 4), metres, with the highest scores (K,), without near copies of better poses."""
-    order = np.argsort(-scores, kind="stable")[:MOST_MERGED]
-    merged = merge_modes(T_base_object[order], PoseMetric(obj), APART_M, LISTED)
+    """Return the poses (K, 4, 4), metres, with the highest scores (K,), without near copies of better poses.
+
+    Scores that differ by at most TIE are equal. The order of equal poses does not depend on rounding.
+    """
+    metric = PoseMetric(obj)
+    order = rank_poses(scores, T_base_object, metric, TIE)[:MOST_MERGED]
+    merged = merge_modes(T_base_object[order], metric, APART_M, LISTED)
     kept = order[np.unique(merged[merged >= 0])]
     return ScoredPoses(T_base_object[kept], scores[kept])
 

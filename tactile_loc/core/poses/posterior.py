@@ -12,6 +12,7 @@ from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.poses.ranking import TIE_NATS, rank_poses
 
 MOST_CLUSTERED = 2000
 
@@ -79,6 +80,11 @@ class PosePosterior:
         least = np.partition(self.log_p, -count)[-count]
         best = np.flatnonzero(self.log_p >= least)  # more than `count` if poses are as probable as the last one
         return best[np.argsort(-self.log_p[best], kind="stable")][:count]
+
+    def find_likeliest(self) -> int:
+        """Return the grid index of the most probable pose, the same one of equally probable poses on all processors."""
+        tied = np.flatnonzero(self.log_p >= self.log_p.max() - TIE_NATS)
+        return int(tied[rank_poses(np.zeros(len(tied)), self.grid.T_sensor_object[tied], self.grid.metric)[0]])
 
     def credible_level(self, index: int, lot: float = 0.0) -> float:
         """Return the total probability of all poses likelier than pose `index` of the grid, 0 to below 1.

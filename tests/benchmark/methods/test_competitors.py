@@ -16,7 +16,8 @@ from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
 from tactile_loc.core.sensing.touch import Touch
 
-# ICP and the consensus ignore that the object does not touch beside the contact
+# ICP and the consensus ignore that the object does not touch beside the contact. So four poses of the block fit equally
+# well, up to 0.37 mm from the true one, and only the best of them is near it.
 WITHIN_M = {IcpFromStarts: 5e-4, TransformConsensus: 1e-4, PixelMatching: 1e-3, ParticleFilter: 1e-3}
 ALL = [*WITHIN_M, FpfhRansac, FastGlobalRegistration]
 
