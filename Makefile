@@ -14,7 +14,7 @@ SLOW ?= not slow
 # start hundreds of processes.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate benchmark bench bench-compare clean
+.PHONY: help setup demo test test-slow test-processors pytest lint smoke docs docs-quick notebooks audit sbom fuzz kill soak mutate benchmark bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -34,6 +34,9 @@ test: $(STAMP) ## lint, check the types and run all tests that are not slow
 
 test-slow: $(STAMP) ## run the slow tests
 	@$(MAKE) --no-print-directory pytest SLOW=slow
+
+test-processors: $(STAMP) ## run the numerical tests as on other processors, 15 minutes
+	@$(VENV)/bin/python scripts/processors.py
 
 pytest: $(STAMP)
 	@echo "test: pytest -m '$(SLOW)'"

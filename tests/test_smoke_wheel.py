@@ -114,9 +114,12 @@ def test_a_missing_environment_is_reported_with_advice(tmp_path):
     assert "make setup" in done.stderr
 
 
+RUN_PROCESSORS = ".venv/bin/python scripts/processors.py --by-commit"
+
+
 def test_continuous_integration_runs_all_its_checks():
     lines = (ROOT / ".ci" / "run").read_text().splitlines()
-    assert lines[-5:-1] == ["make test", "make test-slow", "make smoke", "make docs"]
+    assert lines[-6:-1] == ["make test", RUN_PROCESSORS, "make test-slow", "make smoke", "make docs"]
     assert lines[-1].startswith(".venv/bin/python scripts/fuzz.py --inputs 100 ")
     makefile = (ROOT / "Makefile").read_text()
     assert "scripts/smoke-wheel.sh $(VENV)/bin/python" in makefile

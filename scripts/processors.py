@@ -1,0 +1,151 @@
+#!/usr/bin/env python3
+"""Run the numerical tests as on other processors: with other instruction sets for numba, numpy, BLAS, torch and faiss.
+
+`make test-processors` runs all variants that this processor can compute. Each has a folder of its own for compiled
+code. `--by-commit` runs one variant, chosen by the hash of the commit. Arguments after `--` replace those of pytest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = [f"tests/{name}" for name in ("core", "locate", "plugins", "tasks", "evaluation", "benchmark", "library")]
+PYTEST = ["-q", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m", "not slow", *FOLDERS]
+NUMPY_LEVELS = ("X86_V2", "X86_V3", "X86_V4", "AVX512_ICL", "AVX512_SPR")  # the features that numpy has code for
+BEYOND_AVX2 = "X86_V4 AVX512_ICL AVX512_SPR"  # numpy's names of groups of features
+AVX512 = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A processor to compute like: its name in LLVM and OpenBLAS, and what the libraries may use of its features.
+
+    `needs` are LLVM's names of features without which this processor cannot compute the variant.
+    """
+
+    name: str
+    needs: frozenset[str]
+    llvm: tuple[str, str]
+    disabled: str
+    blas: str
+    level: str  # of torch and faiss
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The variables that choose the variant."""
+        return {
+            "NUMBA_CPU_NAME": self.llvm[0],
+            "NUMBA_CPU_FEATURES": self.llvm[1],
+            "NUMBA_CACHE_DIR": str(ROOT / "out" / "processors" / self.name),
+            "NPY_DISABLE_CPU_FEATURES": self.disabled,
+            "OPENBLAS_CORETYPE": self.blas,
+            "ATEN_CPU_CAPABILITY": {"generic": "default"}.get(self.level, self.level),
+            "FAISS_OPT_LEVEL": self.level,
+        }
+
+
+VARIANTS = (
+    Variant("sse2", frozenset(), ("generic", "+sse2"), f"X86_V3 {BEYOND_AVX2}", "Nehalem", "generic"),
+    Variant("haswell", frozenset({"avx2", "bmi2", "fma"}), ("haswell", ""), BEYOND_AVX2, "Haswell", "avx2"),
+    Variant("skylake-avx512", frozenset(AVX512), ("skylake-avx512", ""), "AVX512_ICL AVX512_SPR", "SkylakeX", "avx512"),
+    Variant(
+        "znver4",
+        frozenset(AVX512 | {"avx512bf16", "avx512vbmi2", "sse4a"}),
+        ("znver4", ""),
+        "AVX512_SPR",
+        "Zen",
+        "avx2",
+    ),
+)
+
+
+def read_features(environment: dict[str, str]) -> dict[str, Any]:
+    """Return the features that the libraries use in an environment."""
+    found = subprocess.run(
+        [sys.executable, __file__, "--features"],
+        env={**os.environ, **environment}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return dict(json.loads(found.stdout))
+
+
+def print_features() -> None:
+    """Print the features that numba, numpy and BLAS use in this process, as JSON."""
+    import scipy.linalg  # noqa: F401 - it has a BLAS library of its own
+    from numba.core.registry import cpu_target
+    from numpy._core._multiarray_umath import __cpu_features__ as numpy_features
+    from threadpoolctl import threadpool_info
+
+    _, name, features = cpu_target.target_context.codegen().magic_tuple()
+    blas = sorted(f"{one['internal_api']} {one.get('architecture', '')}" for one in threadpool_info())
+    levels = [level for level in NUMPY_LEVELS if numpy_features.get(level)]
+    print(json.dumps({"numba": [name, features], "numpy": levels, "blas": blas}))
+
+
+def list_host_features() -> set[str]:
+    """Return LLVM's names of the features of this processor."""
+    import llvmlite.binding as llvm
+
+    return {name for name, has in llvm.get_host_cpu_features().items() if has}
+
+
+def choose_variants(names: list[str], by_commit: bool) -> list[Variant]:
+    """Return the variants to run. Those that this processor cannot compute, or that change nothing, are reported."""
+    plain, host = read_features({}), list_host_features()
+    able = []
+    for variant in VARIANTS:
+        if names and variant.name not in names:
+            continue
+        missing = variant.needs - host
+        if missing:
+            print(f"processors: {variant.name} is skipped, because this processor lacks {', '.join(sorted(missing))}")
+        elif read_features(variant.environment) == plain:
+            print(f"processors: {variant.name} is skipped, because it changes nothing on this processor")
+        else:
+            able.append(variant)
+    if not able:
+        sys.exit("processors: no variant changes the instruction sets of this processor, so nothing was tested")
+    if by_commit:
+        head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        able = [able[int(head.strip(), 16) % len(able)]]
+    return able
+
+
+def run(variant: Variant, arguments: list[str]) -> bool:
+    """Run pytest in a variant, and return whether it passed."""
+    features = read_features(variant.environment)
+    print(f"processors: {variant.name}: numba {features['numba'][0]}, numpy {features['numpy'][-1]}, "
+          f"{', '.join(features['blas'])}", flush=True)  # fmt: skip
+    Path(variant.environment["NUMBA_CACHE_DIR"]).mkdir(parents=True, exist_ok=True)
+    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "pytest", *arguments]
+    return subprocess.run(command, cwd=ROOT, env={**os.environ, **threads, **variant.environment}).returncode == 0
+
+
+def main() -> None:
+    """Run the chosen variants; the exit code is 1 if a test failed in any of them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--variant", action="append", default=[], choices=[one.name for one in VARIANTS])
+    parser.add_argument("--by-commit", action="store_true", help="run one variant, chosen by the commit's hash")
+    parser.add_argument("--features", action="store_true", help="print the features in force and end")
+    parser.add_argument("pytest", nargs="*", help="arguments of pytest, after --")
+    given = parser.parse_args()
+    if given.features:
+        print_features()
+        return
+    variants = choose_variants(given.variant, given.by_commit)
+    failed = [variant.name for variant in variants if not run(variant, given.pytest or PYTEST)]
+    print(f"processors: passed: {', '.join(one.name for one in variants if one.name not in failed) or 'none'}")
+    if failed:
+        sys.exit(f"processors: tests failed as on {', '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()

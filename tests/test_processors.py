@@ -1,0 +1,44 @@
+"""The variants of other processors change the features in force; variants that this one lacks are skipped by name."""
+
+from __future__ import annotations
+
+import processors
+import pytest
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """Features that only the variant `haswell` leaves as they are."""
+    monkeypatch.setattr(processors, "read_features", lambda given: given.get("NUMBA_CPU_NAME", "haswell"))
+
+
+def choose(names=(), by_commit=False) -> list[str]:
+    return [one.name for one in processors.choose_variants(list(names), by_commit)]
+
+
+def test_variants_without_effect_or_beyond_the_processor_are_skipped_by_name(plain, monkeypatch, capsys):
+    monkeypatch.setattr(processors, "list_host_features", lambda: {"avx2", "bmi2", "fma"})
+    assert choose() == ["sse2"]
+    said = capsys.readouterr().out
+    assert all(name in said for name in ("haswell", "skylake-avx512", "znver4", "avx512f", "sse4a"))
+
+
+def test_nothing_tested_is_an_error(plain, monkeypatch):
+    monkeypatch.setattr(processors, "list_host_features", lambda: {"avx2", "bmi2", "fma"})
+    with pytest.raises(SystemExit) as stopped:
+        choose(["haswell"])
+    assert stopped.value.code
+
+
+def test_a_commit_chooses_one_variant(plain, monkeypatch):
+    monkeypatch.setattr(processors, "list_host_features", lambda: set().union(*(v.needs for v in processors.VARIANTS)))
+    assert len(choose()) == 3
+    assert len(choose(by_commit=True)) == 1
+
+
+def test_a_variant_changes_the_features_in_force():
+    sse2 = processors.VARIANTS[0]
+    features = processors.read_features(sse2.environment)
+    assert features != processors.read_features({})
+    assert features["numba"] == ["generic", "+sse2"]
+    assert not {"X86_V3", "X86_V4"} & set(features["numpy"])
