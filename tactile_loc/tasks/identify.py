@@ -34,7 +34,7 @@ from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import Verdict, judge
+from tactile_loc.locate.results.verdict import MOSTLY_ELSEWHERE, Verdict, judge
 from tactile_loc.tasks.library import Comparison, Examined, Library, RoughFit, compute_full_evidence
 from tactile_loc.tasks.null_evidence import NullEvidence
 from tactile_loc.tasks.pose_modes import PoseModes, join_modes
@@ -120,14 +120,14 @@ class Identification:
         """How far the first object can be trusted, in one word.
 
         The words are those for poses. "not found" means that "none of these" has more than half of the probability;
-        "poor fit" means that the first object's best pose does not explain the touches.
+        otherwise, "poor fit" means that the first object's best pose does not explain the touches.
         """
         first = self.objects[0]
-        if first.found is None:
-            return judge(None)
+        if first.found is None or self.none > MOSTLY_ELSEWHERE:
+            return Verdict.NOT_FOUND
         best = first.found.best
         iou = best.imprint_iou if best.is_refined else math.nan
-        return judge(first.probability, iou, self.none, depths_known=first.found.depths_known)
+        return judge(first.probability, iou, depths_known=first.found.depths_known)
 
 
 def identify(
