@@ -137,13 +137,13 @@ class SurfaceFit:
 def list_best(T_base_object: Poses, scores: Floats, obj: ObjectModel) -> ScoredPoses:
     """Return the poses (K, 4, 4), metres, with the highest scores (K,), without near copies of better poses.
 
-    Scores that differ by at most TIE are equal. The order of equal poses does not depend on rounding.
+    Scores that differ by at most TIE are equal, and listed so. The order of equal poses does not depend on rounding.
     """
     metric = PoseMetric(obj)
     order = rank_poses(scores, T_base_object, metric, TIE)[:MOST_MERGED]
     merged = merge_modes(T_base_object[order], metric, APART_M, LISTED)
     kept = order[np.unique(merged[merged >= 0])]
-    return ScoredPoses(T_base_object[kept], scores[kept])
+    return ScoredPoses(T_base_object[kept], np.minimum.accumulate(scores[kept]))
 
 
 def shrink(first_m: float, last_m: float, count: int) -> Floats:
