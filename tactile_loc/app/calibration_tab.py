@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from tactile_loc.app.calibrator import Calibrator, MadeSensor
+from tactile_loc.app.markdown import Paragraph, list_numbered
 from tactile_loc.app.notices import Notices
 from tactile_loc.app.pictures import EMPTY
-from tactile_loc.app.uploads import LARGEST_MB
+from tactile_loc.app.uploads import LARGEST_MB, take_upload
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.drawing.calibration import draw_circle, draw_reading
 from tactile_loc.drawing.pictures import render_figure
@@ -40,15 +41,15 @@ class CalibrationTab:
     def _add_photo_controls(self) -> None:
         gui = self.client.gui
         with gui.add_folder("1. Photos"):
-            gui.add_markdown(HOW_TO)
+            Paragraph(self.client, HOW_TO)
             self.reference = gui.add_upload_button("Upload the photo without contact")
             self.photos = gui.add_upload_button(
                 "Upload photos of the ball",
                 hint=f"A photo, a video, or a zip archive of many photos, at most {LARGEST_MB} MB. A table presses.csv "
                 "with circles that you measured is used, too.",
             )
-            gui.add_markdown("For many photos at once, upload a zip archive.")
-            self.listed = gui.add_markdown("")
+            Paragraph(self.client, "For many photos at once, upload a zip archive.")
+            self.listed = Paragraph(self.client)
             self.chosen = gui.add_dropdown("File", (NO_FILE,), visible=False)
             self.remove = gui.add_button("Remove this file", visible=False)
             self.clear = gui.add_button("Remove all photos", visible=False)
@@ -58,15 +59,16 @@ class CalibrationTab:
         self.clear.on_click(self._notices.guard(self._clear))
 
     def _upload_reference(self) -> None:
-        self.calibrator.set_reference(self.reference.value.name, self.reference.value.content)
+        self.calibrator.set_reference(*take_upload(self.reference))
         self._show_photos()
 
     def _upload_photos(self) -> None:
-        self.calibrator.add_photos(self.photos.value.name, self.photos.value.content)
+        self.calibrator.add_photos(*take_upload(self.photos))
         self._show_photos()
 
     def _remove(self) -> None:
-        self.calibrator.remove_photo(self.chosen.value)
+        number = self.chosen.options.index(self.chosen.value)
+        self.calibrator.remove_photo(self._files[number])
         self._show_photos()
 
     def _clear(self) -> None:
@@ -76,12 +78,10 @@ class CalibrationTab:
     def _show_photos(self) -> None:
         reference, names = self.calibrator.reference, self.calibrator.names
         some = ", ".join(names[:SHOWN_NAMES]) + (", ..." if len(names) > SHOWN_NAMES else "")
-        self.listed.content = (
-            f"Without contact: {reference or 'none yet'}\n\n"
-            f"Photos of presses: {len(names)}{f' ({some})' if names else ''}"
-        )
-        files = [*([] if reference is None else [reference]), *names]
-        self.chosen.options = files or (NO_FILE,)
+        shown = f" ({some})" if names else ""
+        self.listed.fill("Without contact: {}\n\nPhotos of presses: {}{}", reference or "none yet", len(names), shown)
+        self._files = files = [*([] if reference is None else [reference]), *names]
+        self.chosen.options = list_numbered(files) or (NO_FILE,)
         self.chosen.value = self.chosen.options[-1]
         for handle in (self.chosen, self.remove, self.clear):
             handle.visible = bool(files)
@@ -103,8 +103,8 @@ class CalibrationTab:
         with gui.add_folder("3. Calibrate"):
             self.start = gui.add_button("Calibrate", color="green")
             self.bar = gui.add_progress_bar(0.0, visible=False)
-            self.status = gui.add_markdown("")
-            self.facts = gui.add_markdown("", visible=False)
+            self.status = Paragraph(self.client)
+            self.facts = Paragraph(self.client, visible=False)
             self.circle_of = gui.add_slider("Photo", 1, 2, 1, 1, visible=False)
             self.circle = gui.add_image(EMPTY, label="The ball's circle in this photo", visible=False)
             self.reading_of = gui.add_slider("Held-out photo", 1, 2, 1, 1, visible=False)
@@ -120,7 +120,7 @@ class CalibrationTab:
     def _calibrate(self) -> None:
         """Calibrate in the thread of this callback, so that the page can still be used."""
         self.start.disabled = self.bar.visible = True
-        self.status.content = "Calibrating. This takes about a minute ..."
+        self.status.fill("Calibrating. This takes about a minute ...")
         try:
             made = self.calibrator.calibrate(
                 self.name.value, self.diameter.value, self.scale.value, self._show_progress
@@ -128,16 +128,15 @@ class CalibrationTab:
             self._show_made(made)
         finally:
             self.start.disabled = self.bar.visible = False
-            self.status.content = ""
+            self.status.fill("")
 
     def _show_progress(self, task: str, share: float) -> None:
-        self.status.content = f"Calibrating: {task} ..."
+        self.status.fill("Calibrating: {} ...", task)
         self.bar.value = 100.0 * share
 
     def _show_made(self, made: MadeSensor) -> None:
-        self.facts.content = f"**{made.folder.name}** is calibrated.\n\n" + "\n".join(
-            f"- {line.strip()}" for line in made.describe()
-        )
+        lines = [(line,) for line in made.describe()]
+        self.facts.fill("**{}** is calibrated.\n\n", made.folder.name, row="- {}\n", rows=lines)
         circles = 0 if made.labels is None else len(made.labels.found.presses)
         for slider, count in ((self.circle_of, circles), (self.reading_of, len(made.outcome.held_out))):
             slider.max, slider.value, slider.visible = max(count, 2), 1, count > 1

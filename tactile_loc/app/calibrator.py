@@ -141,7 +141,7 @@ class Calibrator:
         """
         if not self.names:
             raise CalibrationError("there is no photo of a press yet; upload photos of the pressed ball first")
-        if not name or PurePath(name).name != name or name.startswith("."):
+        if not name or PurePath(name).name != name or name.startswith(".") or not name.isprintable():
             raise CalibrationError(f"a sensor cannot be called {name!r}; give a name of letters and numbers")
         progress = TaskProgress(show, lambda: not self._stopped)
         work = Path(tempfile.mkdtemp(dir=self.folder, prefix="made-"))

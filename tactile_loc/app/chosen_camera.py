@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
@@ -33,7 +35,7 @@ class ChosenCamera:
             try:
                 return self._taker.take()
             except SourceError:
-                if not Path(name).is_dir():  # a folder remembers its files
+                if not os.path.isdir(name):  # a folder remembers its files
                     self._drop()
                 raise
 
@@ -54,6 +56,7 @@ def _open(name: str) -> FrameTaker:
             "no camera is chosen; give its number, such as 0, or the path of a video or a folder of images"
         )
     is_camera = name.isdigit() or name.startswith(DEVICES)
-    return FrameTaker(
-        open_source(None, name, False) if is_camera else open_source(Path(name).expanduser(), None, False)
-    )
+    path = Path(name)
+    with suppress(RuntimeError, ValueError):  # no such user, or a name that no user can have
+        path = path.expanduser()
+    return FrameTaker(open_source(None, name, False) if is_camera else open_source(path, None, False))

@@ -23,7 +23,7 @@ from tactile_loc.store.files import write_atomically
 
 SCRIPT = "locate.py"
 
-_TEMPLATE = '''"""Locate {name} from {count}. Run: python {script}"""
+_TEMPLATE = """# Locate {name!r} from {count}. Run: python {script}
 
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +44,7 @@ touches = [
 result = localize_together([(localizer, touch) for touch in touches], prior)
 print(result.summary())
 result.save(HERE / "again")
-'''
+"""
 _PRIOR = """T_base_object = np.array({T})
 expected = GaussianPrior(T_base_object, {std_m!r}, {std_rad!r}, localizer.object.symmetry)
 prior = expected.view_from(touches[0].T_base_sensor)"""

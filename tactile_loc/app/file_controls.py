@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, get_args
 
+from tactile_loc.app.markdown import Paragraph, show_plain
 from tactile_loc.app.notices import Notices
 from tactile_loc.app.pictures import EMPTY, paint_beside, paint_photo, paint_wide
 from tactile_loc.app.session import Session
-from tactile_loc.app.uploads import LARGEST_MB
+from tactile_loc.app.uploads import LARGEST_MB, take_upload
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
 from tactile_loc.core.sensing.touch import Touch
 
@@ -31,10 +32,11 @@ class FileControls:
     def _add_files(self, notices: Notices) -> None:
         gui = self.client.gui
         with gui.add_folder("Touches from files", expand_by_default=False):
-            gui.add_markdown(
+            Paragraph(
+                self.client,
                 "A contact shape (npz, npy, 16-bit png), or a photo of a calibrated sensor. For several touches with "
                 "sensor poses, upload a zip archive of their list (touches.toml) and its files. Or upload the files "
-                f"first, and then the list. At most {LARGEST_MB} MB each."
+                f"first, and then the list. At most {LARGEST_MB} MB each.",
             )
             self.unit = gui.add_dropdown("Unit of depths", (IN_FILE, *METRES_PER_UNIT), initial_value=IN_FILE)
             self.kind = gui.add_dropdown("Depths are", (IN_FILE, *get_args(DepthKind)), initial_value=IN_FILE)
@@ -42,17 +44,17 @@ class FileControls:
         self.file.on_upload(notices.guard(self._upload))
 
     def _upload(self) -> None:
-        uploaded = self.file.value
         unit, kind = (None if chosen.value == IN_FILE else chosen.value for chosen in (self.unit, self.kind))
-        added = self.session.read_touch_file(uploaded.name, uploaded.content, unit, kind)
+        added = self.session.read_touch_file(*take_upload(self.file), unit, kind)
         self._show(added[-1])
 
     def _add_camera(self, notices: Notices) -> None:
         gui = self.client.gui
         with gui.add_folder("Touches from a camera", expand_by_default=False):
-            gui.add_markdown(
+            Paragraph(
+                self.client,
                 "The camera of a calibrated sensor, at the computer that runs this page: its number, such as 0, or a "
-                "device. The path of a video or of a folder that receives images works, too."
+                "device. The path of a video or of a folder that receives images works, too.",
             )
             self.camera = gui.add_text("Camera", "0")
             self.take = gui.add_button("Take a touch from the camera")
@@ -74,4 +76,4 @@ class FileControls:
         if touch.image is not None:
             shape = paint_wide(touch.contact_shape, touch.geometry)
             self.taken.image = paint_beside(paint_photo(touch.image, shape.shape[:2]), shape)
-            self.taken.label = f"{touch.name}. Left: the photo. Right: its contact shape"
+            self.taken.label = f"{show_plain(touch.name)}. Left: the photo. Right: its contact shape"

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_loc.app.markdown import show_plain
 from tactile_loc.core.errors import TactileLocError
 
 if TYPE_CHECKING:
@@ -46,19 +47,23 @@ class Notices:
             try:
                 work()
             except TactileLocError as error:
-                self.notify("This did not work", self._word(str(error)), "red")
+                self.show_error(error)
             except Exception as error:  # the page must go on; the log has the details
                 logger.exception("the page failed")
                 self.notify("The program failed", f"{type(error).__name__}: {error}", "red")
         for text in dict.fromkeys(warnings):
             self.notify("Warning", self._word(text), "yellow")
 
+    def show_error(self, error: TactileLocError) -> None:
+        """Show an error as a notification."""
+        self.notify("This did not work", self._word(str(error)), "red")
+
     def _word(self, text: str) -> str:
         return name_controls(hide_folder(text, self.folder))
 
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
         """Show a notification."""
-        self.client.add_notification(title, text, auto_close_seconds=SECONDS, color=colour)
+        self.client.add_notification(show_plain(title), show_plain(text), auto_close_seconds=SECONDS, color=colour)
 
 
 class _ThreadWarnings(logging.Handler):

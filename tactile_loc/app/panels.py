@@ -13,10 +13,12 @@ from tactile_loc.app.calibration_tab import CalibrationTab
 from tactile_loc.app.calibrator import MadeSensor
 from tactile_loc.app.file_controls import FileControls
 from tactile_loc.app.follower import Follower
+from tactile_loc.app.markdown import Paragraph, list_numbered
 from tactile_loc.app.notices import Notices
 from tactile_loc.app.pictures import EMPTY, paint_beside, paint_wide
 from tactile_loc.app.scene_view import SceneView, choose_magnification, from_view
 from tactile_loc.app.session import Session
+from tactile_loc.app.uploads import limit_uploads, take_upload
 from tactile_loc.app.virtual_finger import Pose
 from tactile_loc.core.formatting import format_mm, format_percent
 from tactile_loc.core.simulation.noise import NOISE
@@ -41,6 +43,16 @@ class Page:
         self.client, self.session, self.view = client, session, SceneView(client)
         self.notices = Notices(client, session.folder)
         self.follower: Follower[tuple[Pose, float]] = Follower(self._follow)
+        try:
+            limit_uploads(client, self.notices.show_error)
+            self._add_controls()
+            self._show_object()
+        except BaseException:  # the visitor may have left
+            self.close()
+            raise
+
+    def _add_controls(self) -> None:
+        client, session = self.client, self.session
         client.gui.configure_theme(control_width="large", show_share_button=False)
         client.gui.main_panel.dock_right()
         tabs = client.gui.add_tab_group()
@@ -53,7 +65,6 @@ class Page:
             self._add_export_controls()
         with tabs.add_tab("Calibrate a sensor"):
             self.calibration = CalibrationTab(client, session.calibrator, self.notices, self._use_calibrated)
-        self._show_object()
 
     def close(self) -> None:
         """End the visitor's thread, and delete the visitor's files."""
@@ -80,7 +91,7 @@ class Page:
                 hint="A sensor's .toml file or a calibration folder on this computer.",
             )  # fmt: skip
             self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN)
-            self.about = gui.add_markdown("")
+            self.about = Paragraph(self.client)
         self.objects.on_update(self.notices.guard(self._choose_object))
         self.units.on_update(self.notices.guard(self._choose_units))
         self.upload.on_upload(self.notices.guard(self._upload_object))
@@ -102,8 +113,7 @@ class Page:
                 self.units.value = self.session.localizer.config.object.units
 
     def _upload_object(self) -> None:
-        uploaded = self.upload.value
-        self.session.upload_object(uploaded.name, uploaded.content, cast(Units, self.units.value))
+        self.session.upload_object(*take_upload(self.upload), cast(Units, self.units.value))
         self.objects.value = OWN
         self._show_object()
         for note in self.session.object.notes:
@@ -132,9 +142,8 @@ class Page:
         """Draw the session's object and sensor, and begin without touches."""
         session, geometry = self.session, self.session.scene.geometry
         obj, size_mm = session.object, 1e3 * session.object.mesh.extents_m
-        self.about.content = (
-            f"**{obj.name}**: {size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, symmetry {obj.symmetry}"
-        )
+        size = " x ".join(f"{length:.1f}" for length in size_mm)
+        self.about.fill("**{}**: {} mm, symmetry {}", obj.name, size, obj.symmetry)
         self.view.show_object(obj, geometry)
         gizmo = self.view.add_finger_gizmo(session.T_base_sensor, geometry)
         gizmo.on_update(self._follow_drag)
@@ -149,12 +158,12 @@ class Page:
     def _add_press_controls(self) -> None:
         gui = self.client.gui
         with gui.add_folder("2. Touch"):
-            gui.add_markdown("Drag the arrows and rings. The finger moves along its axis onto the object.")
+            Paragraph(self.client, "Drag the arrows and rings. The finger moves along its axis onto the object.")
             self.depth = gui.add_slider("Press (mm)", 0.05, 2.0, 0.01, 0.5)
             self.shape = gui.add_image(EMPTY, label="Contact shape")
             self.noise = gui.add_dropdown("Noise", tuple(NOISE), initial_value="none")
             self.add = gui.add_button("Add this touch", color="blue")
-            self.touches = gui.add_markdown("")
+            self.touches = Paragraph(self.client)
             self.chosen_touch = gui.add_dropdown("Touch", (NO_TOUCH,), visible=False)
             self.remove = gui.add_button("Remove this touch", visible=False)
             self.clear = gui.add_button("Remove all touches", visible=False)
@@ -212,8 +221,8 @@ class Page:
         """List and draw the touches. A result stays until the next one, unless a touch was removed."""
         touches = self.session.touches
         names = [touch.name for touch in touches]
-        self.touches.content = f"Touches: {', '.join(names)}" if touches else "No touch yet."
-        self.chosen_touch.options = [f"{number}: {name}" for number, name in enumerate(names, 1)] or (NO_TOUCH,)
+        self.touches.fill("Touches: {}" if touches else "No touch yet.", ", ".join(names))
+        self.chosen_touch.options = list_numbered(names) or (NO_TOUCH,)
         self.chosen_touch.value = self.chosen_touch.options[-1]
         for handle in (self.chosen_touch, self.remove, self.clear):
             handle.visible = bool(touches)
@@ -227,13 +236,13 @@ class Page:
         gui = self.client.gui
         with gui.add_folder("3. Locate"):
             self.locate = gui.add_button("Locate", color="green")
-            self.status = gui.add_markdown("")
-            self.verdict = gui.add_markdown("", visible=False)
+            self.status = Paragraph(self.client)
+            self.verdict = Paragraph(self.client, visible=False)
             self.number = gui.add_slider("Pose", 1, 2, 1, 1, visible=False)
             self.shown_touch = gui.add_slider("Shown touch", 1, 2, 1, 1, visible=False)
-            self.pose = gui.add_markdown("", visible=False)
+            self.pose = Paragraph(self.client, visible=False)
             self.compared = gui.add_image(EMPTY, label="Left: observed. Right: predicted by this pose", visible=False)
-            self.history = gui.add_markdown("", visible=False)
+            self.history = Paragraph(self.client, visible=False)
             self.next = gui.add_button("Suggest the next touch", visible=False)
         self.locate.on_click(self.notices.guard(self._locate))
         self.number.on_update(self.notices.guard(self._show_pose))
@@ -246,35 +255,40 @@ class Page:
         self.locate.disabled = True
         self._clear_result()
         touches = name_count(len(self.session.touches))
-        self.status.content = f"Locating from {touches}. The first time for an object takes up to a minute ..."
+        self.status.fill("Locating from {}. The first time for an object takes up to a minute ...", touches)
         try:
             found = self.session.locate()
         finally:
             self.locate.disabled = False
-            self.status.content = ""
+            self.status.fill("")
             if self.session.result is not None:
                 self._show_result(self.session.result)
         if found is not self.session.result:
             self.notices.notify("The touches changed", "Locate again to use the present touches.")
 
     def _show_result(self, found: Localization) -> None:
-        self.status.content = f"Located in {sum(found.seconds.values()):.2f} s from {name_count(len(found.touches))}"
-        self.verdict.content = found.summary().replace("\n", "\n\n")
-        self.history.content = self._write_history()
+        seconds = f"{sum(found.seconds.values()):.2f}"
+        self.status.fill("Located in {} s from {}", seconds, name_count(len(found.touches)))
+        self.verdict.fill("", row="{}\n\n", rows=[(line,) for line in found.summary().splitlines()])
+        self._write_history()
         for slider, count in ((self.number, len(found.hypotheses)), (self.shown_touch, len(found.touches))):
             slider.max, slider.value, slider.visible = max(count, 2), 1, count > 1
         for handle in (self.verdict, self.pose, self.compared, self.history, self.next):
             handle.visible = True
         self._show_pose()
 
-    def _write_history(self) -> str:
-        rows = (
-            f"| {one.touches} | {one.verdict} | {format_percent(one.probability_within)} | {one.explanations} |"
+    def _write_history(self) -> None:
+        rows = [
+            (one.touches, one.verdict, format_percent(one.probability_within), one.explanations)
             for one in self.session.history
-        )
+        ]
         tolerance = self.session.require_result().tolerance.describe()
-        head = f"| touches | verdict | within {tolerance} | equal poses |\n|---|---|---|---|\n"
-        return head + "\n".join(rows)
+        self.history.fill(
+            "| touches | verdict | within {} | equal poses |\n|---|---|---|---|\n",
+            tolerance,
+            row="| {} | {} | {} | {} |\n",
+            rows=rows,
+        )
 
     def _show_pose(self) -> None:
         """Show the chosen hypothesis: its place in the view, its numbers, and the contact that it predicts."""
@@ -285,12 +299,12 @@ class Page:
         touch = min(int(self.shown_touch.value), len(found.touches)) - 1
         observed, predicted, geometry = self.session.predict(chosen, touch)
         self.compared.image = paint_beside(paint_wide(observed, geometry), paint_wide(predicted, geometry))
-        self.pose.content = describe_pose(found, chosen)
+        self.pose.fill("{}", describe_pose(found, chosen))
         self.view.show_result(found, chosen)
 
     def _clear_result(self) -> None:
         self.view.clear_result()
-        self.status.content = ""
+        self.status.fill("")
         for handle in (
             self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history, self.next
         ):  # fmt: skip
@@ -314,7 +328,7 @@ class Page:
     def _add_prior_controls(self) -> None:
         gui = self.client.gui
         with gui.add_folder("Expected pose", expand_by_default=False):
-            gui.add_markdown("Drag the yellow object roughly to where you expect it.")
+            Paragraph(self.client, "Drag the yellow object roughly to where you expect it.")
             self.prior_on = gui.add_checkbox("Use an expected pose", initial_value=False)
             self.prior_mm = gui.add_number("Its error (mm)", PRIOR_MM, min=0.1, max=1000.0, step=0.1)
             self.prior_deg = gui.add_number("Its error (degrees)", PRIOR_DEG, min=0.1, max=180.0, step=0.1)

@@ -86,7 +86,7 @@ def test_the_photo_without_contact_has_an_own_name(filled):
 @pytest.mark.parametrize(
     ("name", "diameter_mm", "scale"),
     [("", 6.0, 0.2), ("../mine", 6.0, 0.2), (".hidden", 6.0, 0.2), ("mine", 0.0, 0.2), ("mine", 6.0, -1.0),
-     ("mine", 0.8, 0.2)],
+     ("mine", 0.8, 0.2), ("a\0b", 6.0, 0.2)],
 )  # fmt: skip
 def test_impossible_names_and_lengths_are_refused(filled, name, diameter_mm, scale):
     with pytest.raises(TactileLocError):

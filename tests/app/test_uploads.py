@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import stat
 import zipfile
 
 import pytest
@@ -25,8 +26,8 @@ def test_an_uploaded_file_stays_in_its_folder(tmp_path, name):
     assert write_upload(tmp_path, name, b"x") == tmp_path / "part.stl"
 
 
-@pytest.mark.parametrize("name", ["", "..", "a/.."])
-def test_an_upload_needs_a_name(tmp_path, name):
+@pytest.mark.parametrize("name", ["", "..", "a/..", "a\0b.stl"])
+def test_an_upload_needs_a_name_that_files_can_have(tmp_path, name):
     with pytest.raises(UploadError):
         write_upload(tmp_path, name, b"x")
 
@@ -42,16 +43,57 @@ def test_a_large_file_is_refused(tmp_path, monkeypatch):
 
 
 def test_an_archive_is_unpacked_with_its_folders_and_without_hidden_files(tmp_path):
-    content = pack({"a/b.txt": b"1", "c.txt": b"2", "__MACOSX/._c.txt": b"3", "a/.DS_Store": b"4"})
+    content = pack({"a/b.txt": b"1", "12:30.txt": b"2", "__MACOSX/._c.txt": b"3", "a/.DS_Store": b"4"})
     unpacked = unpack_upload(tmp_path, "some.ZIP", content)
     assert {path.relative_to(tmp_path).as_posix(): path.read_bytes() for path in unpacked} == {
         "a/b.txt": b"1",
-        "c.txt": b"2",
+        "12:30.txt": b"2",
     }
-    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["b.txt", "c.txt"]
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["12:30.txt", "b.txt"]
 
 
-@pytest.mark.parametrize("name", ["../out.txt", "/out.txt", "a/../../out.txt", "..\\out.txt", "C:\\out.txt"])
+def make_link() -> zipfile.ZipInfo:
+    link = zipfile.ZipInfo("link.txt")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    return link
+
+
+@pytest.mark.parametrize(
+    "entry", [["zero_byte.txt"], [make_link()], ["good.txt"]], ids=["zero byte", "symbolic link", "same name"]
+)
+def test_an_entry_that_is_no_plain_file_is_refused(tmp_path, entry):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("good.txt", b"1")
+        for one in entry:
+            archive.writestr(one, b"23")
+    content = file.getvalue().replace(b"zero_byte", b"zero\0byte")
+    with pytest.raises(UploadError):
+        unpack_upload(tmp_path / "in", "some.zip", content)
+    assert not list(tmp_path.rglob("*"))
+
+
+def test_one_file_of_an_archive_is_as_small_as_an_upload(tmp_path, monkeypatch):
+    monkeypatch.setattr(uploads, "LARGEST_MB", 1)
+    with pytest.raises(UploadError, match="1 MB"):
+        unpack_upload(tmp_path / "in", "some.zip", pack({"large.txt": bytes(1_000_001)}))
+
+
+def test_names_of_too_many_entries_are_not_read(monkeypatch):
+    monkeypatch.setattr(uploads, "MOST_ENTRIES", 3)
+    monkeypatch.setattr(zipfile, "ZipFile", None)
+    with pytest.raises(UploadError, match="3"):
+        list(list_files("some.zip", b"PK\x01\x02" * 4))
+
+
+def test_a_stated_size_that_is_wrong_is_refused(tmp_path):
+    content = pack({"a.txt": bytes(500)})
+    assert content.count((500).to_bytes(4, "little")) == 2
+    with pytest.raises(UploadError):
+        unpack_upload(tmp_path, "some.zip", content.replace((500).to_bytes(4, "little"), (3).to_bytes(4, "little")))
+
+
+@pytest.mark.parametrize("name", ["../out.txt", "/out.txt", ".", "a/../../out.txt", "..\\out.txt", "C:\\out.txt"])
 def test_a_path_that_leads_out_of_an_archive_is_refused(tmp_path, name):
     with pytest.raises(UploadError):
         unpack_upload(tmp_path / "in", "some.zip", pack({"good.txt": b"1", name: b"2"}))

@@ -6,6 +6,7 @@ counted.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Generator, Iterator
@@ -305,7 +306,7 @@ def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSour
     given or both missing, when `path` does not exist, or when `every` is set for a camera.
     """
     if path is not None and camera is None:
-        if not path.exists():
+        if not os.path.exists(path):  # unlike `Path.exists`, for names that no file can have, too
             raise SourceError(f"there is no file or folder {path}; give a folder of images, or a video")
         return ImageFolder(path, every) if path.is_dir() else Video(path, every)
     if camera is None or path is not None:
