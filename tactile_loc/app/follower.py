@@ -17,7 +17,7 @@ class Follower(Generic[Asked]):
         self._work, self._stopped = work, False
         self._wanted: list[Asked] = []
         self._changed = Condition()
-        self._thread = Thread(target=self._run, daemon=True)
+        self._thread = Thread(target=self._run, name="follower", daemon=True)
         self._thread.start()
 
     def ask(self, request: Asked) -> None:

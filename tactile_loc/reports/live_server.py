@@ -1,32 +1,36 @@
 """A small local web server for live runs: it serves the page, and sends each new frame as an event.
 
-The server listens only on 127.0.0.1. It refuses requests for other host names than this address and localhost.
+The server listens only on 127.0.0.1, and answers only its own pages. Idle and slow connections are cut, so that the run
+never lacks files.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.reports.access import SAFE, Access
 from tactile_loc.reports.page import JSON_OPTIONS
 
 logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
-NAMES = (HOST, "localhost")
 ALIVE_S = 10.0  # longest time between two messages to a browser
 SHORTEST_S = 0.1  # shortest time between two frames
 LAST_S = 1.0  # longest wait until all browsers have received the end
-HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+MOST_CONNECTIONS = 32
+REQUEST_S, SEND_S = 5.0, 10.0  # longest times for a browser's request, and for a message to a slow browser
 
 MakeState = Callable[[], dict[str, Any]]
 
@@ -91,7 +95,7 @@ class LiveServer:
 
     def __init__(self, page: str, port: int) -> None:
         self.board = Board()
-        handler = type("Handler", (_Handler,), {"page": page.encode(), "board": self.board})
+        handler = type("Handler", (_Handler,), {"page": page.encode(), "board": self.board, "access": Access.at(HOST)})
         try:
             self._server = _Server((HOST, port), handler)
         except (OSError, OverflowError) as error:
@@ -117,22 +121,73 @@ class LiveServer:
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
+    request_queue_size = 128  # with a short queue, a browser may wait for seconds
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._changed = threading.Condition()
+        self._since: dict[Any, float] = {}  # when each open connection came; infinite once it has asked for something
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection. If there are too many, cut the one that has waited longest without a request."""
+        with self._changed:
+            self._since[request] = time.monotonic()
+            oldest = min(self._since, key=self._since.__getitem__)
+            too_many = len(self._since) > MOST_CONNECTIONS
+        if too_many:
+            self._cut(oldest, "There are too many connections to this page; close some of its tabs.")
+            if oldest is request:
+                self.shutdown_request(request)
+                return
+            with self._changed:
+                self._changed.wait_for(lambda: oldest not in self._since, SHORTEST_S)
+        super().process_request(request, client_address)
+
+    def begin_answer(self, request: Any) -> None:
+        """Note that a connection has asked for something."""
+        with self._changed:
+            self._since[request] = float("inf")
+
+    def service_actions(self) -> None:
+        """Cut connections that have waited too long without a request."""
+        with self._changed:
+            late = [one for one, since in self._since.items() if time.monotonic() - since > REQUEST_S]
+        for request in late:
+            self._cut(request, "The request took too long.")
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self._changed:
+            self._since.pop(request, None)
+            self._changed.notify_all()
+        super().shutdown_request(request)
+
+    def _cut(self, request: Any, reason: str) -> None:
+        status = f"HTTP/1.0 {HTTPStatus.SERVICE_UNAVAILABLE} Unavailable"
+        with suppress(OSError):
+            request.sendall(f"{status}\r\nContent-Type: text/plain\r\n\r\n{reason}\n".encode())
+            request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log an error, unless the browser closed the connection."""
         error = sys.exception()
-        if not isinstance(error, ConnectionError):
+        if not isinstance(error, (ConnectionError, TimeoutError)):
             logger.error("the view cannot show a frame (%s: %s)", type(error).__name__, error)
 
 
 class _Handler(BaseHTTPRequestHandler):
     page: bytes
     board: Board
+    access: Access
+    server: _Server
+    timeout = SEND_S
 
     def do_GET(self) -> None:
         """Answer with the page or with a stream of events."""
-        if self.headers.get("Host", "").rpartition(":")[0] not in NAMES:
-            self.send_error(HTTPStatus.FORBIDDEN)
+        self.server.begin_answer(self.connection)
+        if fault := self.access.find_fault(self.path, self.headers):
+            self._begin("text/plain", len(fault) + 1, HTTPStatus.FORBIDDEN)
+            self.wfile.write(f"{fault}\n".encode())
         elif self.path == "/":
             self._begin("text/html; charset=utf-8", len(self.page))
             self.wfile.write(self.page)
@@ -147,10 +202,10 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing, so that requests do not appear in the terminal."""
 
-    def _begin(self, kind: str, length: int | None = None) -> None:
-        self.send_response(HTTPStatus.OK)
+    def _begin(self, kind: str, length: int | None = None, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
         lengths = {} if length is None else {"Content-Length": str(length)}
-        for name, value in {"Content-Type": kind, **lengths, **HEADERS}.items():
+        for name, value in {"Content-Type": kind, **lengths, **SAFE}.items():
             self.send_header(name, value)
         self.end_headers()
 

@@ -26,6 +26,7 @@ from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.io.images import encode_png
+from tactile_loc.io.touches import write_touch
 from tactile_loc.store.store import StageStore
 
 if TYPE_CHECKING:
@@ -109,6 +110,67 @@ def test_without_viser_the_message_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[app\]'"):
         require_viser()
+
+
+def hostile(suffix: str = "") -> str:
+    """Return a name that runs scripts, loads a picture, and links, where it is taken for HTML or Markdown."""
+    script = '<img src=x onerror=top.ran=1><iframe srcdoc="<img src=x onerror=top.ran=1>">'
+    return f"{script}![](http:&#47;&#47;evil.example&#47;a.png)[x](javascript:top.ran=1) www.evil.example{suffix}"
+
+
+@pytest.mark.slow
+def test_names_in_files_are_shown_literally(tmp_path, store):
+    pytest.importorskip("viser")
+    pytest.importorskip("selenium")
+    if browser.find_browser() is None:
+        pytest.skip("there is no chromium with its chromedriver")
+    from tactile_loc.app.server import AppServer
+
+    mesh, photo = tmp_path / hostile(".stl"), tmp_path / hostile(".png")
+    mesh.write_bytes(trimesh.creation.box((30, 20, 10)).export(file_type="stl"))
+    photo.write_bytes(encode_png(ball_set(1, px=80).background))
+    table = "[[touch]]\npath = '{}'\n"
+    (tmp_path / "bad.zip").write_bytes(pack({"touches.toml": table.format("<b>missing.npz").encode()}))
+    (tmp_path / "link.zip").write_bytes(pack({f"../{hostile()}": b""}))
+    with AppServer(PIN, MINI, port=0, store=store) as server:
+        session = server.new_session()
+        touch = write_touch(tmp_path / "touch.npz", session.add_touch()).read_bytes()
+        session.close()
+        listed = {"touches.toml": table.format(hostile(".npz")).encode()}
+        (tmp_path / "good.zip").write_bytes(pack({**listed, hostile(".npz"): touch}))
+        visitor = program.Visitor(f"{server.url}/?websocket=ws://127.0.0.1:9", tmp_path)
+        try:
+            program.wait_until(lambda: "connect-src" in read_console(visitor), "another server is not refused")
+            visitor.browser.get(server.url)
+            page = program.await_page(server, visitor)
+            visitor.upload("Open your own mesh", mesh)
+            visitor.await_text(f"{hostile()}: 30.0 x 20.0", 20)
+            visitor.click_text("Touches from files")
+            visitor.upload("Upload a touch or a list", tmp_path / "good.zip")
+            visitor.await_text(f"Touches: {hostile('.npz')}", 20)
+            for name in ("bad.zip", "link.zip"):
+                visitor.upload("Upload a touch or a list", tmp_path / name)
+            visitor.await_text("<b>missing.npz", 20)
+            visitor.await_text(f"'../{hostile()}'", 20)
+            visitor.open_tab("Calibrate a sensor")
+            visitor.upload("Upload the photo without contact", photo)
+            visitor.await_text(f"Without contact: {hostile('.png')}", 20)
+            page.notices.notify(hostile("title"), hostile("text"))
+            visitor.await_text(hostile("title"), 20)
+            find = (
+                "return [window.ran,"
+                "document.querySelectorAll('iframe, img[src=x], a[href*=evil], a[href^=java]').length,"
+                "performance.getEntriesByType('resource').filter(one => one.name.includes('evil')).length]"
+            )
+            assert visitor.browser.execute_script(find) == [None, 0, 0]
+            assert not [line for line in read_console(visitor).splitlines() if "Security" in line]
+        finally:
+            visitor.close()
+
+
+def read_console(visitor: program.Visitor) -> str:
+    """Return the new lines of the browser's console."""
+    return "\n".join(str(entry["message"]) for entry in visitor.browser.get_log("browser"))
 
 
 @pytest.mark.slow

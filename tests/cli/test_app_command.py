@@ -13,9 +13,11 @@ from cli_helpers import HANGS_S, assert_refused, command, hear_ctrl_c
 pytest.importorskip("viser")
 
 
-def test_the_page_is_served_until_ctrl_c(store):
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_the_page_is_served_until_a_signal_and_leaves_no_files(store, tmp_path, ending):
     process = subprocess.Popen(
-        command("app", "--object", "pin", "--port", "0"), env={**os.environ, "TACTILE_LOC_STORE": str(store)},
+        command("app", "--object", "pin", "--port", "0"),
+        env={**os.environ, "TACTILE_LOC_STORE": str(store), "TMPDIR": str(tmp_path)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     try:
@@ -23,12 +25,14 @@ def test_the_page_is_served_until_ctrl_c(store):
         assert url.startswith("http://127.0.0.1:")
         with urlopen(url, timeout=HANGS_S) as page:
             assert page.status == 200
-        process.send_signal(signal.SIGINT)
+        assert list(tmp_path.glob("tactile-loc-app-*"))
+        process.send_signal(ending)
         _, errors = process.communicate(timeout=HANGS_S)
     finally:
         process.kill()
     assert process.returncode == 0, errors
     assert "Traceback" not in errors
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_wrong_object_is_refused_before_the_page_is_served(cli):

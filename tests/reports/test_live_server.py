@@ -5,28 +5,32 @@ from __future__ import annotations
 import json
 import socket
 import threading
+import time
+from contextlib import suppress
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
 
 import numpy as np
 import pytest
 from message_helpers import missing, naming
+from web_visitor import idle_sockets
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.verdict import MEANINGS, Verdict, explain_verdict
+from tactile_loc.reports import live_server
 from tactile_loc.reports.live_server import Board, LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import JSON_OPTIONS, render
 from tactile_loc.tasks.live import LiveResult
 
 
-def ask(server: LiveServer, path: str, host: str | None = None) -> HTTPResponse:
+def ask(server: LiveServer, path: str, host: str | None = None, **others: str) -> HTTPResponse:
     port = int(server.url.rstrip("/").rpartition(":")[2])
     connection = HTTPConnection("127.0.0.1", port, timeout=30)
-    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"})
+    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}", **others})
     return connection.getresponse()
 
 
@@ -48,7 +52,10 @@ def test_the_page_is_served_locally_and_requests_only_its_own_server(localizer):
         for host in ("evil.example:80", "evil.example", "127.0.0.1.evil.example:8420"):
             assert ask(server, "/", host).status == 403
             assert ask(server, "/events", host).status == 403
-        assert ask(server, "/", server.url[7:-1].replace("127.0.0.1", "localhost")).status == 200
+        own = server.url[7:-1].replace("127.0.0.1", "localhost")
+        assert ask(server, "/", own, Origin=f"http://{own}").status == 200
+        refused = ask(server, "/events", own, Origin="http://evil.example")
+        assert (refused.status, refused.read().count(b"\n")) == (403, 1)
 
 
 def test_a_browser_gets_the_newest_frame_and_the_end_of_the_run():
@@ -79,6 +86,42 @@ def test_a_state_is_made_only_on_request_and_only_once():
         thread.join()
     assert made == [1]
     assert board.wait_for_newer(1, 0.01) == (1, "")
+
+
+def count_open(server: LiveServer) -> int:
+    return len(server._server._since)  # connections
+
+
+def test_idle_connections_keep_nobody_out_and_take_few_files():
+    with LiveServer("page", 0) as server, idle_sockets(server._server.server_port, 250) as idle:
+        assert ask(server, "/").read() == b"page"
+        assert count_open(server) <= live_server.MOST_CONNECTIONS + 1
+        assert idle[0].recv(1000).startswith(b"HTTP/1.0 503 ")
+
+
+def test_too_many_tabs_get_a_message(monkeypatch):
+    monkeypatch.setattr(live_server, "MOST_CONNECTIONS", 2)
+    with LiveServer("page", 0) as server:
+        watching = [ask(server, "/events") for _ in range(2)]
+        with idle_sockets(server._server.server_port, 1) as refused:
+            assert refused[0].recv(1000).startswith(b"HTTP/1.0 503 ")
+        server.board.show(lambda: {"number": 1})
+        assert [one.readline() for one in watching] == 2 * [b'data: {"number":1}\n']
+
+
+def test_connections_without_a_complete_request_end(monkeypatch):
+    monkeypatch.setattr(live_server, "REQUEST_S", 0.3)
+    with LiveServer("page", 0) as server, idle_sockets(server._server.server_port, 3) as idle:
+        watching = ask(server, "/events")
+        idle[0].sendall(b"GET / HTTP/1.0\r\n")
+        end_s = time.monotonic() + 60
+        while count_open(server) > 1 and time.monotonic() < end_s:
+            with suppress(OSError):
+                idle[0].sendall(b"X: y\r\n")  # a line now and then is not enough
+            time.sleep(0.05)
+        assert count_open(server) == 1
+        server.board.show(lambda: {"number": 1})
+        assert watching.readline() == b'data: {"number":1}\n'
 
 
 def test_an_occupied_port_gives_an_error():

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 from tactile_loc_cli import options
@@ -19,10 +22,21 @@ Port = Annotated[
 Host = Annotated[
     str,
     options.declare(
-        "--host", "ADDRESS", f"Address at which the page is served; 0.0.0.0 serves it to the network. Default: {HOST}.",
-        show_default=False,
+        "--host", "ADDRESS",
+        "Address at which the page is served; 0.0.0.0 serves it to other machines, which need the token in the printed "
+        f"address. Default: {HOST}.", show_default=False,
     ),
 ]  # fmt: skip
+
+
+@contextmanager
+def _end_like_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM act as Ctrl-C in the block, so that the files of visitors are removed."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def app(*, given: Given, host: Host = HOST, port: Port = PORT, store: options.Store = None) -> dict[str, Any]:
@@ -35,8 +49,10 @@ def app(*, given: Given, host: Host = HOST, port: Port = PORT, store: options.St
     from tactile_loc.store.store import StageStore
 
     settings = options.make_config(given)
-    with AppServer(settings.object, settings.sensor, host, port, StageStore(store)) as server:
+    with _end_like_ctrl_c(), AppServer(settings.object, settings.sensor, host, port, StageStore(store)) as server:
         say(f"page: {server.url} (Ctrl-C ends it)")
+        if server.is_open:
+            say("on other machines, write the name or the address of this machine instead of 127.0.0.1")
         sys.stdout.flush()
         server.serve()
     return {"url": server.url}
