@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MOST_CONNECTIONS, MOST_VISITORS = 64, 32
 LARGEST_MESSAGE = 4_000_000  # bytes; the page uploads files in parts of half a megabyte
 POLICY = (
-    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; object-src 'none'; "
+    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; object-src 'none'; "
     "style-src 'self' 'unsafe-inline'; connect-src 'self' ws://{host} data: blob:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )

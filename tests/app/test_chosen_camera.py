@@ -51,7 +51,7 @@ def test_a_failed_camera_is_opened_again(sources):
     assert len(sources) == 2
 
 
-@pytest.mark.parametrize("text", ["", "  ", "nowhere.mp4"])
+@pytest.mark.parametrize("text", ["", "  ", "nowhere.mp4", "a\0b", "~no\0body/a", "~nobody-here/a", 5000 * "a"])
 def test_a_missing_source_is_an_error(text):
     with pytest.raises(SourceError):
         ChosenCamera().take(text)
