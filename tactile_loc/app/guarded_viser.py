@@ -82,9 +82,9 @@ def _guard_sockets(access: Access) -> Iterator[list[bool]]:
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            waiting = [one for one in self.server.handlers if one.request is None]
-            if len(self.server.handlers) > MOST_CONNECTIONS:
-                waiting[0].transport.abort()
+            opened = [one for one in self.server.handlers if not one.transport.is_closing()]
+            if len(opened) > MOST_CONNECTIONS:
+                next(one for one in opened if one.request is None).transport.abort()
 
     def serve_guarded(*args: Any, process_request: Answer, **options: Any) -> Any:
         guarded.append(True)

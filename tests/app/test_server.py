@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from select import select
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ pytest.importorskip("viser")
 
 from web_visitor import ask, idle_sockets, open_socket, send, visit
 
+from tactile_loc.app.guarded_viser import MOST_CONNECTIONS
 from tactile_loc.app.server import AppServer
 from tactile_loc.app.uploads import LARGEST_MB, MB
 from tactile_loc.core.errors import ConfigError
@@ -125,6 +127,8 @@ def test_visitors_who_leave_at_once_leave_nothing(server, port):
 
 
 def test_idle_connections_keep_nobody_out(port):
-    with idle_sockets(port, 250):
+    with idle_sockets(port, 250) as idle:
         assert ask(port)[0] == 200
+        closed = idle[: len(idle) - MOST_CONNECTIONS]
+        assert [one for one in closed if not select([one], [], [], 30)[0]] == []
         assert open_socket(port) == 101

@@ -127,6 +127,8 @@ def test_hash_file_gives_the_digest_of_the_content(tmp_path: Path) -> None:
     assert hash_file(tmp_path / "mesh.stl") == hashlib.sha256(content).hexdigest()
     with pytest.raises(StoreError, match=r"none\.stl"):
         hash_file(tmp_path / "none.stl")
+    with pytest.raises(StoreError):
+        hash_file(Path("zero\0byte.stl"))
 
 
 def test_a_key_explains_its_stage():
