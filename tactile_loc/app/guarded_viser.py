@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import socket
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from threading import Lock
@@ -49,6 +50,7 @@ def start_viser(host: str, port: int, access: Access) -> ViserServer:
     """
     viser = require_viser()
     _require_host(host)
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)  # the visitor has left
     with redirect_stdout(io.StringIO()), _guard_sockets(access) as guarded:  # viser prints a banner
         server = viser.ViserServer(host, port, label="tactile-loc", verbose=False)
         if not guarded:

@@ -47,7 +47,7 @@ class Access:
         if is_loopback(host):
             return cls(LOOPBACK | {name})
         own = socket.gethostname().lower().partition(".")[0]
-        return cls(LOOPBACK | {name, own}, secrets.token_urlsafe(TOKEN_BYTES))
+        return cls((LOOPBACK | {name, own}) - {""}, secrets.token_urlsafe(TOKEN_BYTES))
 
     def find_fault(self, path: str, headers: Headers, connects: bool = False) -> str:
         """Return why a request is refused, in one sentence, or "". `connects` tells that it opens a websocket."""

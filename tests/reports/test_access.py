@@ -67,6 +67,13 @@ def test_other_machines_need_the_token(name):
     assert OPEN.find_fault(path, headers(Host="evil.example", Origin="http://evil.example"))
 
 
+def test_a_machine_without_a_name_has_no_empty_name(monkeypatch):
+    monkeypatch.setattr(socket, "gethostname", str)
+    access = Access.at("0.0.0.0")
+    for host in ("", ".evil.example", "<>"):
+        assert access.find_fault(f"/?token={access.token}", headers(Host=host))
+
+
 def test_each_open_server_has_its_own_token_and_address():
     assert len({Access.at("0.0.0.0").token for _ in range(3)} - {""}) == 3
     assert OPEN.write_url("0.0.0.0", 80) == f"http://127.0.0.1:80/?token={OPEN.token}"
