@@ -16,7 +16,7 @@ from tactile_loc.calibration.outcome import Outcome, calibrate_folder
 from tactile_loc.calibration.presses import SENSOR, TABLE, list_named_files
 from tactile_loc.core.errors import CalibrationError, TactileLocError, UploadError
 from tactile_loc.drawing.calibration import save_held_out, save_labels
-from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
+from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
 from tactile_loc.store.store import StageStore
 
@@ -171,8 +171,6 @@ class Calibrator:
 
 def _require_photo(path: Path) -> None:
     try:
-        image = read_colour_image(path)
+        read_photo(path)
     except TactileLocError as error:
         raise CalibrationError(str(error).replace(str(path), path.name)) from error
-    if image is None:
-        raise CalibrationError(f"{path.name} is not a colour photo; give PNG or JPEG with three channels")

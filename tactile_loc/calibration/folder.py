@@ -29,7 +29,7 @@ from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, 
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
-from tactile_loc.io.images import read_colour_image, write_image
+from tactile_loc.io.images import read_photo, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
 from tactile_loc.store.files import guard_output, is_unfinished, read_json, recover_folder, replace_folder
 from tactile_loc.store.keys import hash_arrays, hash_file
@@ -169,7 +169,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         ) from error
     try:
         geometry = read_sensor_file(folder / SENSOR)
-        background = read_colour_image(folder / BACKGROUND)
+        background = read_photo(folder / BACKGROUND)
     except (OSError, ValueError, SensorError, TouchError) as error:
         raise CalibrationError(
             f"{folder} cannot be read as a calibrated sensor ({error}); calibrate the sensor again"
@@ -186,7 +186,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         raise CalibrationError(
             f"{folder / CALIBRATION} is damaged: {wrong} is missing or has a wrong type; calibrate the sensor again"
         ) from error
-    if background is None or background.shape[:2] != geometry.shape:
+    if background.shape[:2] != geometry.shape:
         raise CalibrationError(
             f"{folder}: {BACKGROUND} and {SENSOR} have different image sizes; calibrate the sensor again"
         )

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import reduce_image
-from tactile_loc.core.errors import CalibrationError, TactileLocError
-from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image, write_image
+from tactile_loc.core.errors import CalibrationError, TouchError
+from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES, read_video
 from tactile_loc.store.files import replace_folder
 
@@ -69,11 +69,9 @@ def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:
     for path in _list_files(folder, IMAGE_SUFFIXES):
         try:
-            image = read_colour_image(path)
-        except TactileLocError as error:
+            image = read_photo(path)
+        except TouchError as error:
             raise CalibrationError(str(error)) from error
-        if image is None:
-            raise CalibrationError(f"{path} is not a colour image; give PNG or JPEG with three channels, or remove it")
         yield Frame(path.relative_to(root).as_posix(), image)
 
 

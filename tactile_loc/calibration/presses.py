@@ -35,7 +35,7 @@ from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.images import load_npz, read_colour_image, write_image
+from tactile_loc.io.images import load_npz, read_photo, write_image
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.toml import format_toml
 from tactile_loc.store.files import write_atomically
@@ -310,13 +310,9 @@ def _parse_row(line: dict[str, str | None], where: str, folder: Path) -> Row:
 
 def _read_image(row: Row, geometry: SensorGeometry) -> Image:
     try:
-        image = read_colour_image(row.image)
+        image = read_photo(row.image)
     except TactileLocError as error:
         raise CalibrationError(f"{row.where}: {error}") from error
-    if image is None:
-        raise CalibrationError(
-            f"{row.where}: {row.image.name} is not a colour image; give PNG or JPEG with three channels"
-        )
     if image.shape[:2] != geometry.shape:
         got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, geometry.shape))
         raise CalibrationError(
@@ -375,13 +371,10 @@ def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float
 def write_sensor(folder: Path, mm_per_px: float) -> Path:
     """Write `sensor.toml` for a set that was converted to `folder`, and return the path of `sensor.toml`.
 
-    Pixels are square and `mm_per_px` mm wide. Raises CalibrationError or TouchError when an image cannot be read.
+    Pixels are square and `mm_per_px` mm wide. Raises TouchError when an image cannot be read.
     """
     first = min(path for path in folder.iterdir() if path.name != TABLE)
-    image = read_colour_image(first)
-    if image is None:
-        raise CalibrationError(f"{first} is not a colour image; give PNG or JPEG with three channels")
-    return write_scale(folder, image.shape[:2], mm_per_px)
+    return write_scale(folder, read_photo(first).shape[:2], mm_per_px)
 
 
 def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:

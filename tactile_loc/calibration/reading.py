@@ -23,7 +23,7 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_inverse import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.io.images import read_colour_image
+from tactile_loc.io.images import read_photo
 
 if TYPE_CHECKING:
     from tactile_loc.calibration.estimator import GelEstimator
@@ -96,10 +96,7 @@ def require_image(
 
 def read_zero(path: Path) -> Image:
     """Read a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
-    image = read_colour_image(path)
-    if image is None:
-        raise TouchError(f"{path} is not a colour image; give PNG or JPEG with three channels as `zero`")
-    return image
+    return read_photo(path)
 
 
 def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry, areas: float = 1.0) -> float:

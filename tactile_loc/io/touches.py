@@ -30,11 +30,14 @@ from tactile_loc.core.sensing.touch import (
 from tactile_loc.io.images import (
     FORMATS,
     IMAGE_SUFFIXES,
+    PHOTO,
     UNREADABLE,
+    explain_picture,
     explain_unreadable,
     load_image,
     load_npy,
     load_npz,
+    read_brightness,
     read_colour_image,
     require_file,
 )
@@ -76,19 +79,12 @@ def read_contents(path: Path) -> FileContents:
     suffix = path.suffix.lower()
     require_file(path)
     if suffix not in readers:
-        explained = f"{path} is not a touch file; give {FORMATS}"
-        raise TouchError(_explain_image(path) if suffix in IMAGE_SUFFIXES else explained)
+        read_colour_image(path)  # names the kind of another picture
+        raise TouchError(f"{path} is {PHOTO if suffix in IMAGE_SUFFIXES else 'not a touch file'}; give {FORMATS}")
     try:
         return readers[suffix](path)
     except UNREADABLE as error:
         raise TouchError(explain_unreadable(path, error)) from error
-
-
-def _explain_image(path: Path) -> str:
-    return (
-        f"{path} is neither a contact shape nor an 8-bit colour photo; give a contact shape ({FORMATS}, with its "
-        "unit), or an 8-bit colour photo with a calibrated sensor"
-    )
 
 
 def _read_npz(path: Path) -> FileContents:
@@ -130,7 +126,7 @@ def _find_pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDA
 def _read_png(path: Path) -> FileContents:
     mode, values = load_image(path)
     if mode != "I" and not mode.startswith("I;16"):  # Pillow before 11 opens 16-bit grey as "I"
-        raise TouchError(_explain_image(path))
+        raise TouchError(explain_picture(path, mode))
     return FileContents(values.astype(np.uint16))
 
 
@@ -195,13 +191,7 @@ def read_touch(
 
 def read_mask(path: Path) -> FileContents:
     """Read an .npz, .npy or grey .png file with a contact mask. Raises TouchError for any other or a damaged file."""
-    if path.suffix.lower() != ".png":
-        return read_contents(path)
-    require_file(path)
-    try:
-        return FileContents(load_image(path)[1])
-    except UNREADABLE as error:
-        raise TouchError(explain_unreadable(path, error)) from error
+    return FileContents(read_brightness(path)) if path.suffix.lower() == ".png" else read_contents(path)
 
 
 def _read_mask(

@@ -250,7 +250,7 @@ def test_a_background_of_another_sensor_is_refused(folder):
     with pytest.raises(CalibrationError, match=naming("background.png", "sensor.toml")):
         read_calibration(folder)
     Image.fromarray(BALLS.background).convert("L").save(folder / BACKGROUND)
-    with pytest.raises(CalibrationError, match=naming("background.png", "sensor.toml")):
+    with pytest.raises(CalibrationError, match=naming("background.png", "8-bit grey")):
         read_calibration(folder)
 
 

@@ -36,7 +36,7 @@ NOT_ITS_IMAGES = {
     "small": (BALLS.background[:40], "80 x 40 px"),
     "black": (0 * BALLS.background, "black"),
     "grey": (BALLS.background[..., 0], "8-bit colour photo"),
-    "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "8-bit colour photo"),
+    "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "transparent"),
     "other": (render_background(BALLS.geometry, OPTICS["digit"]), "sensor"),
 }
 

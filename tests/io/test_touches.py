@@ -407,10 +407,15 @@ def test_a_written_mask_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.asarray(read.T_base_sensor), T_BASE_SENSOR)
 
 
-@pytest.mark.parametrize("mode", ["1", "L"])
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA"])
 def test_a_mask_is_read_from_a_picture(tmp_path: Path, mode: str) -> None:
+    """The palette has white at the index 0, and black at 1."""
     path = tmp_path / "a.png"
-    Image.fromarray(np.where(make_mask(), 255, 0).astype(np.uint8)).convert(mode).save(path)
+    image = Image.fromarray(np.where(make_mask(), 255, 0).astype(np.uint8))
+    if mode == "P":
+        image = Image.fromarray(np.where(make_mask(), 0, 1).astype(np.uint8))
+        image.putpalette([255, 255, 255, 0, 0, 0])
+    image.convert(mode).save(path)
     touch = read_touch(path, SENSOR, press_depth_m=1 * MM, kind="mask")
     assert not touch.has_depths
     assert touch.press_depth_m == 1 * MM

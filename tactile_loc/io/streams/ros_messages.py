@@ -19,7 +19,7 @@ from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, rotation_to_quaternion_xyzw
-from tactile_loc.io.images import UNREADABLE, load_image
+from tactile_loc.io.images import UNREADABLE, find_colours, load_image, name_kind, require_opaque
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 TF = "tf2_msgs/msg/TFMessage"
@@ -80,21 +80,30 @@ def _decode_raw(message: Any) -> NDArray[Any]:
         )
     rows = data[: message.height * message.step].reshape(message.height, message.step)[:, :used]
     pixels = np.ascontiguousarray(rows).view(dtype).reshape(message.height, message.width, encoding.channels)
+    if encoding.channels == 4 and np.ptp(pixels[..., 3]) > 0:  # a constant alpha channel only fills the fourth byte
+        require_opaque(pixels[..., 3], f"the {message.encoding} image")
     kept = pixels if encoding.kept == tuple(range(encoding.channels)) else pixels[..., list(encoding.kept)]
     own = kept.astype(dtype.newbyteorder("="), copy=False)
     return own[..., 0] if len(encoding.kept) == 1 else own
 
 
 def _decode_compressed(message: Any) -> NDArray[Any]:
+    """Return the image of a CompressedImage. Its format names the order of colours before the compression only."""
+    if "compressedDepth" in message.format:
+        raise RecordingError(
+            f"compressed depth images ({message.format}) cannot be read; record the uncompressed images, as 32FC1"
+        )
     try:
         mode, values = load_image(BytesIO(bytes(message.data)))
     except UNREADABLE as error:
         raise TouchError(f"the compressed image ({message.format}) is damaged, or not a PNG or JPEG") from error
-    if mode not in ("RGB", "L"):
+    image = find_colours(mode, values, f"the compressed image ({message.format})")
+    if image is None:
         raise RecordingError(
-            f"compressed images of mode {mode} ({message.format}) cannot be read; convert them to 8-bit colour or grey"
+            f"the compressed image ({message.format}) is {name_kind(mode)}; publish 8-bit colour or grey, or the "
+            "depths as uncompressed 32FC1"
         )
-    return values
+    return image
 
 
 def read_stamp_ns(header: Any) -> int:

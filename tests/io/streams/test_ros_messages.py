@@ -29,10 +29,10 @@ def padded(rows: np.ndarray) -> bytes:
     return b"".join(row.tobytes() + b"\xee\xee" for row in rows)
 
 
-def compressed(values: np.ndarray, kind: str) -> Fields:
+def compressed(values: np.ndarray, kind: str, format: str = "") -> Fields:
     file = BytesIO()
     Image.fromarray(values).save(file, kind)
-    return Fields(format=kind, data=np.frombuffer(file.getvalue(), np.uint8))
+    return Fields(format=format or kind, data=np.frombuffer(file.getvalue(), np.uint8))
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
@@ -40,6 +40,9 @@ def test_every_colour_encoding_is_read_as_rgb(encoding, order):
     np.testing.assert_array_equal(decode_image(raw(padded(RGB[..., order]), encoding, 14)), RGB)
     alpha = np.dstack([RGB[..., order], np.full((5, 4, 1), 7, np.uint8)])
     np.testing.assert_array_equal(decode_image(raw(alpha.tobytes(), f"{encoding[:3]}a8", 16)), RGB)
+    alpha[2, 3, 3] = 0
+    with pytest.raises(TouchError, match="transparent"):
+        decode_image(raw(alpha.tobytes(), f"{encoding[:3]}a8", 16))
 
 
 def test_grey_images_and_depth_images_are_read():
@@ -53,7 +56,9 @@ def test_grey_images_and_depth_images_are_read():
 
 
 def test_compressed_images_are_read():
-    np.testing.assert_array_equal(decode_image(compressed(RGB, "png")), RGB)
+    np.testing.assert_array_equal(decode_image(compressed(RGB, "png", "rgb8; png compressed bgr8")), RGB)
+    opaque = np.dstack([RGB, np.full((5, 4), 255, np.uint8)])
+    np.testing.assert_array_equal(decode_image(compressed(opaque, "png")), RGB)
     np.testing.assert_array_equal(decode_image(compressed(RGB[..., 0], "png")), RGB[..., 0])
     smooth = np.broadcast_to(np.array([200, 90, 10], np.uint8), (16, 16, 3))
     assert np.abs(decode_image(compressed(smooth, "jpeg")).astype(int) - smooth).max() <= 3
@@ -67,8 +72,11 @@ def test_unreadable_images_give_a_one_sentence_error():
             decode_image(raw(data, "rgb8", step))
     with pytest.raises(TouchError, match="png"):
         decode_image(Fields(format="png", data=compressed(RGB, "png").data[:40]))
-    with pytest.raises(RecordingError, match=naming("I;16", "png")):
-        decode_image(compressed(RGB[..., 0].astype(np.uint16), "png"))
+    for format in ("mono16; png compressed ", "16UC1; compressedDepth"):
+        with pytest.raises(RecordingError, match=naming(format, "32FC1")):
+            decode_image(compressed(RGB[..., 0].astype(np.uint16), "png", format))
+    with pytest.raises(TouchError, match=naming("png", "transparent")):
+        decode_image(compressed(np.dstack([RGB, RGB[..., 0]]), "png"))
 
 
 def test_poses_survive_the_conversion_to_ros_and_back():
