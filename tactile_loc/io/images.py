@@ -13,7 +13,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -23,6 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
+from tactile_loc.core.limits import (
+    MOST_BYTES,
+    MOST_FILE_BYTES,
+    TooLargeError,
+    require_pixels,
+    require_size,
+)
+from tactile_loc.io.archives import require_packing
 
 FORMATS = ".npz, .npy or 16-bit grey .png"  # formats of contact shapes
 PHOTO = "an 8-bit colour photo"
@@ -35,8 +43,9 @@ OPAQUE = 255  # value of an alpha channel
 PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "DIB", "TIFF", "WEBP", "GIF", "PPM")  # in Pillow; JPEG includes MPO
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
-MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # largest image and image side; no camera behind a gel takes larger images
-MOST_BYTES = 2**30  # largest size of all arrays in one .npz file
+COLOUR_ARRAYS = {3: "RGB", 4: "RGBA"}  # modes of photos, by the number of channels
+ORIENTATION, TRANSPOSED = 0x0112, (5, 6, 7, 8)  # tag of EXIF, and its values that exchange width and height
+TILE_WIDTH, TILE_HEIGHT = 322, 323  # tags of TIFF
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DAMAGES = (
     EOFError, LookupError, SyntaxError, TypeError, RuntimeError, ArithmeticError, AttributeError, MemoryError,
@@ -69,22 +78,22 @@ def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
 
 
 def _read_picture(path: Path) -> tuple[str | None, NDArray[np.uint8] | None]:
-    """Return the mode of a picture, or None for another file, and its colours (H, W, 3), or None if it is no photo."""
-    suffix = path.suffix.lower()
-    if suffix not in (*IMAGE_SUFFIXES, ".npy"):
+    """Return the mode of a picture, or None for another file, and its colours (H, W, 3), or None if it is no photo.
+
+    Only the header is read if it shows that the file is no photo.
+    """
+    if path.suffix.lower() not in (*IMAGE_SUFFIXES, ".npy"):
         return None, None
     require_file(path)
-    try:
-        mode, values = load_image(path) if suffix in IMAGE_SUFFIXES else ("RGB", load_npy(path))
-    except UNREADABLE as error:
-        raise TouchError(explain_unreadable(path, error)) from error
-    if suffix == ".npy":
-        channels = values.shape[2] if values.ndim == 3 and values.dtype == np.uint8 else 0
-        if channels not in (3, 4):
-            return None, None
-        mode = "RGBA"[:channels]
-    image = find_colours(mode, values, str(path))
-    return mode, image if image is not None and image.ndim == 3 else None
+    with guard_reading(path):
+        if path.suffix.lower() == ".npy":
+            held = measure_npy(path)
+            mode = COLOUR_ARRAYS.get(held.shape[2]) if held.ndim == 3 and held.dtype == np.uint8 else None
+            values = None if mode is None else load_npy(path)
+        else:
+            mode = measure_image(path)[0]
+            values = load_image(path)[1] if mode in COLOUR_ARRAYS.values() else None
+    return mode, None if mode is None or values is None else find_colours(mode, values, str(path))
 
 
 def find_colours(mode: str, values: NDArray[Any], name: str) -> NDArray[np.uint8] | None:
@@ -127,10 +136,8 @@ def read_brightness(path: Path) -> NDArray[Any]:
     Raises TouchError when the file is missing or damaged, or has transparent pixels.
     """
     require_file(path)
-    try:
+    with guard_reading(path):
         mode, values = load_image(path)
-    except UNREADABLE as error:
-        raise TouchError(explain_unreadable(path, error)) from error
     colours = find_colours(mode, values, str(path))
     values = values if colours is None else colours
     if values.ndim == 3 and (values == values[..., :1]).all():
@@ -144,21 +151,38 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
     The image is turned as its EXIF data state, like in any viewer. A palette is replaced by its colours. Raises OSError
     when the file cannot be read, and ValueError when it is damaged, too large, or has several pages.
     """
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
+
+    with _open_picture(path) as image:
+        ImageOps.exif_transpose(image, in_place=True)
+        wanted = mode or _find_plain_mode(image)
+        return wanted, np.asarray(image if wanted == image.mode else image.convert(wanted))
+
+
+def measure_image(path: Path | IO[bytes]) -> tuple[str, tuple[int, int]]:
+    """Return the mode and the shape (H, W) that `load_image` would return, from the header. Raises its errors."""
+    with _open_picture(path) as image:
+        height, width = image.size if image.getexif().get(ORIENTATION, 1) in TRANSPOSED else image.size[::-1]
+        return _find_plain_mode(image), (height, width)
+
+
+@contextmanager
+def _open_picture(path: Path | IO[bytes]) -> Iterator[Any]:
+    """Yield an image of Pillow, of which only the header is read. Raises OSError or ValueError as `load_image`."""
+    from PIL import Image
 
     with _convert_damage(Image.DecompressionBombError), warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MOST_PIXELS is the limit
+        if isinstance(path, Path):
+            require_size(path.stat().st_size, MOST_FILE_BYTES)
         file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # its end limits a damaged length
         with Image.open(file, formats=PICTURE_FORMATS) as image:
-            width, height = image.size
-            if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
-                most = f"{MOST_PIXELS / 1e6:.0f} million pixels, {MOST_SIDE_PX} along a side"
-                raise ValueError(f"it has {width} x {height} pixels; the limit is {most}")
+            require_pixels(*image.size)
+            tags = getattr(image, "tag_v2", {})  # of TIFF, where a tile may be larger than the image
+            require_pixels(tags.get(TILE_WIDTH, 1), tags.get(TILE_HEIGHT, 1))
             if image.format != "MPO" and getattr(image, "is_animated", False):  # phones add previews to MPO
                 raise ValueError("it has several pages; save each page as a file")
-            ImageOps.exif_transpose(image, in_place=True)
-            wanted = mode or _find_plain_mode(image)
-            return wanted, np.asarray(image if wanted == image.mode else image.convert(wanted))
+            yield image
 
 
 def _find_plain_mode(image: Any) -> str:
@@ -198,10 +222,21 @@ def require_file(path: Path) -> None:
         raise TouchError(f"there is no file {path}; check the path")
 
 
+@contextmanager
+def guard_reading(path: Path) -> Iterator[None]:
+    """Convert the errors of the block, which reads a damaged file, to a TouchError that names the file."""
+    try:
+        yield
+    except UNREADABLE as error:
+        raise TouchError(explain_unreadable(path, error)) from error
+
+
 def explain_unreadable(path: Path, error: BaseException) -> str:
     """Return the error message for a file that could not be read."""
     if "allow_pickle" in str(error):
         return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
+    if isinstance(error, TooLargeError):
+        return f"{path} is too large: {error}"
     kind = path.suffix.lower()[1:]
     return f"{path} cannot be read as {kind} ({summarize(error)}); it is damaged or of another kind, so save it again"
 
@@ -216,32 +251,41 @@ def load_npy(path: Path) -> NDArray[Any]:
 
     Raises ValueError when the file is damaged or not .npy, and OSError when it cannot be opened.
     """
+    measure_npy(path)
     with path.open("rb") as file, _convert_damage():
-        _require_filled(file, path.stat().st_size)
-        file.seek(0)
         array: NDArray[Any] = np.load(file, allow_pickle=False)
     return array
 
 
-def load_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file by name.
+def measure_npy(path: Path) -> NDArray[Any]:
+    """Return an array without memory, with the shape and the type of that in an .npy file. Raises like `load_npy`."""
+    with path.open("rb") as file, _convert_damage():
+        return _read_header(file, path.stat().st_size)
 
-    Raises ValueError when the file is damaged or not .npz, and OSError when it cannot be opened.
+
+def load_npz(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an .npz file by name; only those of `names` if given.
+
+    Raises ValueError when the file is damaged, not .npz, or too large, and OSError when it cannot be opened.
     """
+    held = measure_npz(path)
+    require_size(sum(one.nbytes for name, one in held.items() if names is None or name in names), MOST_BYTES)
+    with path.open("rb") as file, _convert_damage(), np.load(file, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in held if names is None or name in names}
+
+
+def measure_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """Return arrays without memory, with the shapes and types of those in an .npz file. Raises like `load_npz`."""
     with path.open("rb") as file, _convert_damage():
         _require_magic(file, b"PK")
         file.seek(0)
+        found = {}
         with zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            held = sum(member.file_size for member in members)
-            if held > MOST_BYTES:
-                raise ValueError(f"it inflates to {held / 2**30:.3g} GiB; the limit is {MOST_BYTES / 2**30:g} GiB")
-            for member in members:
+            require_packing(archive.infolist())
+            for member in archive.infolist():
                 with archive.open(member) as stream:
-                    _require_filled(stream, member.file_size)
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+                    found[member.filename.removesuffix(".npy")] = _read_header(stream, member.file_size)
+        return found
 
 
 @contextmanager
@@ -253,8 +297,11 @@ def _convert_damage(*others: type[Exception]) -> Iterator[None]:
         raise ValueError(str(error) or type(error).__name__) from error
 
 
-def _require_filled(file: IO[bytes], size: int) -> None:
-    """Raise ValueError unless a file of `size` bytes is .npy and holds all the numbers that its header states."""
+def _read_header(file: IO[bytes], size: int) -> NDArray[Any]:
+    """Return an array without memory, with the shape and the type that the header of an .npy file states.
+
+    Raises ValueError unless the file of `size` bytes is .npy and holds all the numbers of the array.
+    """
     _require_magic(file, np.lib.format.MAGIC_PREFIX)
     version = tuple(file.read(2))
     if version not in HEADERS:
@@ -265,6 +312,7 @@ def _require_filled(file: IO[bytes], size: int) -> None:
         raise ValueError("allow_pickle")
     if min(shape, default=0) < 0 or dtype.itemsize == 0 or said > left:
         raise ValueError(f"its header states {dtype} of shape {shape}, {said} bytes, but it holds {left}")
+    return np.broadcast_to(np.zeros((), dtype), shape)
 
 
 def _require_magic(file: IO[bytes], magic: bytes) -> None:

@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ObjectError, TactileLocError, did_you_mean
+from tactile_loc.core.limits import MOST_BYTES, require_size
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.images import summarize
 from tactile_loc.io.step_files import convert_step, is_step
+from tactile_loc.store.files import parse_json
 
 log = logging.getLogger(__name__)
+GLTF, ELEMENT_BYTES = (".gltf", ".glb"), 24  # three coordinates or indices in memory
 AGAIN = "export it again as a surface mesh"
 
 Units = Literal["m", "mm", "cm", "inch", "auto"]
@@ -76,9 +79,25 @@ def _load_raw(path: Path) -> Any:
     """Load a file as trimesh reads it, in the file's unit; a STEP file in metres."""
     import trimesh
 
+    if path.suffix.lower() in GLTF:
+        _require_elements(path)
     with warnings.catch_warnings(), convert_step(path) if is_step(path) else nullcontext(path) as file:
         warnings.simplefilter("ignore")
         return trimesh.load(file, force="mesh", process=False)
+
+
+def _require_elements(path: Path) -> None:
+    """Raise an error if a glTF file states more elements than memory should hold; its buffers need not hold them."""
+    content = path.read_bytes()
+    length = int.from_bytes(content[12:16], "little")  # of the JSON in a binary file, after 20 bytes
+    tree = parse_json(content[20 : 20 + length] if content[:4] == b"glTF" else content)
+    counts = [one["count"] for one in tree.get("accessors", ())]
+    meshes = [
+        sum(counts[n] for one in mesh["primitives"] for n in (*one["attributes"].values(), one.get("indices", 0)))
+        for mesh in tree.get("meshes", ())
+    ]
+    placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node)
+    require_size(ELEMENT_BYTES * (sum(counts) + placed), MOST_BYTES)
 
 
 def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) -> None:

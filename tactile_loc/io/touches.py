@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError, advise_choice
 from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.limits import require_pixels
 from tactile_loc.core.sensing.depth_maps import KINDS, MASK, METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
 from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -26,17 +27,20 @@ from tactile_loc.core.sensing.touch import (
     Touch,
     blank_unobserved,
     contact_shape_from_array,
+    require_fit,
 )
 from tactile_loc.io.images import (
     FORMATS,
     IMAGE_SUFFIXES,
     PHOTO,
-    UNREADABLE,
     explain_picture,
-    explain_unreadable,
+    guard_reading,
     load_image,
     load_npy,
     load_npz,
+    measure_image,
+    measure_npy,
+    measure_npz,
     read_brightness,
     read_colour_image,
     require_file,
@@ -73,38 +77,61 @@ class FileContents:
     press_std: float | None = None
 
 
-def read_contents(path: Path) -> FileContents:
-    """Read an .npz, .npy or 16-bit grey .png file. Raises TouchError for any other file, and for a damaged file."""
-    readers = {".npz": _read_npz, ".npy": lambda path: FileContents(load_npy(path)), ".png": _read_png}
+def read_contents(path: Path, geometry: SensorGeometry | None = None) -> FileContents:
+    """Read an .npz, .npy or 16-bit grey .png file. Raises TouchError for any other file, and for a damaged file.
+
+    The contact shape must have the image size of the sensor `geometry`, if given. It is compared before it is read.
+    """
+    readers = {".npz": _read_npz, ".npy": _read_npy, ".png": _read_png}
     suffix = path.suffix.lower()
     require_file(path)
     if suffix not in readers:
         read_colour_image(path)  # names the kind of another picture
         raise TouchError(f"{path} is {PHOTO if suffix in IMAGE_SUFFIXES else 'not a touch file'}; give {FORMATS}")
-    try:
-        return readers[suffix](path)
-    except UNREADABLE as error:
-        raise TouchError(explain_unreadable(path, error)) from error
+    with guard_reading(path):
+        return readers[suffix](path, geometry)
 
 
-def _read_npz(path: Path) -> FileContents:
-    arrays = load_npz(path)
+def _read_npz(path: Path, geometry: SensorGeometry | None) -> FileContents:
+    held = measure_npz(path)
+    depth = _find_depth(held, path)
+    _check_map(held[depth], path, geometry)
+    others = [name for name in OTHER_ARRAYS if name in held]
+    for name in others:
+        if held[name].nbytes > LARGEST_OTHER_BYTES:
+            raise TouchError(f"{name} in {path} has shape {held[name].shape}; save a number, a text or a pose (4, 4)")
+    arrays = load_npz(path, (depth, *others))
     unit, kind, gel = (str(arrays[name]) if name in arrays else None for name in ("unit", "kind", "gel"))
     return FileContents(
-        _find_depth(arrays, path), unit, _find_number(arrays, "press_depth", path),
+        arrays[depth], unit, _find_number(arrays, "press_depth", path),
         _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
         _find_number(arrays, "indentation", path), kind, gel, _find_number(arrays, "press_std", path),
     )  # fmt: skip
 
 
-def _find_depth(arrays: Mapping[str, NDArray[Any]], path: Path) -> NDArray[Any]:
-    """Return the array `depth`, or else the only array with two or more dimensions that is not a pose."""
-    if "depth" in arrays:
-        return arrays["depth"]
-    maps = [a for name, a in arrays.items() if a.ndim >= 2 and not name.startswith("T_")]
+def _read_npy(path: Path, geometry: SensorGeometry | None) -> FileContents:
+    _check_map(measure_npy(path), path, geometry)
+    return FileContents(load_npy(path))
+
+
+def _check_map(held: NDArray[Any], path: Path, geometry: SensorGeometry | None) -> None:
+    """Raise TouchError or ValueError unless an array (H, W), of which only the shape is read, fits the sensor."""
+    if held.ndim == 2 and geometry is not None:
+        require_fit(held.shape, geometry, str(path))
+    elif held.ndim >= 2:
+        require_pixels(*held.shape[:2])
+    if held.ndim != 2 or held.dtype.kind not in "fiub":
+        raise TouchError(f"{path} holds {held.dtype} of shape {held.shape}; a contact shape must be numbers (H, W)")
+
+
+def _find_depth(held: Mapping[str, NDArray[Any]], path: Path) -> str:
+    """Return the name `depth`, or else that of the only array with two or more dimensions that is not a pose."""
+    if "depth" in held:
+        return "depth"
+    maps = [name for name, a in held.items() if a.ndim >= 2 and not name.startswith("T_")]
     if len(maps) != 1:
-        held = ", ".join(f"{name} {a.shape}" for name, a in arrays.items()) or "nothing"
-        raise TouchError(f"{path} holds {held}; save one array (H, W), or name the contact shape 'depth'")
+        listed = ", ".join(f"{name} {a.shape}" for name, a in held.items()) or "nothing"
+        raise TouchError(f"{path} holds {listed}; save one array (H, W), or name the contact shape 'depth'")
     return maps[0]
 
 
@@ -123,13 +150,17 @@ def _find_pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDA
     return require_rigid(arrays[name], f"{name} in {path}", TouchError)
 
 
-def _read_png(path: Path) -> FileContents:
-    mode, values = load_image(path)
-    if mode != "I" and not mode.startswith("I;16"):  # Pillow before 11 opens 16-bit grey as "I"
+def _read_png(path: Path, geometry: SensorGeometry | None) -> FileContents:
+    mode, shape = measure_image(path)
+    if not mode.startswith("I"):  # Pillow before 11 opens 16-bit grey as "I"
         raise TouchError(explain_picture(path, mode))
-    return FileContents(values.astype(np.uint16))
+    if geometry is not None:
+        require_fit(shape, geometry, str(path))
+    return FileContents(load_image(path)[1].astype(np.uint16))
 
 
+OTHER_ARRAYS = ("unit", "kind", "gel", "press_depth", "press_std", "indentation", "T_sensor_object", "T_base_sensor")
+LARGEST_OTHER_BYTES = 4096
 UNITS = tuple(METRES_PER_UNIT)
 KIND_OPTION = "`touch_kind` {}"
 NO_CONTACT_U16 = 65535
@@ -173,7 +204,7 @@ def read_touch(
     path = Path(path)
     geometry = sensor.geometry
     if kind == MASK:
-        return _read_mask(path, read_mask(path), sensor, unit, press_depth_m)
+        return _read_mask(path, read_mask(path, geometry), sensor, unit, press_depth_m)
     image = read_colour_image(path)
     if image is not None:
         try:
@@ -181,7 +212,7 @@ def read_touch(
         except TouchError as error:
             raise TouchError(f"{path}: {error}") from error
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
-    contents = read_contents(path)
+    contents = read_contents(path, geometry)
     if contents.kind == MASK and kind is None:
         return _read_mask(path, contents, sensor, unit, press_depth_m)
     _compare_gels(contents.gel, geometry.gel, path)
@@ -189,9 +220,16 @@ def read_touch(
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
 
 
-def read_mask(path: Path) -> FileContents:
-    """Read an .npz, .npy or grey .png file with a contact mask. Raises TouchError for any other or a damaged file."""
-    return FileContents(read_brightness(path)) if path.suffix.lower() == ".png" else read_contents(path)
+def read_mask(path: Path, geometry: SensorGeometry | None = None) -> FileContents:
+    """Read an .npz, .npy or grey .png file with a contact mask, as `read_contents`."""
+    if path.suffix.lower() != ".png":
+        return read_contents(path, geometry)
+    require_file(path)
+    with guard_reading(path):
+        shape = measure_image(path)[1]
+    if geometry is not None:
+        require_fit(shape, geometry, str(path))
+    return FileContents(read_brightness(path))
 
 
 def _read_mask(

@@ -22,6 +22,7 @@ from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.errors import LibraryError, MissingLibraryError
 from tactile_loc.core.geometry.rigid import align_all_to_z, make_transform
+from tactile_loc.core.limits import require_size
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
@@ -118,6 +119,7 @@ class PartRecord:
         values, start, body, *_ = read_header(packed)
         length = 12 * (values["vertices"] + values["faces"]) + PATCH_PX**2 * values["places"]
         try:
+            require_size(length)
             stream = _make_codec().decompress(packed[start:body], length, asbytes=True)
             vertices_m, faces, patches = _split(
                 stream, ("<f4", (values["vertices"], 3)), ("<i4", (values["faces"], 3)),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 
 from tactile_loc.core.errors import LibraryError
+from tactile_loc.core.limits import require_table
 from tactile_loc.library.record import hash_record, read_header, require_pyarrow
 
 
@@ -81,7 +82,9 @@ def read_table(content: bytes) -> list[PartRow]:
     names = [field.name for field in fields(PartRow)]
     try:
         # unlike `read_table`, this does not import pandas
-        found = parquet.ParquetFile(pa.BufferReader(content)).read(columns=names, use_threads=False)
+        file = parquet.ParquetFile(pa.BufferReader(content))
+        require_table(file.metadata)
+        found = file.read(columns=names, use_threads=False)
         columns = [found.column(name).to_pylist() for name in names]
     except (pa.ArrowException, KeyError) as error:
         raise ValueError(str(error)) from error

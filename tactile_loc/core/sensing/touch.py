@@ -137,12 +137,7 @@ class Touch:
 
     def __post_init__(self) -> None:
         depth = self.contact_shape.depth_m
-        if depth.shape != self.geometry.shape:
-            got, want = " x ".join(map(str, depth.shape)), " x ".join(map(str, self.geometry.shape))
-            raise TouchError(
-                f"{self.name} is {got} pixels, but the sensor's image is {want} (rows x columns); "
-                "choose the sensor that took it, or set its image_size_px"
-            )
+        require_fit(depth.shape, self.geometry, self.name)
         contact = self.contact_shape.contact[self.geometry.observed_mask]
         if not contact.any():
             raise NoContactError(
@@ -332,6 +327,16 @@ def require_numbers(values: NDArray[Any], name: str) -> NDArray[Any]:
             "depth from full penetration"
         )
     return values
+
+
+def require_fit(shape: tuple[int, ...], geometry: SensorGeometry, name: str) -> None:
+    """Raise TouchError unless a touch of this shape, pixels, has the size of the sensor's image."""
+    if shape != geometry.shape:
+        got, want = " x ".join(map(str, shape)), " x ".join(map(str, geometry.shape))
+        raise TouchError(
+            f"{name} is {got} pixels, but the sensor's image is {want} (rows x columns); "
+            "choose the sensor that took it, or set its image_size_px"
+        )
 
 
 def blank_unobserved(values: NDArray[Any], geometry: SensorGeometry) -> NDArray[Any]:

@@ -13,6 +13,7 @@ from typing import IO, Any
 from tactile_loc.core.errors import RecordingError, did_you_mean
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.io.images import summarize
+from tactile_loc.io.streams.chunks import limit_unpacking, read_records, require_chunks
 from tactile_loc.io.streams.ros_messages import (
     CDR,
     IMAGE_TYPES,
@@ -165,12 +166,10 @@ class Recording:
         """Yield the records of the data section until it ends or is damaged."""
         from mcap.exceptions import EndOfFile
         from mcap.records import DataEnd
-        from mcap.stream_reader import StreamReader
 
         with self.path.open("rb") as file:
             try:
-                largest = self.path.stat().st_size
-                for record in StreamReader(file, validate_crcs=True, record_size_limit=largest).records:
+                for record in read_records(file, self.path.stat().st_size):
                     if isinstance(record, DataEnd):
                         return
                     yield record
@@ -181,13 +180,24 @@ class Recording:
         from rosbags.highlevel import AnyReader
 
         try:
+            for path in self.path.glob("*.mcap") if self.path.is_dir() else ():
+                require_chunks(path)
             with AnyReader([self.path], default_typestore=load_types(CDR)) as reader:
+                _limit_chunks(reader)
                 encoding = CDR if reader.is2 else ROS1
                 topics = {c.id: _read_bag_topic(c, encoding) for c in reader.connections}
                 for connection, time_ns, data in reader.messages():
                     yield Message(topics[connection.id], time_ns, time_ns, bytes(data))
         except _list_damages() as error:
             self.damage = summarize(error)
+
+
+def _limit_chunks(reader: Any) -> None:
+    """Limit the memory for the chunks of a ROS 1 bag, in a reader of rosbags."""
+    for bag in reader.readers:
+        if hasattr(bag, "chunks"):
+            for at, one in bag.chunks.items():
+                bag.chunks[at] = one._replace(decompressor=limit_unpacking(one.decompressor))
 
 
 def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topic:
