@@ -26,7 +26,7 @@ _FLAGS: ContextVar[Mapping[str, str]] = ContextVar("flags", default=MappingProxy
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: NOTE, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
 EVERY_S = 10.0  # least time between two lines of progress
-REASONS = 5  # number of shown reasons why frames were refused
+REASONS = 5  # number of shown reasons why frames have no pose
 UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and least width of a folded column
 
 
@@ -53,9 +53,9 @@ def format_count(number: int, noun: str) -> str:
 
 
 def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
-    """Write the first few reasons why frames were refused, and return the number of other reasons."""
+    """Write the first few reasons why frames have no pose, and return the number of other reasons."""
     for reason, count in reasons[:REASONS]:
-        say(f"refused {count}: {write_flags(reason)}")
+        say(f"{count} without a pose: {write_flags(reason)}")
     return max(0, len(reasons) - REASONS)
 
 

@@ -1,54 +1,24 @@
-"""The verdicts of many frames on the terminal: their numbers, and a warning if no frame is certain."""
+"""The verdicts of many frames or touches on the terminal: their numbers, and a warning if none is certain."""
 
 from __future__ import annotations
 
 import logging
-from typing import Protocol
+from collections.abc import Mapping
 
 logger = logging.getLogger(__name__)
 
-
-class VerdictCounts(Protocol):
-    """The number of frames with each verdict, such as a LiveSummary or a ReplaySummary."""
-
-    @property
-    def located(self) -> int:
-        """Frames with a pose."""
-
-    @property
-    def certain(self) -> int:
-        """Frames whose first pose is certain."""
-
-    @property
-    def ambiguous(self) -> int:
-        """Frames that several poses explain."""
-
-    @property
-    def poor_fit(self) -> int:
-        """Frames that the first pose does not explain."""
-
-    @property
-    def not_found(self) -> int:
-        """Frames for which the search found no pose."""
-
-    @property
-    def no_contact(self) -> int:
-        """Frames without contact."""
-
-    @property
-    def refused(self) -> int:
-        """Frames that cannot be read."""
+WORDS = {
+    "certain": "certain", "ambiguous": "ambiguous", "poor_fit": "poor fit", "not_found": "not found",
+    "no_contact": "without contact", "refused": "refused",
+}  # fmt: skip
 
 
-def list_verdicts(counts: VerdictCounts) -> str:
-    """Return the number of frames with each verdict as text."""
-    return (
-        f"{counts.certain} certain, {counts.ambiguous} ambiguous, {counts.poor_fit} poor fit, "
-        f"{counts.not_found} not found, {counts.no_contact} without contact, {counts.refused} refused"
-    )
+def list_verdicts(counts: Mapping[str, int]) -> str:
+    """Return the number of frames with each verdict, from `count_frames`, as text."""
+    return ", ".join(f"{counts[name]} {word}" for name, word in WORDS.items() if counts[name]) or "none"
 
 
-def warn_of_uncertain(counts: VerdictCounts) -> None:
+def warn_of_uncertain(counts: Mapping[str, int]) -> None:
     """Warn if frames have a pose, but no frame is certain."""
-    if counts.located and not counts.certain:
+    if counts["located"] and not counts["certain"]:
         logger.warning("no pose is certain; check the object, the sensor and the unit")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.calibration.surface import differentiate, integrate
-from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.errors import NoContactError, TouchError, mention_source
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_inverse import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -315,4 +315,4 @@ def require_healthy(found: Health, usual: Health) -> None:
     )
     if figure > REFUSED:
         raise TouchError(text)
-    logger.warning(text)
+    logger.warning(mention_source(text))

@@ -6,11 +6,13 @@ import difflib
 import reprlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 from tactile_loc.core.deprecation import make_getattr
 
 MOST_LETTERS = 1500  # largest length of a message
+_source: ContextVar[str] = ContextVar("source", default="")
 
 
 class TactileLocError(Exception):
@@ -145,13 +147,33 @@ def quote(value: Any) -> str:
 
 @contextmanager
 def name_source(source: object) -> Iterator[None]:
-    """Add `source`, such as a file, at the start of errors from the block, unless they mention it already."""
+    """Add `source`, such as a file, at the start of errors from the block, unless they mention it already.
+
+    `mention_source` adds it to warnings.
+    """
     try:
-        yield
+        with note_source(source):
+            yield
     except TactileLocError as error:
         if str(source) in str(error):
             raise
         raise type(error)(f"{source}: {error}") from error
+
+
+@contextmanager
+def note_source(source: object) -> Iterator[None]:
+    """Let `mention_source` add `source` to warnings of the block. Errors stay as they are."""
+    before = _source.set(str(source))
+    try:
+        yield
+    finally:
+        _source.reset(before)
+
+
+def mention_source(warning: str) -> str:
+    """Return a warning with the source that the program reads, unless the warning begins with it already."""
+    source = _source.get()
+    return f"{source}: {warning}" if source and not warning.startswith(source) else warning
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import OutputError, TouchError, advise_choice
+from tactile_loc.core.errors import OutputError, TouchError, advise_choice, name_source, note_source
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.limits import require_pixels
 from tactile_loc.core.sensing.depth_maps import KINDS, MASK, METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
 from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import (
-    FROM_DEPTH,
     ContactShape,
     Touch,
     blank_unobserved,
@@ -207,10 +206,8 @@ def read_touch(
         return _read_mask(path, read_mask(path, geometry), sensor, unit, press_depth_m)
     image = read_colour_image(path)
     if image is not None:
-        try:
+        with name_source(path):
             shape = sensor.contact_shape(image)
-        except TouchError as error:
-            raise TouchError(f"{path}: {error}") from error
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path, geometry)
     if contents.kind == MASK and kind is None:
@@ -248,18 +245,23 @@ def _read_mask(
 
 
 def touch_from_image(
-    image: NDArray[Any], sensor: SensorModel, press_depth_m: float | None = None, name: str = "the image"
-) -> Touch:
-    """Return the touch that a sensor reads from an image (H, W, 3) uint8, or from depths (H, W) in metres.
+    image: NDArray[Any], sensor: SensorModel, press_depth_m: float | None = None, name: str = "the image",
+    unit: str | None = None, kind: str | None = None,
+) -> Touch:  # fmt: skip
+    """Return the touch that a sensor reads from an image (H, W, 3) uint8, or from depths (H, W).
 
-    For depths, `press_depth_m`, metres, is the press depth. The contact shape of an image is cut at `press_depth_m`,
-    which must be smaller than the image's press depth. Raises NoContactError when nothing touches the gel, and
-    TouchError when the sensor cannot read the image.
+    For depths, `press_depth_m`, metres, is the press depth. `unit`, by default "m", and `kind` are as for `read_touch`.
+    The contact shape of an image is cut at `press_depth_m`, which must be smaller than the image's press depth. Raises
+    NoContactError when nothing touches the gel, and TouchError when the sensor cannot read the image.
     """
-    if image.ndim == 2 and image.dtype.kind == "f" and press_depth_m is not None:
-        shape = contact_shape_from_array(image, sensor.geometry.max_depth_m, press_depth_m, name, option=FROM_DEPTH)
-        return Touch(shape, sensor.geometry, name)
-    shape = _cut(sensor.contact_shape(image), name, press_depth_m)
+    if kind == MASK:
+        return Touch.from_mask(image, sensor=sensor, press_depth_m=press_depth_m, name=name)
+    if image.ndim == 2 and image.dtype.kind == "f" and (press_depth_m, unit, kind) != (None, None, None):
+        geometry, contents = sensor.geometry, FileContents(image)
+        shape = _build_shape(contents, name, geometry.max_depth_m, unit or "m", press_depth_m, kind, geometry)
+        return Touch(shape, geometry, name)
+    with note_source(name):
+        shape = _cut(sensor.contact_shape(image), name, press_depth_m)
     return Touch(shape, sensor.geometry, name, image=image if image.ndim == 3 else None)
 
 
@@ -292,7 +294,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
 
 
 def _build_shape(
-    contents: FileContents, path: Path, max_depth_m: float, unit: str | None, press_depth_m: float | None,
+    contents: FileContents, path: Path | str, max_depth_m: float, unit: str | None, press_depth_m: float | None,
     kind: str | None, geometry: SensorGeometry | None = None,
 ) -> ContactShape:  # fmt: skip
     raw = contents.depth
@@ -329,7 +331,7 @@ def _compare_gels(stated: str | None, gel: Gel, path: Path) -> None:
     )  # fmt: skip
 
 
-def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path) -> float:
+def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path | str) -> float:
     """Return the indentation, metres, which is at least the press depth."""
     if not shape.press_depth_m * (1 - 1e-6) <= indentation_m < LARGEST_INDENTATION_M:
         raise TouchError(
@@ -351,7 +353,7 @@ def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> Contact
     return shape.press_to(press_depth_m)
 
 
-def _find_kind(contents: FileContents, path: Path, kind: str | None) -> DepthKind:
+def _find_kind(contents: FileContents, path: Path | str, kind: str | None) -> DepthKind:
     """Return the meaning of a file's depths."""
     for name in (kind, contents.kind):
         if name is not None:
@@ -363,7 +365,7 @@ def _find_kind(contents: FileContents, path: Path, kind: str | None) -> DepthKin
     return cast(DepthKind, contents.kind or kind or "distance")
 
 
-def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
+def _find_scale(contents: FileContents, path: Path | str, unit: str | None) -> float:
     """Return the metres per unit of a file's depths."""
     for name in (unit, contents.unit):
         if name is not None and name not in UNITS:

@@ -18,7 +18,7 @@ from tactile_loc.io.streams.sensor_tracks import SensorTrack
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict, explain_verdict
 from tactile_loc.tasks.tracker import Tracker
 
 Floats = NDArray[np.float64]
@@ -103,7 +103,8 @@ class LiveLocator:
             located = self._predict(frame, error)
         except TactileLocError as error:
             located = LocatedFrame.of_error(error)
-            self.reasons[located.says] += 1
+        if located.T_sensor_object is None and located.verdict is not Verdict.NO_CONTACT:
+            self.reasons[located.says or explain_verdict(located.verdict)] += 1
         self.counts[located.verdict] += 1
         end = time.perf_counter()
         self._ends.append(end)

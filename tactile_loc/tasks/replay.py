@@ -32,7 +32,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import read_touch, touch_from_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict, explain_verdict
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +79,8 @@ class Replay:
     """Locates the images on a `topic` of a recording with a localizer's sensor.
 
     Poses are in `frame`, by default the frame named in each image's header. With `base_frame`, poses are transformed to
-    the base frame by `frame_tree` (see `read_frame_tree`). `press_depth_m` is as for `read_touch`.
+    the base frame by `frame_tree` (see `read_frame_tree`). `press_depth_m`, `unit` and `kind` are as for
+    `touch_from_image`.
     """
 
     recording: Recording
@@ -89,6 +90,8 @@ class Replay:
     base_frame: str | None = None
     frame_tree: FrameTree | None = None
     press_depth_m: float | None = None
+    unit: str | None = None
+    kind: str | None = None
 
     @property
     def about(self) -> str:
@@ -104,7 +107,7 @@ class Replay:
         """Return all inputs of the frames except the localizer, as JSON values."""
         return {
             "recording": identify_files(self.recording.path), "topic": self.topic.name, "frame": self.frame,
-            "base_frame": self.base_frame, "press_depth_m": self.press_depth_m,
+            "base_frame": self.base_frame, "press_depth_m": self.press_depth_m, "unit": self.unit, "kind": self.kind,
         }  # fmt: skip
 
     def frames(self, estimator: Estimator, first: int = 0) -> Iterator[FrameRecord]:
@@ -138,7 +141,9 @@ class Replay:
         try:
             pixels = decode_image(image)
             found = replace(found, image=pixels)
-            touch = touch_from_image(pixels, self.localizer.sensor, self.press_depth_m, f"image {number}")
+            touch = touch_from_image(
+                pixels, self.localizer.sensor, self.press_depth_m, f"image {number}", self.unit, self.kind
+            )
         except (RecordingError, StoreError):  # the frame is not at fault, so the journal must not record it as refused
             raise
         except TactileLocError as error:
@@ -300,7 +305,7 @@ class ReplaySummary:
         """Count the frames' results, and the frames whose stamp is earlier than the stamp of the frame before."""
         records = list(records)
         without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
-        reasons = Counter(record.says for record in without)
+        reasons = Counter(record.says or explain_verdict(record.verdict) for record in without)
         stamps = np.array([record.stamp_ns for record in records])
         return cls(
             **count_frames(record.verdict for record in records), reasons=tuple(reasons.most_common()),

@@ -10,7 +10,7 @@ from message_helpers import missing, naming
 from press_sets import ball_indentation, sensor
 
 from tactile_loc.calibration.reading import Health, find_worst, measure_health, require_healthy
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import TouchError, note_source
 
 GEOMETRY = sensor(64)
 UNTOUCHED = np.full((*GEOMETRY.shape, 3), 100, np.uint8)
@@ -66,7 +66,9 @@ def test_poor_health_warns_and_worse_health_is_refused(caplog):
     with caplog.at_level(logging.WARNING):
         require_healthy(Health(4.0, 0.25), USUAL)
         assert not caplog.records
-        require_healthy(Health(8.0, 0.2), USUAL)
+        with note_source("photos/a.png"):
+            require_healthy(Health(8.0, 0.2), USUAL)
+    assert caplog.messages[0].startswith("photos/a.png: ")
     (record,) = caplog.records
     assert not missing(record.message, 2.0, "light")
     with pytest.raises(TouchError, match=naming(3.0, "surface", "`zero`")):

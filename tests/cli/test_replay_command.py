@@ -185,7 +185,6 @@ def test_bad_sensor_poses_and_options_are_one_sentence(cli, slide, folder):
         ([slide, "--fuse"], "--base-frame"),
         ([slide, "--track"], "--base-frame"),
         ([slide, "--drop-outliers"], "--drop-outliers"),
-        ([slide, "--touch-unit", "mm"], "--touch-unit"),
         ([slide, "--verdict-topic", "/object/truth"], "--verdict-topic"),
     ):
         assert_refused(cli("replay", *words, *LOCATED), mentioned)

@@ -36,6 +36,14 @@ def touches(localizer) -> list[Touch]:
     return localizer.simulate(3, seed=1)
 
 
+def write_images(path: Path, images: list[np.ndarray]) -> Path:
+    def write(writer: RecordingWriter) -> None:
+        for k, image in enumerate(images):
+            writer.write("/gel/image", IMAGE, make_image(image, "32FC1", k * S, "gel"), k * S + 5)
+
+    return write_recording(path, write)
+
+
 @pytest.fixture
 def recorded(tmp_path, touches) -> Path:
     """Three touches, then no contact, then an impossible image, then a touch after the last transform."""
@@ -69,6 +77,21 @@ def at_truth(touch: Touch) -> LocatedFrame:
 
 
 T_GEL_OBJECT = at_truth(None).T_sensor_object  # type: ignore[arg-type]
+
+
+def test_recorded_depths_may_have_another_unit_and_kind(localizer, touches, tmp_path):
+    shape = touches[0].contact_shape
+    images = {"mm": 1e3 * shape.depth_m, "indentation": shape.press_depth_m - shape.depth_m, "mask": shape.contact}
+    for name, image in images.items():
+        path = write_images(tmp_path / f"{name}.mcap", [image.astype(np.float32)])
+        given = {"unit": "mm"} if name == "mm" else {"kind": name}
+        replay = replace(replay_of(path, localizer), press_depth_m=shape.press_depth_m, **given)
+        (frame,) = replay.read_frames()
+        assert frame.problem is None
+        seen = frame.touch.contact_shape
+        np.testing.assert_array_equal(seen.contact, shape.contact)
+        if name != "mask":
+            np.testing.assert_allclose(seen.depth_m, shape.depth_m, atol=1e-9)
 
 
 def test_the_localizer_finds_the_recorded_touches(recorded, localizer, touches, tmp_path):

@@ -214,12 +214,14 @@ def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> No
 def _log(result: LiveResult) -> None:
     located = result.located
     if located.verdict is None:
-        logger.warning("refused: %s", located.says)
+        logger.warning("%s is refused: %s", result.frame.name, located.says)
     logger.info("%s: %s, %.0f ms, %.1f Hz", result.frame.name, located.word, 1e3 * located.seconds, result.rate_hz)
 
 
 def _report(summary: LiveSummary, about: str) -> None:
     """Write the number of frames by outcome, and the reasons of refusals."""
-    say(f"{about}: {format_count(summary.frames, 'frame')}: {list_verdicts(summary)}; {summary.dropped} dropped")
+    say(
+        f"{about}: {format_count(summary.frames, 'frame')}: {list_verdicts(asdict(summary))}; {summary.dropped} dropped"
+    )
     say_reasons(summary.reasons)
-    warn_of_uncertain(summary)
+    warn_of_uncertain(asdict(summary))

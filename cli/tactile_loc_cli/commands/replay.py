@@ -184,10 +184,6 @@ def _open_recording(
     from tactile_loc.io.streams.recordings import choose_image_topic as chosen
     from tactile_loc.tasks.replay import Replay
 
-    _refuse(
-        "for contact shapes in a folder (--poses); in a recording, they are in metres",
-        {"--touch-unit": settings.touch.unit, "--touch-kind": settings.touch.kind},
-    )
     recorded = Recording(recording)
     contents = recorded.read_contents()
     topic = chosen(contents, recording, image_topic)
@@ -198,7 +194,10 @@ def _open_recording(
     if contents.damage:
         logger.warning("%s", contents.damage)
     localizer = options.open_localizer(settings, store)
-    source = Replay(recorded, topic, localizer, frame, base_frame, tree, settings.touch.press_depth_m)
+    touch = settings.touch
+    source = Replay(
+        recorded, topic, localizer, frame, base_frame, tree, touch.press_depth_m, unit=touch.unit, kind=touch.kind
+    )
     return _Opened(source, contents.counts[topic], contents.damage)
 
 
@@ -248,10 +247,10 @@ def _report(found: Replayed, opened: _Opened) -> None:
 
     summary, about = found.summary, opened.source.about
     finished = f"; {found.resumed} of them were already finished" if found.resumed else ""
-    say(f"{about}: {format_count(summary.frames, 'image')}: {list_verdicts(summary)}{finished}")
+    say(f"{about}: {format_count(summary.frames, 'image')}: {list_verdicts(asdict(summary))}{finished}")
     if found.rest is not None:
         _say_rest(found.rest)
-    warn_of_uncertain(summary)
+    warn_of_uncertain(asdict(summary))
     if more := say_reasons(summary.reasons):
         say(f"{more} more reasons: see {found.written[1]}")
     scatter_mm = 1e3 * measure_scatter_m(found.records)

@@ -17,6 +17,7 @@ from tactile_loc_cli.commands.build import build_model
 from tactile_loc_cli.console import format_count, make_progress, say, say_written
 from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
 from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.verdict_counts import list_verdicts
 
 if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch
@@ -230,6 +231,7 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
     or no touch can be located.
     """
     from tactile_loc.locate.doubts import list_doubts
+    from tactile_loc.locate.results.located_frame import count_frames
     from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
     from tactile_loc_cli.results import say_located
 
@@ -249,16 +251,17 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
     if page:
         written.append(_write_folder_page(out, localizer, folder, found, shown))
     problems = [one.problem for one in found if one.best is None]
-    located = len(found) - len(problems)
+    counts = count_frames(one.verdict for one in found)
     say_located(found)
-    say(f"located: {located} of {len(found)}; written: {', '.join(map(str, written))}, and a folder for each touch")
+    count = format_count(len(found), "touch")
+    say(f"{count}: {list_verdicts(counts)}; written: {', '.join(map(str, written))}, and a folder for each located one")
     for problem in problems:
         logger.warning("%s", problem)
     _warn_of_doubtful(doubtful)
-    if not located:
+    if len(problems) == len(found):
         raise TouchError(f"no touch of {folder} can be located; first reason: {problems[0]}")
     return {
-        "located": located,
+        "located": counts["located"],
         "touches": [_make_json(one, out) for one in found],
         "written": [str(path) for path in written],
     }
