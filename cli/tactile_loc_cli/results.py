@@ -93,8 +93,8 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     grid = record.configuration["grid"]
     if grid["name"] == "whole" and not record.other_touches:  # several touches rarely touch one face
         yield (
-            "searched: the whole object. If you know which face touches, search only that face. In the first pose, "
-            f"it is --grid face -o grid.face={_name_side(record)}"
+            "searched: the whole object. If you know which face touches, search only that face: --grid face "
+            f"-o grid.face={_name_side(record)}"
         )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
@@ -117,7 +117,14 @@ def _describe_side(record: ResultRecord) -> str:
 
 
 def _name_side(record: ResultRecord) -> str:
-    """Name the side that touches in the first pose, such as +z: the object's axis nearest to the contact's normal."""
+    """Name the side that touches in the first pose, such as +z: the object's axis nearest to the contact's normal.
+
+    The name is SIDE if the first pose is not certain.
+    """
+    from tactile_loc.locate.results.verdict import Verdict
+
+    if record.verdict is not Verdict.CERTAIN:
+        return "SIDE"
     outwards = -np.array(record.hypotheses[0].T_sensor_object)[2, :3]
     axis = int(np.argmax(abs(outwards)))
     return f"{'+' if outwards[axis] > 0 else '-'}{'xyz'[axis]}"
@@ -226,6 +233,6 @@ def say_located(files: Sequence[LocatedFile]) -> None:
 def _list_best_cells(located: LocatedFile) -> list[str]:
     if (best := located.best) is None:
         return [write_flags(located.problem)]
-    right = located.probability_within or 0.0
-    numbers = [f"{100 * right:.1f}", f"{100 * best.imprint_iou:.0f}"]
+    right = "-" if located.probability_within is None else f"{100 * located.probability_within:.1f}"
+    numbers = [right, f"{100 * best.imprint_iou:.0f}"]
     return [str(located.verdict), *numbers, *format_pose(best.T_sensor_object)]

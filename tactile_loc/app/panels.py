@@ -279,7 +279,7 @@ class Page:
 
     def _write_history(self) -> None:
         rows = [
-            (one.touches, one.verdict, format_percent(one.probability_within), one.explanations)
+            (one.touches, one.verdict, _write_share(one.probability_within), one.explanations)
             for one in self.session.history
         ]
         tolerance = self.session.require_result().tolerance.describe()
@@ -390,3 +390,7 @@ def describe_pose(found: Localization, number: int) -> str:
     drawn = "" if larger == 1 else f", drawn {larger:.0f} times larger"
     x, y, z = (f"{value:.2g}" for value in std_mm)
     return f"{text}. Standard deviations of x, y, z: {x}, {y}, {z} mm (ellipsoid{drawn})."
+
+
+def _write_share(share: float | None) -> str:
+    return "-" if share is None else format_percent(share)

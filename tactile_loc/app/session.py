@@ -44,11 +44,11 @@ PRESS = 0.5  # press of the first finger, share of the sensor's maximal depth
 
 @dataclass(frozen=True)
 class Judged:
-    """The verdict on the first `touches` touches, and the probability, 0 to 1, that the first pose is right."""
+    """The verdict on the first `touches` touches, and the probability, 0 to 1, of a right first pose, if known."""
 
     touches: int
     verdict: str
-    probability_within: float
+    probability_within: float | None
     explanations: int
 
 
@@ -231,7 +231,7 @@ class Session:
         return found
 
     def _keep(self, found: Localization, count: int) -> None:
-        judged = Judged(count, str(found.verdict), found.probability_within(), len(found.equal_explanations))
+        judged = Judged(count, str(found.verdict), found.state_within(), len(found.equal_explanations))
         self.result = found
         self.history = (*(one for one in self.history if one.touches < count), judged)
 

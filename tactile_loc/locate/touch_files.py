@@ -53,7 +53,7 @@ class LocatedFile:
     """The result for one touch file: its best hypothesis and verdict, or the `problem` in one sentence.
 
     A file that cannot be read has no verdict. `probability_within`, 0 to 1, is the probability that the best hypothesis
-    is within the tolerance of the true pose.
+    is within the tolerance of the true pose; None if it is unknown.
     """
 
     path: Path
@@ -139,7 +139,7 @@ def _localize_batch(
     for path in files:
         if path in found:
             one = found[path]
-            yield LocatedFile(path, one.best, "", one.verdict, one.probability_within()), one
+            yield LocatedFile(path, one.best, "", one.verdict, one.state_within()), one
         else:
             yield failed[path], None
 

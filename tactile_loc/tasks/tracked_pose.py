@@ -7,14 +7,17 @@ earlier touches. The other is the verdict of the search that found the pose.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.geometry.pose_words import describe_first
 from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict, explain_verdict
 
 Floats = NDArray[np.float64]
 
@@ -58,6 +61,15 @@ class TrackedPose:
         return LocatedFrame(
             self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
         )
+
+    def __str__(self) -> str:
+        """Return the time, the verdict, the first pose in mm and degrees, and its imprint IoU, in words."""
+        lines = [f"{self.verdict} at {self.time_s:.3f} s: {explain_verdict(self.verdict)}"]
+        if (T := self.T_sensor_object) is not None:
+            lines.append(describe_first(T, len(self.probabilities), "sensor's"))
+        if math.isfinite(self.imprint_iou):
+            lines.append(f"imprint IoU {format_percent(self.imprint_iou)}")
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)

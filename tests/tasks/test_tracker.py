@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from message_helpers import naming
+from message_helpers import missing, naming
 from track_settings import SETTINGS
 
 from tactile_loc.core.errors import ConfigError, TouchError
@@ -255,6 +255,17 @@ def test_a_slip_that_did_not_happen_is_taken_back(pin, slide):
     assert later[-1].verdict is Verdict.CERTAIN
     assert off_surface_mm(pin, found, frame.T_sensor_object) > 0.8
     assert off_surface_mm(pin, later[-1], frame.T_sensor_object) < 0.5
+
+
+def test_a_tracked_pose_is_written_as_a_few_lines():
+    T = make_transform(np.eye(3), [0.001, -0.002, 0.03])
+    one = TrackedPose(0.5, Verdict.AMBIGUOUS, T[None], np.eye(6)[None], np.ones(1), 0.81, False)
+    lines = str(one).splitlines()
+    assert lines[0].startswith("ambiguous at 0.500 s")
+    assert not missing(lines[1], "1.00", "-2.00", "30.00", "1 pose")
+    assert lines[2:] == ["imprint IoU 81 %"]
+    nothing = TrackedPose(0, Verdict.NOT_FOUND, np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty(0), np.nan, True)
+    assert len(str(nothing).splitlines()) == 1
 
 
 def test_the_pose_is_predicted_without_contact_with_growing_covariance(pin, slide):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.core.geometry.rigid import axis_angle, format_pose
 
 
 @dataclass(frozen=True)
@@ -37,3 +37,10 @@ def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = 
 def join_numbers(values: Iterable[float], digits: int) -> str:
     """Return numbers as text, with `digits` digits after the point: 1.20, -0.31, 4.00."""
     return ", ".join(f"{value:z.{digits}f}" for value in values)
+
+
+def describe_first(T: NDArray[np.float64], poses: int, frame: str) -> str:
+    """Return in words the first pose (4, 4), metres, of a number of `poses`, in the frame of this name."""
+    x, y, z, angle_deg, axis = format_pose(T)
+    count = f"{poses} {'pose' if poses == 1 else 'poses'}"
+    return f"first of {count}: x {x}, y {y}, z {z} mm, rotated {angle_deg} degrees about {axis}, in the {frame} frame"

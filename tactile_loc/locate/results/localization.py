@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.formatting import format_percent
-from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.core.geometry.pose_words import describe_first
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -25,8 +25,8 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.results.freedom import Freedom, explain_as_well, find_as_well, find_freedom
 from tactile_loc.locate.results.hypothesis import Agreement as Agreement
 from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
-from tactile_loc.locate.results.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within
-from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, explain_verdict, judge, name_next_step
+from tactile_loc.locate.results.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within, is_limited
+from tactile_loc.locate.results.verdict import Verdict, describe_within, explain_verdict, judge, name_next_step
 from tactile_loc.store.files import lock_folder
 
 LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
@@ -178,15 +178,24 @@ class Localization:
 
         The tolerance is a text such as "0.5mm,2deg", a `Tolerance`, or by default that of the result. Poses that are
         equal by symmetry count as equal. A pose that was not refined counts as shifted by about half the grid's
-        spacing. Raises ConfigError if the text cannot be read.
+        spacing. The number may be a limit of the fit: see `state_within`. Raises ConfigError if the text cannot be
+        read.
         """
+        return calibrate(self._find_nearness(tolerance))
+
+    def state_within(self, tolerance: Tolerance | str | None = None) -> float | None:
+        """Return `probability_within`, or None if a limit of the fit decides it, so that it is no probability."""
+        nearness = self._find_nearness(tolerance)
+        return None if is_limited(nearness) else calibrate(nearness)
+
+    def _find_nearness(self, tolerance: Tolerance | str | None) -> Nearness:
         asked = Tolerance.parse(tolerance) if isinstance(tolerance, str) else tolerance or self.tolerance
-        if asked not in self._probabilities_within:
-            self._probabilities_within[asked] = calibrate(self.observe_nearness(asked))
-        return self._probabilities_within[asked]
+        if asked not in self._nearness:
+            self._nearness[asked] = self.observe_nearness(asked)
+        return self._nearness[asked]
 
     @cached_property
-    def _probabilities_within(self) -> dict[Tolerance, float]:
+    def _nearness(self) -> dict[Tolerance, Nearness]:
         return {}
 
     def observe_nearness(self, tolerance: Tolerance) -> Nearness:
@@ -247,19 +256,14 @@ class Localization:
 
         Other poses and free directions are stated only if the verdict is ambiguous.
         """
-        listed, best = len(self.hypotheses), self.best
+        best = self.best
         T, frame = best.T_sensor_object, "sensor's"
         if best.T_base_object is not None:
             T, frame = best.T_base_object, "base"
-        x, y, z, angle_deg, axis = format_pose(T)
-        lines = [
-            f"{self.verdict}: {explain_verdict(self.verdict)}",
-            f"first of {listed} {'pose' if listed == 1 else 'poses'}: x {x}, y {y}, z {z} mm, rotated {angle_deg} "
-            f"degrees about {axis}, in the {frame} frame",
-        ]
-        within = f"within {self.tolerance.describe()} with {format_percent(self.probability_within())} probability, "
-        stated = within if self.verdict in STATES_PROBABILITY else ""
-        lines.append(f"{stated}imprint IoU {format_percent(best.imprint_iou)}")
+        first = describe_first(T, len(self.hypotheses), frame)
+        lines = [f"{self.verdict}: {explain_verdict(self.verdict)}", first]
+        within = describe_within(self.verdict, self.state_within(), self.tolerance)
+        lines.append(", ".join(filter(None, (within, f"imprint IoU {format_percent(best.imprint_iou)}"))))
         if self.verdict is Verdict.AMBIGUOUS and str(self.freedom):
             lines.append(f"open: {self.freedom}")
         if step := name_next_step(self.verdict, len(self.touches)):

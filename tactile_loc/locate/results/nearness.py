@@ -68,13 +68,24 @@ def calibrate(nearness: Nearness) -> float:
 
     It never decreases if the share or the gap increases.
     """
+    right, most = _compute_right(nearness)
+    return float(np.clip(right, LEAST, most))
+
+
+def is_limited(nearness: Nearness) -> bool:
+    """Return whether a limit, not the observations, decides what `calibrate` returns. Then it is no probability."""
+    right, most = _compute_right(nearness)
+    return not LEAST < right < most
+
+
+def _compute_right(nearness: Nearness) -> tuple[float, float]:
+    """Return the probability of a right first pose by the fit, and the largest probability that may be returned."""
     share, elsewhere, gap, undetermined = nearness
     odds = _compute_log_odds(share / (1 - elsewhere))
     above = 0.0 if undetermined else HIGH
     right = BASE + (above if odds > 0 else LOW) * odds - FOUND * _compute_log_odds(elsewhere)
     right += GAP * np.log(max(gap, 0.0) + LEAST_GAP)
-    most = MOST_UNDETERMINED if undetermined or odds <= 0 else 1 - LEAST
-    return float(np.clip(1 / (1 + np.exp(-right)), LEAST, most))
+    return float(1 / (1 + np.exp(-right))), MOST_UNDETERMINED if undetermined or odds <= 0 else 1 - LEAST
 
 
 def _compute_log_odds(p: float) -> float:

@@ -24,9 +24,10 @@ from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.streams.records import Record, read_document, read_versions
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
+from tactile_loc.locate.probabilities import MOST_ELSEWHERE
 from tactile_loc.locate.results.freedom import Freedom
 from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis
-from tactile_loc.locate.results.verdict import STATES_PROBABILITY, Verdict, name_next_step
+from tactile_loc.locate.results.verdict import Verdict, describe_within, name_next_step
 
 SCHEMA_VERSION = 3
 SETS_OF_GRID_POSES = 2  # the version that differs only in sets for a coverage, so files without a set are read
@@ -208,8 +209,8 @@ class ResultRecord(Record):
     )
     probability_within: float | None = Field(
         default=None,
-        description="probability that the first hypothesis is within the tolerance of the true pose, 0 to 1; null in "
-        "files of versions without it",
+        description="probability that the first hypothesis is within the tolerance of the true pose, 0 to 1; null if "
+        "it is only known to be beyond a limit of the fit, such as 0.89 for a pose that the touches leave open",
     )
     unexpected: bool = Field(
         default=False,
@@ -220,7 +221,10 @@ class ResultRecord(Record):
     )
     next_step: str = Field(default="", description="what to do next, in words; empty if the verdict is certain")
     grid_poses: int = Field(description="number of scored poses; with the grid `whole`, of poses that the search found")
-    elsewhere: float = Field(default=0.0, description="probability that the true pose is near none of the scored poses")
+    elsewhere: float = Field(
+        default=0.0,
+        description=f"probability that the true pose is near none of the scored poses; {MOST_ELSEWHERE} is a limit",
+    )
     normalised_entropy: float = Field(
         description="entropy / log(grid_poses): 0 if one pose is certain, 1 if all poses are equally probable"
     )
@@ -250,19 +254,18 @@ class ResultRecord(Record):
     @property
     def says_within(self) -> str:
         """The probability that the first pose is right, in words; empty if the verdict makes it misleading."""
-        if self.verdict is not None and self.verdict not in STATES_PROBABILITY:
+        if self.tolerance is None:  # a file of an older version
             return ""
-        if self.probability_within is None or self.tolerance is None:
-            return f"probability {format_percent(self.hypotheses[0].probability)}"
-        within = Tolerance.parse(self.tolerance).describe()
-        return f"within {within} with {format_percent(self.probability_within)} probability"
+        return describe_within(self.verdict, self.probability_within, Tolerance.parse(self.tolerance))
 
     @property
     def searched(self) -> str:
         """The number of scored poses and the probability that the object is at none of them, in words."""
         if not self.elsewhere:
             return f"{self.grid_poses} poses searched"
-        elsewhere = f"{100 * self.elsewhere:.0f} % probability that the true pose is elsewhere"
+        if self.elsewhere >= MOST_ELSEWHERE:
+            return f"{self.grid_poses} poses found, but the true pose is probably elsewhere"
+        elsewhere = f"{format_percent(self.elsewhere)} probability that the true pose is elsewhere"
         return f"{self.grid_poses} likely poses found, {elsewhere}"
 
 
@@ -350,7 +353,7 @@ class Located(Protocol):
     def normalised_entropy(self) -> float:
         """See Localization."""
 
-    def probability_within(self, tolerance: Tolerance | str | None = None) -> float:
+    def state_within(self, tolerance: Tolerance | str | None = None) -> float | None:
         """See Localization."""
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
@@ -374,7 +377,7 @@ def make_record(source: Configured, localization: Located, seconds: Mapping[str,
         left_out=[_record_touch(touch, config.touch) for touch in localization.left_out],
         verdict=localization.verdict,
         tolerance=str(localization.tolerance),
-        probability_within=localization.probability_within(),
+        probability_within=localization.state_within(),
         unexpected=localization.unexpected,
         freedom=_record_freedom(localization.freedom),
         next_step=name_next_step(localization.verdict, len(localization.touches)),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.io.options import CERTAIN
 
 LEAST_IOU = 0.5  # imprint IoU of one touch: below it, 1 of 83 simulated touches had the right pose
@@ -56,6 +58,20 @@ def name_next_step(verdict: Verdict, touches: int) -> str:
     If several touches fit poorly, the sensor poses may be wrong, so the step names them first.
     """
     return CHECK_SENSOR_POSES if verdict is Verdict.POOR_FIT and touches > 1 else NEXT_STEPS[verdict]
+
+
+def describe_within(verdict: Verdict | None, probability: float | None, tolerance: Tolerance) -> str:
+    """Return in words how probable it is that the first pose is within the tolerance.
+
+    `probability`, 0 to 1, is None if it is unknown. Returns an empty text if it is unknown and the verdict is not
+    certain, or if the verdict makes it misleading.
+    """
+    if verdict is not None and verdict not in STATES_PROBABILITY:
+        return ""
+    if probability is None and verdict is not Verdict.CERTAIN:
+        return ""
+    stated = f"at least {format_percent(CERTAIN)}" if probability is None else format_percent(probability)
+    return f"within {tolerance.describe()} with {stated} probability"
 
 
 def judge(

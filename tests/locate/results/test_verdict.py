@@ -12,7 +12,9 @@ from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.options import CERTAIN
+from tactile_loc.locate.probabilities import MOST_ELSEWHERE
 from tactile_loc.locate.results.localization import Agreement
+from tactile_loc.locate.results.nearness import MOST_UNDETERMINED
 from tactile_loc.locate.results.result_json import ResultRecord, make_record
 from tactile_loc.locate.results.verdict import (
     CHECK_SENSOR_POSES,
@@ -117,8 +119,7 @@ def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localizati
     assert lines[0] == f"certain: {MEANINGS[Verdict.CERTAIN]}"
     for value_m in one.best.T_sensor_object[:3, 3]:
         assert f"{1e3 * value_m:z.2f}" in lines[1]
-    probability = format_percent(one.probability_within())
-    assert lines[2] == f"within 1 mm with {probability} probability, imprint IoU 80 %"
+    assert lines[2] == f"within 1 mm with at least {format_percent(CERTAIN)} probability, imprint IoU 80 %"
     assert str(one) == one.summary()
     assert not any(line.startswith("next: ") for line in lines)
     assert f"next: {NEXT_STEPS[Verdict.POOR_FIT]}" in changed(one, imprint_iou=0.3).summary().splitlines()
@@ -157,9 +158,23 @@ def test_a_poor_fit_of_several_touches_asks_for_the_sensor_poses(localizer, loca
 @pytest.mark.parametrize("verdict", [None, *Verdict])
 def test_words_state_the_probability_only_beside_a_pose_that_may_be_right(localizer, localization, verdict):
     stated = verdict in (None, Verdict.CERTAIN, Verdict.AMBIGUOUS)
-    record = make_record(localizer, localization).model_copy(update={"verdict": verdict})
-    probability = format_percent(localization.probability_within())
-    assert record.says_within == (f"within 1 mm with {probability} probability" if stated else "")
+    record = make_record(localizer, localization).model_copy(update={"verdict": verdict, "probability_within": 0.61})
+    assert record.says_within == ("within 1 mm with 61 % probability" if stated else "")
+
+
+def test_a_limit_of_the_fit_is_no_probability(localizer, localization):
+    """The covariance leaves larger errors open, so the fit is cut at its limit for poses that are left open."""
+    loose = replace(moved(localization), covariance=np.diag([3e-3**2, *[1e-10] * 5]))
+    left_open = changed(localization, probability=1.0, imprint_iou=0.9, refined=loose)
+    assert left_open.verdict is Verdict.AMBIGUOUS
+    assert left_open.probability_within() == MOST_UNDETERMINED
+    assert left_open.state_within() is None
+    record = make_record(localizer, left_open)
+    assert (record.probability_within, record.says_within) == (None, "")
+    assert "%" not in left_open.summary().splitlines()[2].partition("imprint")[0]
+    sure = record.model_copy(update={"verdict": Verdict.CERTAIN})
+    assert sure.says_within == f"within 1 mm with at least {format_percent(CERTAIN)} probability"
+    assert "%" not in record.model_copy(update={"elsewhere": MOST_ELSEWHERE}).searched
 
 
 def test_the_summary_of_a_poor_fit_states_no_probability(localization):
@@ -171,7 +186,7 @@ def test_the_summary_of_a_poor_fit_states_no_probability(localization):
 def test_the_file_holds_the_verdict_and_older_files_need_none(localizer, localization):
     record = make_record(localizer, localization)
     assert record.verdict is localization.verdict
-    assert record.probability_within == localization.probability_within()
+    assert record.probability_within == localization.state_within()
     assert str(record.freedom) == str(localization.freedom)
     assert record.next_step == NEXT_STEPS[localization.verdict]
     older = record.model_dump(mode="json")
