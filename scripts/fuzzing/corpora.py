@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,16 @@ from report_helpers import sweep_rows, write_run, write_sweep
 
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
-from tactile_loc.io.streams.ros_messages import IMAGE, TF, make_image, make_transforms
+from tactile_loc.io.streams.ros_messages import (
+    CDR,
+    COMPRESSED_IMAGE,
+    IMAGE,
+    TF,
+    load_types,
+    make_header,
+    make_image,
+    make_transforms,
+)
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -37,6 +47,23 @@ def mesh(suffix: str, folder: Path, **options: object) -> None:
     wedge = trimesh.convex.convex_hull([[0, 0, 2], [9, 0, 2], [0, 5, 2], [0, 0, 8], [9, 0, 3], [0, 5, 5]])
     part = trimesh.util.concatenate([plate, wedge])
     part.export(folder / f"part.{suffix.removesuffix('_ascii')}", file_type=suffix, **options)
+
+
+def polygons(folder: Path) -> None:
+    """Write a wedge with quadrilateral faces as PLY."""
+    vertices = "0 0 0\n9 0 0\n9 7 0\n0 7 0\n0 0 5\n9 0 5\n"
+    faces = "4 3 2 1 0\n4 0 1 5 4\n4 1 2 3 5\n3 3 4 5\n3 0 4 3\n3 1 2 5\n"
+    head = "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n"
+    more = "element face 6\nproperty list uchar int vertex_indices\nend_header\n"
+    (folder / "part.ply").write_text(head + more + vertices + faces)
+
+
+def encoded_texts(names: str, folder: Path) -> None:
+    """Write TOML files with a byte order mark, in UTF-8 and in UTF-16."""
+    for name in names.split():
+        text = (WHOLE / f"{name}.toml").read_text()
+        (folder / f"{name}-8.toml").write_text(text, encoding="utf-8-sig")
+        (folder / f"{name}-16.toml").write_text(text, encoding="utf-16")
 
 
 def sensor(folder: Path) -> None:
@@ -67,13 +94,15 @@ def touch_list(folder: Path) -> None:
 
 
 def calibration(folder: Path) -> None:
-    """Write an untrained calibrated sensor, and images for it."""
+    """Write an untrained calibrated sensor, and images for it: with three colours, a palette, or an alpha channel."""
     write_calibrated(folder / "sensor")
     image = np.array(Image.open(folder / "sensor" / "background.png"))
     image[20:30, 20:30] += 9
     Image.fromarray(image).save(folder / "photo.png")
     Image.fromarray(image).save(folder / "photo.jpg", quality=95)
     np.save(folder / "photo.npy", image)
+    Image.fromarray(image).convert("RGBA").save(folder / "photo.tif")
+    Image.fromarray(image).quantize().save(folder / "palette.png")
 
 
 def presses(folder: Path) -> None:
@@ -137,6 +166,22 @@ def mcap(folder: Path) -> None:
         writer.write("/tf_static", TF, make_transforms({("flange", "gel"): np.eye(4)}, 0), 0)
         for k, image in enumerate(IMAGES):
             writer.write("/gel/image", IMAGE, make_image(image, "rgb8", k, "gel"), k)
+
+    write_recording(folder / "drive.mcap", fill)
+
+
+def compressed(folder: Path) -> None:
+    """Write a recording of compressed images: with an alpha channel, grey, and as JPEG."""
+    message = load_types(CDR).types[COMPRESSED_IMAGE]
+
+    def fill(writer: RecordingWriter) -> None:
+        for k, (kind, mode) in enumerate((("png", "RGBA"), ("png", "L"), ("jpeg", "RGB"))):
+            file = BytesIO()
+            Image.fromarray(IMAGES[k]).convert(mode).save(file, kind)
+            data = np.frombuffer(file.getvalue(), np.uint8)
+            form = f"rgb8; {kind} compressed bgr8"
+            one = message(header=make_header(k, "gel"), format=form, data=data)
+            writer.write("/gel/image", COMPRESSED_IMAGE, one, k)
 
     write_recording(folder / "drive.mcap", fill)
 

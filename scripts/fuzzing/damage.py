@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
@@ -260,7 +261,7 @@ def _change_safetensors(content: bytes, draw: Random) -> bytes:
 
 
 def _read_toml(content: bytes) -> Any:
-    return tomllib.loads(content.decode())
+    return tomllib.loads(content.decode("utf-16" if content[:2] == codecs.BOM_UTF16_LE else "utf-8-sig"))
 
 
 VALUES: Mapping[str, tuple[Callable[[bytes], Any], Callable[[Any], bytes]]] = {

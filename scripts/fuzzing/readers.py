@@ -132,7 +132,8 @@ def _presses(folder: Path) -> None:
 
 def _calibration(folder: Path) -> None:
     sensor = registry().create("sensor", "calibrated", {"path": str(folder / "sensor")})
-    _read_every(partial(read_touch, folder / f"photo.{suffix}", sensor, "m") for suffix in ("png", "jpg", "npy"))
+    names = ("photo.png", "photo.jpg", "photo.npy", "photo.tif", "palette.png")
+    _read_every(partial(read_touch, folder / name, sensor, "m") for name in names)
 
 
 def _weights(folder: Path) -> None:
@@ -204,6 +205,7 @@ def _recorded(name: str, write: Callable[[Path], None], recording: str) -> Reade
 _ALL = (
     *map(_mesh, ("stl", "stl_ascii", "obj", "ply")),
     Reader("mesh-ply_ascii", partial(corpora.mesh, "ply", encoding="ascii"), _object),
+    Reader("mesh-ply_polygons", corpora.polygons, _object),
     *map(_mesh, ("off", "glb", "gltf")),
     _touch_reader("npz", None),
     _touch_reader("npy", "mm"),
@@ -216,6 +218,8 @@ _ALL = (
     Reader("prior", partial(corpora.texts, "gaussian region half-space"),
            lambda folder: _read_every(partial(_prior, path) for path in sorted(folder.iterdir())),
            f"{RUN} --prior FOLDER/gaussian.toml"),
+    Reader("prior-encoded", partial(corpora.encoded_texts, "gaussian region"),
+           lambda folder: _read_every(partial(_prior, path) for path in sorted(folder.iterdir()))),
     Reader("mount", partial(corpora.texts, "mount"), _mount),
     Reader("configuration", partial(corpora.texts, "run"), _configuration, f"run --config FOLDER/run.toml {KEPT}",
            names_file=False),
@@ -240,6 +244,7 @@ _ALL = (
     Reader("sweep", corpora.sweep, _reported, REPORT),
     Reader("sweeps-compared", corpora.sweep, _compared, "sweep --compare FOLDER --out FOLDER"),
     _recorded("mcap", corpora.mcap, "drive.mcap"),
+    _recorded("mcap-compressed", corpora.compressed, "drive.mcap"),
     _recorded("bag-ros1", partial(corpora.bag, "ros1", "drive.bag"), "drive.bag"),
     _recorded("bag-ros2", partial(corpora.bag, "sqlite", "drive"), "drive"),
     Reader("video", corpora.video, lambda folder: read_frames(folder / "film.gif"), "", ("film.gif",)),
