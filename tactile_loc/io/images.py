@@ -162,7 +162,10 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
 def measure_image(path: Path | IO[bytes]) -> tuple[str, tuple[int, int]]:
     """Return the mode and the shape (H, W) that `load_image` would return, from the header. Raises its errors."""
     with _open_picture(path) as image:
-        height, width = image.size if image.getexif().get(ORIENTATION, 1) in TRANSPOSED else image.size[::-1]
+        # Pillow states the size of a TIFF after the turn, and decodes a PNG without EXIF data to look for them
+        stated = image.format != "TIFF" and (image.format != "PNG" or "exif" in image.info)
+        turned = stated and image.getexif().get(ORIENTATION) in TRANSPOSED
+        width, height = image.size[::-1] if turned else image.size
         return _find_plain_mode(image), (height, width)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ObjectError, TactileLocError, did_you_mean
+from tactile_loc.core.errors import ObjectError, TactileLocError, did_you_mean, note_source
 from tactile_loc.core.limits import MOST_BYTES, require_size
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -160,7 +160,8 @@ def load_object(
     check_surface(mesh, path.name)
     if not surface.is_watertight:
         notes.append(f"{path.name} is not watertight; touches are drawn from its existing faces")
-    group = judge(symmetry, mesh)
+    with note_source(path.name):
+        group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
         notes.append(
             f"detected the symmetry {group} of {path.name}; give `symmetry` '{group}' to confirm it, or `symmetry` none"

@@ -14,7 +14,7 @@ from PIL import Image
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.limits import MOST_SIDE_PX
 from tactile_loc.io import images
-from tactile_loc.io.images import load_image, load_npy, load_npz, read_colour_image, read_photo
+from tactile_loc.io.images import load_image, load_npy, load_npz, measure_image, read_colour_image, read_photo
 
 NUMBERS = np.arange(12.0).reshape(3, 4)
 
@@ -129,6 +129,15 @@ def test_a_picture_that_is_no_photo_of_a_gel_is_named(tmp_path, name):
     for read in (read_photo, read_colour_image):
         with pytest.raises(TouchError, match=naming(name, *words)):
             read(path)
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "tif"])
+def test_the_shape_of_a_picture_is_that_after_turning_it(tmp_path, suffix):
+    exif = Image.Exif()
+    exif[0x0112] = EXIF_TURNED
+    for options in ({}, {"exif": exif}):
+        path = save_picture(tmp_path / f"a.{suffix}", COLOURS, **options)
+        assert measure_image(path) == ("RGB", load_image(path)[1].shape[:2])
 
 
 def test_a_contact_shape_is_left_to_its_reader_and_is_no_photo(tmp_path):

@@ -242,6 +242,12 @@ def test_catalogue_parts_are_read_in_millimetres(shared_data):
     assert 0.002 < auto.mesh.extents_m.max() < 0.3
 
 
+def test_a_warning_about_the_shape_names_the_file(tmp_path, caplog):
+    trimesh.creation.icosphere(3, 20).export(tmp_path / "ball.stl")
+    load_object(tmp_path / "ball.stl", "mm")
+    assert any(text.startswith("ball.stl: ") and "sphere" in text for text in caplog.messages)
+
+
 def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
     ball = trimesh.creation.icosphere(4, 0.02)
     mesh = TriangleMesh(np.array(ball.vertices), np.array(ball.faces, np.int64))

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import SymmetryError
+from tactile_loc.core.errors import SymmetryError, mention_source
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, close_rotations, name_axis
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
@@ -206,7 +206,8 @@ class _Search:
         """Return the terms of a surface with three equal moments. The directions `extra` (E, 3) are tested first."""
         few = self._probe.few
         if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
-            _logger.warning("the object is a sphere, whose symmetry is not supported; it is treated as a cylinder")
+            text = "the object is a sphere, whose symmetry is not supported; it is treated as a cylinder"
+            _logger.warning(mention_source(text))
             return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), 2.0)]
         terms: list[tuple[NDArray[np.float64], float]] = []
         points_m = few.points_m[:200]
