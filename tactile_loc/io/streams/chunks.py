@@ -49,8 +49,11 @@ def require_chunks(path: Path) -> None:
                 require_size(max(stated, record.uncompressed_size))
 
 
-def limit_unpacking(unpack: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-    """Return a function that unpacks like `unpack`, bz2.decompress or that of lz4, but raises above the limit."""
+def limit_unpacking(unpack: Callable[[bytes], bytes], most: int = MOST_PART_BYTES) -> Callable[[bytes], bytes]:
+    """Return a function that unpacks like `unpack`, bz2.decompress or that of lz4, up to `most` bytes.
+
+    It raises TooLargeError for more.
+    """
     from lz4.frame import LZ4FrameFile, decompress
 
     open_stream: Any = {bz2.decompress: bz2.BZ2File, decompress: LZ4FrameFile}.get(unpack)
@@ -59,8 +62,8 @@ def limit_unpacking(unpack: Callable[[bytes], bytes]) -> Callable[[bytes], bytes
 
     def unpack_within(data: bytes) -> bytes:
         with open_stream(BytesIO(data)) as stream:
-            content: bytes = stream.read(MOST_PART_BYTES + 1)
-        require_size(len(content))
+            content: bytes = stream.read(most + 1)
+        require_size(len(content), most)
         return content
 
     return unpack_within

@@ -102,7 +102,11 @@ class LocatedRecord(BaseModel):
         description="certain, ambiguous, poor fit, not found or no contact; null if the frame was refused"
     )
     says: str = Field(default="", description="why there is no verdict or no pose; else empty")
-    probability: float | None = Field(default=None, description="of the most probable pose, 0 to 1")
+    probability: float | None = Field(
+        default=None,
+        description="of the most probable pose, 0 to 1; in a track, as the start (1) or the last search states it, "
+        "where 0.89 and 0.998 are limits of the fit",
+    )
     imprint_iou: float | None = Field(default=None, description="how well that pose explains the frame, 0 to 1")
     covariance: Covariance | None = Field(
         default=None,
