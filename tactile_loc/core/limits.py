@@ -11,7 +11,7 @@ MOST_PART_BYTES = 2**28  # an unpacked chunk of a recording, a record of a libra
 
 
 class TooLargeError(ValueError):
-    """An input is larger than the limits here allow. The message states both sizes."""
+    """An input is larger than the limits here allow, or has several pages. The message states what to change."""
 
 
 def require_size(size: int, most: int = MOST_PART_BYTES) -> None:

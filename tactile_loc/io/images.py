@@ -184,7 +184,7 @@ def _open_picture(path: Path | IO[bytes]) -> Iterator[Any]:
             tags = getattr(image, "tag_v2", {})  # of TIFF, where a tile may be larger than the image
             require_pixels(tags.get(TILE_WIDTH, 1), tags.get(TILE_HEIGHT, 1))
             if image.format != "MPO" and getattr(image, "is_animated", False):  # phones add previews to MPO
-                raise ValueError("it has several pages; save each page as a file")
+                raise TooLargeError("it has several pages; save each page as a file")
             yield image
 
 
@@ -239,7 +239,7 @@ def explain_unreadable(path: Path, error: BaseException) -> str:
     if "allow_pickle" in str(error):
         return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
     if isinstance(error, TooLargeError):
-        return f"{path} is too large: {error}"
+        return f"{path} cannot be read: {error}"
     kind = path.suffix.lower()[1:]
     return f"{path} cannot be read as {kind} ({summarize(error)}); it is damaged or of another kind, so save it again"
 
