@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import io
-import lzma
 import re
 import stat
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import UploadError
+from tactile_loc.io.archives import read_member
 from tactile_loc.store.files import write_atomically
 
 if TYPE_CHECKING:
@@ -25,9 +24,7 @@ ARCHIVE_SUFFIX = ".zip"
 DRIVE = re.compile("[A-Za-z]:")
 HIDDEN = "__MACOSX"  # a folder that macOS adds to archives
 MOST_ENTRIES, ENTRY = 10 * MOST_FILES, b"PK\x01\x02"  # all of an archive, with folders and hidden files; how one begins
-DAMAGED = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, RuntimeError, NotImplementedError, ValueError,
-)  # fmt: skip
+DAMAGED = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
 
 
 def limit_uploads(client: ClientHandle, show_error: Callable[[UploadError], None]) -> None:
@@ -118,7 +115,7 @@ def list_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             for member, path in _check_members(name, archive.infolist()):
-                yield path, archive.read(member)
+                yield path, read_member(archive, member)
     except DAMAGED as error:
         raise UploadError(
             f"{name} cannot be read as a zip archive ({error}); pack it again, without a password"
