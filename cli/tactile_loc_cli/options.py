@@ -60,7 +60,10 @@ class RunOptions:
         declare("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object. Default: hook."),
     ] = None
     units: Annotated[
-        Units | None, declare("--units", None, "Unit of the mesh file. Default: auto, guessed from its size.")
+        Units | None,
+        declare(
+            "--units", None, "Unit of the mesh file. Default: auto, as the file states, else guessed from its size."
+        ),
     ] = None
     symmetry: Annotated[
         str | None,

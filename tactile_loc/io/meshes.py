@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 import warnings
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ObjectError, TactileLocError, did_you_mean, note_source
-from tactile_loc.core.limits import MOST_BYTES, require_size
+from tactile_loc.core.errors import MissingLibraryError, ObjectError, TactileLocError, did_you_mean, note_source
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.gltf_files import read_gltf
 from tactile_loc.io.images import summarize
+from tactile_loc.io.polygon_files import read_obj, read_off, read_ply
+from tactile_loc.io.polygons import EXPORT_AGAIN, Polygons
 from tactile_loc.io.step_files import convert_step, is_step
-from tactile_loc.store.files import parse_json
 
 log = logging.getLogger(__name__)
-GLTF, ELEMENT_BYTES = (".gltf", ".glb"), 24  # three coordinates or indices in memory
-AGAIN = "export it again as a surface mesh"
 
 Units = Literal["m", "mm", "cm", "inch", "auto"]
 METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
@@ -34,19 +34,27 @@ ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused, because archives c
 _found: dict[tuple[str, str], SymmetryGroup] = {}  # by digest and declaration; a sweep opens the same file many times
 
 
+POLYGON_READERS = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
+GLTF_SUFFIXES = (".glb", ".gltf")
+
+
 class Surface(NamedTuple):
     """The surface in a mesh file: `vertices` (V, 3) and triangles `faces` (F, 3).
 
-    Lengths are in the file's unit; those of a STEP file are in metres.
+    Lengths are in the file's unit. `metres_per_unit` is this unit, if the file or its format states it.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     is_watertight: bool
+    metres_per_unit: float | None = None
 
 
 def read_surface(path: Path) -> Surface:
-    """Read and merge the triangles of a mesh file. Raises ObjectError when it is missing, damaged or empty."""
+    """Read and merge the faces of a mesh file, as triangles. Raises ObjectError when it is missing, damaged or empty.
+
+    Raises MissingLibraryError when the format needs a library that is not installed.
+    """
     if not os.path.isfile(path):
         if os.path.isdir(path):
             raise ObjectError(f"{path} is a folder; give one mesh file")
@@ -57,61 +65,84 @@ def read_surface(path: Path) -> Surface:
     import trimesh
 
     try:
-        raw = _load_raw(path)
+        polygons, metres_per_unit = _read_polygons(path)
+        polygons.require_valid(path)
+        faces = polygons.triangulate(path)
     except TactileLocError:
         raise
+    except ImportError as error:
+        library = error.name or {".dae": "pycollada"}.get(path.suffix.lower(), "lxml")
+        raise MissingLibraryError(
+            f"{path} is read with {library}, which is not installed: pip install {library}; or give an STL, OBJ, PLY "
+            "or STEP file"
+        ) from error
     except Exception as error:
         reason = summarize(error)[:120]
         raise ObjectError(f"{path} cannot be read as a mesh ({reason}); give an STL, OBJ, PLY or STEP file") from error
-    if not isinstance(raw, trimesh.Trimesh):
-        raise ObjectError(f"{path} is not a surface mesh; {AGAIN}")
-    _require_surface(np.asarray(raw.vertices), np.asarray(raw.faces), path)
-    plain = trimesh.Trimesh(raw.vertices, raw.faces, process=False)  # textures and normals would separate vertices
+    plain = trimesh.Trimesh(polygons.vertices, faces, process=False)
     plain.merge_vertices()
     plain.update_faces(plain.nondegenerate_faces(height=0))
     plain.remove_unreferenced_vertices()  # stray vertices would enlarge the bounding box
     if len(plain.faces) == 0:
-        raise ObjectError(f"{path} has zero extent: all its faces are points or lines; {AGAIN}")
-    return Surface(np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64), bool(plain.is_watertight))
+        raise ObjectError(f"{path} has zero extent: all its faces are points or lines; {EXPORT_AGAIN}")
+    vertices, faces = np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64)
+    return Surface(vertices, faces, bool(plain.is_watertight), metres_per_unit)
 
 
-def _load_raw(path: Path) -> Any:
-    """Load a file as trimesh reads it, in the file's unit; a STEP file in metres."""
+def _read_polygons(path: Path) -> tuple[Polygons, float | None]:
+    """Read a file with the reader of its format. Also return the file's unit, in metres, if it is stated."""
+    suffix = path.suffix.lower()
+    if is_step(path):
+        with convert_step(path) as file:
+            return read_gltf(file), 1.0
+    if suffix in GLTF_SUFFIXES:
+        return read_gltf(path), 1.0
+    if suffix in POLYGON_READERS:
+        return POLYGON_READERS[suffix](path), None
+    return _read_by_trimesh(path)
+
+
+def _read_by_trimesh(path: Path) -> tuple[Polygons, float | None]:
+    """Read a file with triangles, such as STL and 3MF. Raises ObjectError if trimesh warns that a part is missing."""
     import trimesh
 
-    if path.suffix.lower() in GLTF:
-        _require_elements(path)
-    with warnings.catch_warnings(), convert_step(path) if is_step(path) else nullcontext(path) as file:
-        warnings.simplefilter("ignore")
-        return trimesh.load(file, force="mesh", process=False)
+    if path.suffix.lower() == ".dae":
+        _require_triangles(path)
+    complaints = _Complaints()
+    trimesh.util.log.addHandler(complaints)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", UserWarning)
+            scene: Any = trimesh.load(path, force="scene", process=False)
+            raw = scene.to_mesh()
+    finally:
+        trimesh.util.log.removeHandler(complaints)
+    if complaints.texts:
+        raise ObjectError(f"{path} is read only in part ({complaints.texts[0]}); {EXPORT_AGAIN}")
+    metres = None if scene.units is None else float(trimesh.units.unit_conversion(scene.units, "meters"))
+    return Polygons.of_triangles(raw.vertices, raw.faces), metres
 
 
-def _require_elements(path: Path) -> None:
-    """Raise an error if a glTF file states more elements than memory should hold; its buffers need not hold them."""
-    content = path.read_bytes()
-    length = int.from_bytes(content[12:16], "little")  # of the JSON in a binary file, after 20 bytes
-    tree = parse_json(content[20 : 20 + length] if content[:4] == b"glTF" else content)
-    counts = [one["count"] for one in tree.get("accessors", ())]
-    meshes = [
-        sum(counts[n] for one in mesh["primitives"] for n in (*one["attributes"].values(), one.get("indices", 0)))
-        for mesh in tree.get("meshes", ())
-    ]
-    placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node)
-    require_size(ELEMENT_BYTES * (sum(counts) + placed), MOST_BYTES)
+class _Complaints(logging.Handler):
+    """Collects the warnings that a library logs in this thread."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        about_looks = "material" in str(record.funcName)
+        if record.thread == threading.get_ident() and not about_looks:
+            self.texts.append(" ".join(record.getMessage().split())[:120])
 
 
-def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) -> None:
-    """Raise ObjectError unless the vertices (V, 3) are finite and there is at least one valid triangle (F, 3)."""
-    if len(faces) == 0:
-        raise ObjectError(f"{path} has no faces; {AGAIN}")
-    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
-        raise ObjectError(f"{path} has vertices or faces without three numbers each; {AGAIN}")
-    if not np.isfinite(vertices).all():
-        raise ObjectError(f"{path} has vertices that are NaN or infinite; {AGAIN}")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ObjectError(
-            f"{path} has {len(vertices)} vertices, but its faces use numbers {faces.min()} to {faces.max()}; {AGAIN}"
-        )
+def _require_triangles(path: Path) -> None:
+    """Raise ObjectError if a COLLADA file has polygons, because pycollada covers their notches."""
+    for element in ElementTree.parse(path).iter():
+        kind = element.tag.rpartition("}")[2]
+        if kind == "polygons" or (kind == "vcount" and any(int(word) > 3 for word in (element.text or "").split())):
+            raise ObjectError(f"{path} has faces with more than three corners; triangulate them when you export")
 
 
 def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
@@ -140,10 +171,11 @@ def load_object(
 ) -> ObjectModel:  # fmt: skip
     """Read a STEP file, any mesh that trimesh reads, or a demo object by its name; return the object in metres.
 
-    `units` is the file's unit; "auto" guesses the unit from the size. A STEP file states its unit, so `units` is not
-    used. A declared `symmetry` ("none", "z2", "z6*x2",
-    "zinf", ...) is checked against the surface; "auto" detects the symmetry. Guesses and doubts are logged as warnings
-    and kept in the result's `notes`. `read` reads the file, and `judge` finds or checks the symmetry. Raises
+    `units` is the file's unit. "auto" takes the unit that the file states, or that of its format: metres for glTF. For
+    other files, it guesses the unit from the size. A STEP file is always read in its own unit. A declared `symmetry`
+    ("none", "z2", "z6*x2", "zinf", ...) is checked against the surface; "auto" detects the symmetry. Guesses and doubts
+    are logged as warnings and kept in the result's `notes`. `read` reads the file, and `judge` finds or checks the
+    symmetry. Raises
     ObjectError when the mesh cannot be used, and SymmetryError when the declared symmetry is wrong.
     """
     demo = DEMO_OBJECTS.get(str(path))
@@ -153,7 +185,7 @@ def load_object(
     path = Path(path)
     name = name or path.stem
     surface = read(path)
-    scale, notes = _find_scale(surface, "m" if is_step(path) else units, path.name)
+    scale, notes = _find_scale(surface, "auto" if is_step(path) else units, path.name)
     if is_step(path) and units != "auto":
         notes.append(f"{path.name} states its own unit, so the unit {units} is not used")
     mesh = TriangleMesh(surface.vertices * scale, surface.faces)
@@ -172,7 +204,7 @@ def load_object(
 
 
 def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
-    """Return metres per file unit, and a list with a note if the unit was guessed.
+    """Return metres per file unit, and a list with a note if the unit was guessed, because the file does not state it.
 
     A length below 1 is taken as metres, any other length as mm, because touched objects are 1 mm to 1 m long.
     """
@@ -180,6 +212,8 @@ def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[st
         raise ObjectError(f"the unit {units!r} of {name} is unknown; give one of {', '.join(get_args(Units))}")
     if units != "auto":
         return METRES_PER_UNIT[units], []
+    if surface.metres_per_unit is not None:
+        return surface.metres_per_unit, []
     size = float(np.ptp(surface.vertices, axis=0).max())
     guess = "m" if size < 1.0 else "mm"
     scale = METRES_PER_UNIT[guess]

@@ -24,7 +24,7 @@ from tactile_loc.store.workspace import Workspace
 logger = logging.getLogger(__name__)
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".off", *STEP_SUFFIXES)  # files that contain the whole surface
-SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # increase if the same file gives another surface or symmetry
+SURFACE_VERSION, SYMMETRY_VERSION = 2, 1  # increase if the same file gives another surface or symmetry
 
 Kept = TypeVar("Kept")
 
@@ -59,11 +59,11 @@ def _load_surface(path: Path, store: StageStore) -> Surface:
     def save(surface: Surface, work: Workspace) -> None:
         work.save_array("vertices", surface.vertices, packed=True)
         work.save_array("faces", surface.faces, packed=True)
-        work.save_json("watertight", surface.is_watertight)
+        work.save_json("about", [surface.is_watertight, surface.metres_per_unit])
 
     def load(kept: Artifact) -> Surface:
         vertices, faces = (kept.load_array(name, mmap=False) for name in ("vertices", "faces"))
-        return Surface(vertices, faces, kept.load_json("watertight"))
+        return Surface(vertices, faces, *kept.load_json("about"))
 
     return _load_or_keep(store, key, lambda: read_surface(path), save, load)
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import logging
 import re
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import trimesh
 from message_helpers import missing, naming
 
-from tactile_loc.core.errors import ObjectError, SymmetryError
+from tactile_loc.core.errors import MissingLibraryError, ObjectError, SymmetryError
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes import load_object, simplify_mesh
@@ -96,6 +97,39 @@ def test_guessed_units_are_right_and_logged(write_box, caplog, per_metre, guess)
     assert not missing(note, "30 mm")
     assert "`units`" in note
     assert note in caplog.text
+
+
+def write_3mf(path: Path, unit: str, items: tuple[int, ...] = (1,)) -> Path:
+    """Write a box of 3 x 2 x 1 units, and refer to the objects `items`."""
+    box = trimesh.creation.box((3, 2, 1))
+    vertices = "".join('<vertex x="{}" y="{}" z="{}"/>'.format(*vertex) for vertex in box.vertices)
+    faces = "".join('<triangle v1="{}" v2="{}" v3="{}"/>'.format(*face) for face in box.faces)
+    mesh = f"<mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>"
+    namespace = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+    build = "".join(f'<item objectid="{number}"/>' for number in items)
+    model = f'<model unit="{unit}" xmlns="{namespace}"><resources><object id="1">{mesh}</object></resources>'
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("3D/3dmodel.model", f"{model}<build>{build}</build></model>")
+    return path
+
+
+def test_the_unit_that_a_3mf_file_states_is_used(tmp_path):
+    pytest.importorskip("lxml")
+    obj = load_object(write_3mf(tmp_path / "part.3mf", "inch"), symmetry="none")
+    np.testing.assert_allclose(obj.mesh.extents_m, [0.0762, 0.0508, 0.0254])
+    assert obj.notes == ()
+
+
+def test_a_file_that_trimesh_reads_only_in_part_is_refused(tmp_path):
+    pytest.importorskip("lxml")
+    with pytest.raises(ObjectError, match=naming("part.3mf", 7)):
+        load_object(write_3mf(tmp_path / "part.3mf", "inch", (1, 7)), "m")
+
+
+@pytest.mark.skipif(find_spec("lxml") is not None, reason="lxml is installed")
+def test_a_missing_library_is_named(tmp_path):
+    with pytest.raises(MissingLibraryError, match=naming("part.3mf", "pip install lxml")):
+        load_object(write_3mf(tmp_path / "part.3mf", "inch"))
 
 
 def test_unknown_units_are_refused(write_box):
