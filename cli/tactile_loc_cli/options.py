@@ -70,7 +70,7 @@ class RunOptions:
         declare(
             "--symmetry", "GROUP",
             "Rotational symmetry: none, or terms joined by *. z6: looks the same after each 1/6 turn about z. zinf: "
-            "round about z. Default: auto, detected.",
+            "round about z. sphere: round in all directions. Default: auto, detected.",
         ),
     ] = None  # fmt: skip
     touch: Annotated[

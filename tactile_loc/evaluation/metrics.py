@@ -47,8 +47,10 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
 
     If there are many symmetries, some with a small root mean square distance are selected. These symmetries are tried
     with a few of the points (P, 3), and the best are measured with all points. For a continuous axis, the best roll is
-    searched.
+    searched. All points of a sphere move as its centre does.
     """
+    if obj.symmetry.is_sphere:
+        return PoseMetric(obj).symmetric_distance(T_estimates, T_true[None])
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
     same = T_true @ obj.symmetry.list_elements()
@@ -66,8 +68,11 @@ def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true
 
     MSSD is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
     function of the point. Symmetries are tried in order of root mean square distance, which is a lower bound of the
-    largest distance. So no better symmetry is left out. For a continuous axis, the best roll is searched.
+    largest distance. So no better symmetry is left out. For a continuous axis, the best roll is searched. All points of
+    a sphere move as its centre does.
     """
+    if obj.symmetry.is_sphere:
+        return PoseMetric(obj).symmetric_distance(T_estimates, T_true[None])
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
     same = T_true @ obj.symmetry.list_elements()

@@ -116,13 +116,13 @@ def fit_temperature_scaling(
     `scores` has an array (N,) for each touch. `truth` (T,) are the indices of the poses nearest to the true poses, -1
     if none is near. With `searched`, the probability that the search misses the true pose is fitted, too.
     """
-    known = np.flatnonzero(truth >= 0)
     odds = _fit_found(np.array([max(row) for row in scores]), truth >= 0) if searched else None
-    if len(known) == 0:
-        return TemperatureScaling(1.0, TAILS[-1], odds)  # no true pose was found, so there is nothing to fit
+    spreads = np.array([np.ptp(row[np.isfinite(row)]) for row in (np.asarray(row, np.float64) for row in scores)])
+    known = np.flatnonzero((truth >= 0) & (spreads > 0))
+    if len(known) == 0:  # no true pose was found, or each alone, as for a sphere, so there is nothing to fit
+        return TemperatureScaling(1.0, TAILS[-1], odds)
     rows, truth = [np.asarray(scores[int(number)], np.float64) for number in known], truth[known]
-    spread = float(np.median([np.ptp(row[np.isfinite(row)]) for row in rows]))
-    hottest = np.log(max(spread, np.finfo(float).tiny))
+    hottest = np.log(np.median(spreads[known]))
     tried = [
         TemperatureScaling(float(np.exp(t)), tail, odds)
         for t in np.linspace(hottest - REACH, hottest, REACH * STEPS_PER_E + 1)

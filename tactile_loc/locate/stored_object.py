@@ -24,7 +24,7 @@ from tactile_loc.store.workspace import Workspace
 logger = logging.getLogger(__name__)
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".off", *STEP_SUFFIXES)  # files that contain the whole surface
-SURFACE_VERSION, SYMMETRY_VERSION = 2, 1  # increase if the same file gives another surface or symmetry
+SURFACE_VERSION, SYMMETRY_VERSION = 2, 2  # increase if the same file gives another surface or symmetry
 
 Kept = TypeVar("Kept")
 

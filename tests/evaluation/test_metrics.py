@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -93,6 +94,15 @@ def test_rotations_about_a_continuous_axis_cost_nothing_and_shifts_along_it_do(c
     poses = np.stack([turned, moved])
     assert compute_adds(cylinder, points_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-9)
     assert compute_mssd(cylinder, corners_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-7)
+
+
+def test_only_the_centre_of_a_sphere_counts(make_object, true_pose):
+    ball = make_object(trimesh.creation.icosphere(3, 0.01).apply_translation([0.03, 0, 0]), "sphere")
+    about_centre = make_translation([0.03, 0, 0]) @ turn([1, 2, 3], 2.0) @ make_translation([-0.03, 0, 0])
+    poses = np.stack([true_pose @ about_centre, make_translation([0, 0.003, 0.004]) @ true_pose @ about_centre])
+    points_m = ball.mesh.sample(200, np.random.default_rng(0))
+    assert compute_adds(ball, points_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-8)
+    assert compute_mssd(ball, ball.mesh.hull_corners_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-8)
 
 
 @pytest.mark.parametrize("spread", [1.0, 0.05])

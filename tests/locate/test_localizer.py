@@ -71,6 +71,16 @@ def test_lighter_presses_are_located(pin):
         assert np.median(nearest) < 0.6
 
 
+def test_a_sphere_has_one_pose(store, tmp_path):
+    trimesh.creation.icosphere(4, 0.008).export(tmp_path / "ball.stl")
+    ball = Localizer.create(tmp_path / "ball.stl", units="m", store=store, **{**SMALL, "temperature": 0.03})
+    (touch,) = ball.simulate(1, seed=3)
+    found = ball.localize(touch)
+    assert len(found.hypotheses) == 1
+    assert found.verdict is Verdict.CERTAIN
+    assert errors_mm(ball, touch, found)[0] < 0.05
+
+
 def test_a_result_is_sorted_and_complete(pin, touches):
     found = pin.localize(touches[0], top=4)
     assert found.touch is touches[0]

@@ -76,6 +76,14 @@ def test_the_fit_finds_the_true_temperature(temperature):
 
 
 @pytest.mark.slow
+def test_touches_with_one_pose_each_say_nothing_about_the_temperature():
+    scores, truth = drawn(TemperatureScaling(0.1), 50, np.random.default_rng(3))
+    alone = [np.array([0.5])] * 100
+    assert fit_temperature_scaling(alone, np.zeros(100, int)).temperature == 1.0
+    both = fit_temperature_scaling([*scores, *alone], np.concatenate([truth, np.zeros(100, int)]))
+    assert both == fit_temperature_scaling(scores, truth)
+
+
 def test_misleading_touches_widen_the_tail():
     rng = np.random.default_rng(2)
     scores, truth = drawn(TemperatureScaling(0.15), 1000, rng)

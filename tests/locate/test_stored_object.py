@@ -78,6 +78,14 @@ def test_a_continuous_axis_is_read_back_from_the_store(tmp_path):
     assert str(again.symmetry) == "zinf"
 
 
+def test_a_sphere_is_read_back_from_the_store(tmp_path):
+    store, path = StageStore(tmp_path / "store"), tmp_path / "ball.stl"
+    trimesh.creation.icosphere(4, 0.01).export(path)
+    first, again = (module.load_stored_object(path, "m", "auto", store) for _ in range(2))
+    assert str(first.symmetry) == str(again.symmetry) == "sphere"
+    assert again.describe() == first.describe()
+
+
 def test_a_wrong_symmetry_is_refused_each_time(tmp_path):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     trimesh.creation.box((0.03, 0.02, 0.01)).export(path)

@@ -89,7 +89,7 @@ def test_a_round_part_has_one_rotation_for_each_direction_of_its_axis(symmetry, 
 
 
 def test_a_single_rotation_is_possible_for_every_symmetry():
-    for symmetry in ("none", "z4*x4", "zinf*x2"):
+    for symmetry in ("none", "z4*x4", "zinf*x2", "sphere"):
         R = spread_rotations(brick(symmetry), 1)
         assert R.shape == (1, 3, 3)
         assert is_rigid(make_transform(R, np.zeros(3)))

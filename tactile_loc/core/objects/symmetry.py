@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ _TERM = re.compile(r"(?:([xyz])|axis\(([^()]*)\))(\d+|inf)")
 _SAME_RAD = 1e-2  # tolerance for rounded axes; different elements of a group are 0.05 rad apart
 _TIE = 1e-9
 _REFERENCE_ROTVEC = (0.3721, -0.8147, 1.1369)  # not on a symmetry plane of any usual object
+_REFERENCE = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
 
 
 @dataclass(frozen=True)
@@ -77,47 +79,49 @@ class SymmetryGroup:
     """The proper rotations about `centre_m` (3,) in the object frame that map an object onto itself.
 
     Without a `continuous_axis` (3,), the group's elements are `rotations` (K, 3, 3), the identity first. With a
-    continuous axis, the elements are the products of `rotations` and all rotations about this axis. Raises
-    SymmetryError if the terms generate more than MAX_ORDER rotations, or would make the object a sphere, which is not
-    supported.
+    continuous axis, the elements are the products of `rotations` and all rotations about this axis. If the object
+    `is_sphere`, the elements are all rotations; it also has a continuous axis, which is one of many. Raises
+    SymmetryError if the terms generate more than MAX_ORDER rotations.
     """
 
     centre_m: NDArray[np.float64]
     terms: tuple[SymmetryTerm, ...] = ()
     rotations: NDArray[np.float64] = field(init=False, repr=False)
     continuous_axis: NDArray[np.float64] | None = field(init=False, repr=False)
+    is_sphere: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         centre_m = np.array(self.centre_m, dtype=np.float64)
         if centre_m.shape != (3,) or not np.isfinite(centre_m).all():
             raise SymmetryError(f"the centre of a symmetry is {self.centre_m!r}; give three finite numbers in metres")
         axis = next((term.unit_axis for term in self.terms if math.isinf(term.order)), None)
-        if axis is None:
-            rotations = close_rotations([term.rotation for term in self.terms])
-        else:
-            rotations = _list_flips(self.terms, axis)
-        if rotations is None:
+        flips = None if axis is None else _list_flips(self.terms, axis)
+        is_sphere = axis is not None and flips is None
+        object.__setattr__(self, "is_sphere", is_sphere)
+        rotations = close_rotations([term.rotation for term in self.terms]) if axis is None else flips
+        if rotations is None and not is_sphere:
             raise SymmetryError(
-                f"the symmetry '{self}' has more than {MAX_ORDER} rotations; correct an axis or an order. For a "
-                "sphere, give the rotations about one axis"
+                f"the symmetry '{self}' has more than {MAX_ORDER} rotations; correct an axis or an order"
             )
+        rotations = np.eye(3)[None] if rotations is None else rotations
         for name, value in (("centre_m", centre_m), ("rotations", rotations), ("continuous_axis", axis)):
             object.__setattr__(self, name, value)
 
     @classmethod
     def parse(cls, text: str, centre_m: ArrayLike) -> SymmetryGroup:
-        """Read `none`, or terms joined by `*`, each an axis (x, y, z or axis(a,b,c)) and an order (2, 3, ... or inf).
+        """Read `none`, `sphere`, or terms joined by `*`: each has an axis, such as x or axis(1,1,0), and an order.
 
-        Examples: `z6` has six rotations about z, `zinf*x2` is a cylinder, `x2*y2` is a box. `centre_m` (3,), metres, in
-        the object frame, is the point where all axes meet. Raises SymmetryError if the text cannot be read, or if the
-        terms do not generate a supported group.
+        An order is 2, 3, ... or inf. Examples: `z6` has six rotations about z, `zinf*x2` is a cylinder, `x2*y2` is a
+        box, and `zinf*xinf` is a sphere. `centre_m` (3,), metres, in the object frame, is the point where all axes
+        meet. Raises SymmetryError if the text cannot be read, or if the terms generate too many rotations.
         """
         cleaned = re.sub(r"\s+", "", text).lower()
+        cleaned = "zinf*xinf" if cleaned == "sphere" else cleaned
         terms = () if cleaned == "none" else tuple(_parse_term(term, text) for term in cleaned.split("*"))
         return cls(np.asarray(centre_m, dtype=np.float64), terms)
 
     def __str__(self) -> str:
-        return "*".join(map(str, self.terms)) or "none"
+        return "sphere" if self.is_sphere else "*".join(map(str, self.terms)) or "none"
 
     @property
     def order(self) -> float:
@@ -133,7 +137,8 @@ class SymmetryGroup:
         """Return all elements as transforms T_object_object (K, 4, 4), metres, the identity first.
 
         A continuous axis is sampled at equal steps of at most `max_step_rad`. Their number is even, so that half turns
-        are included. Raises SymmetryError if `max_step_rad` is not positive.
+        are included. A sphere is sampled by the 60 rotations of an icosahedron, whatever the step. Raises SymmetryError
+        if `max_step_rad` is not positive.
         """
         R = self._sample_rotations(max_step_rad)
         return make_transform(R, self.centre_m - R @ self.centre_m)
@@ -147,7 +152,10 @@ class SymmetryGroup:
 
         For a continuous axis, give `step_rad`, the spacing of the rotations about this axis. A rotation then counts if
         it is within half a step of the nearest equivalent. Raises SymmetryError if `step_rad` is needed but not given.
+        For a sphere, one of the rotations counts.
         """
+        if self.is_sphere:
+            return np.arange(len(R)) == np.einsum("ij,nij->n", _REFERENCE, R).argmax()
         nearness, angle_rad = self._measure_nearness(R)
         is_nearest = nearness[:, 0] >= nearness.max(axis=1) - _TIE
         if self.continuous_axis is None:
@@ -163,6 +171,8 @@ class SymmetryGroup:
         Two poses are equivalent if and only if the returned rotations are equal and the positions of the group's centre
         are equal.
         """
+        if self.is_sphere:
+            return np.tile(_REFERENCE, (len(R), 1, 1))
         nearness, angle_rad = self._measure_nearness(R)
         best = nearness.argmax(axis=1)
         nearest = np.asarray(R, dtype=np.float64) @ self.rotations[best]
@@ -172,12 +182,16 @@ class SymmetryGroup:
 
     def measure_least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""
+        if self.is_sphere:
+            return np.zeros(len(R))
         nearness, _ = self._measure_nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
         return np.arccos(np.clip(0.5 * (nearness.max(axis=1) - 1.0), -1.0, 1.0))
 
     def _sample_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
         if not max_step_rad > 0:
             raise SymmetryError(f"the step along a continuous symmetry is {max_step_rad} rad; give a positive number")
+        if self.is_sphere:
+            return _list_icosahedral_rotations()
         if self.continuous_axis is None:
             return self.rotations
         count = 2 * math.ceil(math.pi / max_step_rad - 1e-9)
@@ -191,9 +205,7 @@ class SymmetryGroup:
 
         Also return the angles (N, K) at which it occurs.
         """
-        if R_ref is None:
-            R_ref = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
-        A = R_ref.T @ np.asarray(R, dtype=np.float64)
+        A = (_REFERENCE if R_ref is None else R_ref).T @ np.asarray(R, dtype=np.float64)
         if self.continuous_axis is None:
             nearness = A.reshape(-1, 9) @ self.rotations.transpose(0, 2, 1).reshape(-1, 9).T
             return nearness, np.zeros_like(nearness)
@@ -209,8 +221,8 @@ def _parse_term(term: str, text: str) -> SymmetryTerm:
     components = _parse_axis(match) if match else None
     if match is None or components is None:
         raise SymmetryError(
-            f"the symmetry '{text}' cannot be read at '{term}'; give auto, none, or terms joined by *, such as z6 (1/6 "
-            "turns about z), zinf (round about z) or axis(1,1,0)2"
+            f"the symmetry '{text}' cannot be read at '{term}'; give auto, none, sphere, or terms joined by *, such as "
+            "z6 (1/6 turns about z), zinf (round about z) or axis(1,1,0)2"
         )
     order = math.inf if match[3] == "inf" else int(match[3])
     if order < 2:
@@ -229,17 +241,26 @@ def _parse_axis(match: re.Match[str]) -> tuple[float, float, float] | None:
     return (a, b, c) if math.isfinite(length) and length > 1e-12 else None
 
 
-def _list_flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the identity and, if a term has one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3)."""
+@lru_cache(maxsize=1)
+def _list_icosahedral_rotations() -> NDArray[np.float64]:
+    """Return the rotations (60, 3, 3) of an icosahedron, the identity first."""
+    five, three = SymmetryTerm((0.0, 1.0, (1.0 + math.sqrt(5.0)) / 2.0), 5), SymmetryTerm((1.0, 1.0, 1.0), 3)
+    rotations = close_rotations([five.rotation, three.rotation])
+    assert rotations is not None
+    return rotations
+
+
+def _list_flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the identity and, if a term has one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3).
+
+    Any other term makes the object a sphere. Then the result is None.
+    """
     rotations = [np.eye(3)]
     for term in terms:
         along = float(term.unit_axis @ axis)
         if abs(along) > math.cos(_SAME_RAD):
             continue  # the term is about the continuous axis itself
         if term.order != 2 or abs(along) > _SAME_RAD:
-            raise SymmetryError(
-                f"the symmetry '{'*'.join(map(str, terms))}' would make the object a sphere, which is not supported; "
-                "beside a continuous axis, give only half turns about axes perpendicular to it"
-            )
+            return None
         rotations[1:] = [rotation_about(term.unit_axis - along * axis, math.pi)]
     return np.stack(rotations)

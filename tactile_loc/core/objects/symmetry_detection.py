@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import SymmetryError, mention_source
+from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, close_rotations, name_axis
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
-
-_logger = logging.getLogger(__name__)
 
 RESOLUTION_M = 5e-5
 """The smallest deviation that a tactile sensor sees, on a patch about half a millimetre wide."""
@@ -36,9 +33,8 @@ def detect_symmetry(
     The mesh has `vertices_m` (V, 3), metres, and `faces` (F, 3). A rotation does not count if a patch of the rotated
     surface, at least half a millimetre wide, is farther than `tolerance_m` from the surface. A pocket therefore breaks
     the symmetry of a plate of any size. On tessellated curves, the error of the facets is also allowed. Axes with up to
-    60-fold symmetry and continuous axes are found. A sphere is reported as a cylinder, with a warning. `seed` is for
-    drawing the surface points, which are about 0.4 mm apart. There are at most 40,000 points. Raises ObjectError if the
-    mesh has no surface.
+    60-fold symmetry, continuous axes and spheres are found. `seed` is for drawing the surface points, which are about
+    0.4 mm apart. There are at most 40,000 points. Raises ObjectError if the mesh has no surface.
     """
     probe = SurfaceProbe(vertices_m, faces, seed)
     search = _Search(probe, tolerance_m)
@@ -206,9 +202,7 @@ class _Search:
         """Return the terms of a surface with three equal moments. The directions `extra` (E, 3) are tested first."""
         few = self._probe.few
         if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
-            text = "the object is a sphere, whose symmetry is not supported; it is treated as a cylinder"
-            _logger.warning(mention_source(text))
-            return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), 2.0)]
+            return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), math.inf)]
         terms: list[tuple[NDArray[np.float64], float]] = []
         points_m = few.points_m[:200]
         for scanned in _SCAN_ORDERS:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Poses, make_transform, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 
 SPACING_SAMPLE = 1000
@@ -25,12 +25,17 @@ LEAF = 32  # points in a leaf of a search tree; a tenth faster than 16
 
 @dataclass(frozen=True, eq=False)
 class PoseMetric:
-    """The root mean square distance, metres, between an object's surface points at two poses."""
+    """The root mean square distance, metres, between an object's surface points at two poses.
+
+    No rotation of a sphere about its centre counts, even where other symmetries are ignored.
+    """
 
     object: ObjectModel
 
     @cached_property
     def _lever(self) -> NDArray[np.float64]:
+        if self.object.symmetry.is_sphere:
+            return np.zeros((3, 3))
         values, vectors = np.linalg.eigh(self.object.mesh.covariance_m2)
         return vectors * np.sqrt(np.clip(values, 0.0, None))
 
@@ -52,6 +57,8 @@ class PoseMetric:
         over these rotations, because C is isotropic perpendicular to the axis.
         """
         symmetry = self.object.symmetry
+        if symmetry.is_sphere:
+            return self.embed(T_sensor_object)[None]
         if symmetry.continuous_axis is None:
             return self.embed(T_sensor_object[None] @ symmetry.list_elements()[:, None])
         a, C, centre = symmetry.continuous_axis, self.object.mesh.covariance_m2, symmetry.centre_m
@@ -77,8 +84,12 @@ class PoseMetric:
     def nearest_equivalents(self, T_sensor_object: Poses, T_near: Poses, step_m: float = 1e-4) -> Poses:
         """Return, for each pose (N, 4, 4), the equivalent (N, 4, 4) that is nearest to T_near (N, 4, 4).
 
-        A continuous symmetry is sampled at most `step_m` metres apart.
+        A continuous symmetry is sampled at most `step_m` metres apart. The equivalent of a sphere is exact.
         """
+        symmetry = self.object.symmetry
+        if symmetry.is_sphere:
+            centres_m = transform_points(T_sensor_object, symmetry.centre_m[None])[:, 0]
+            return make_transform(T_near[:, :3, :3], centres_m - T_near[:, :3, :3] @ symmetry.centre_m)
         same = self.equivalents(T_sensor_object, step_m)
         far = np.linalg.norm(
             self.embed(same.reshape(-1, 4, 4)).reshape(*same.shape[:2], -1) - self.embed(T_near), axis=-1

@@ -150,7 +150,7 @@ def count_turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> f
     if axis is None:
         return int(np.isclose(symmetry.rotations @ normal, normal, atol=1e-3).all(axis=1).sum())
     along = abs(float(axis @ normal))
-    if along > 1 - 1e-6:
+    if along > 1 - 1e-6 or symmetry.is_sphere:
         return math.inf
     return 2 if len(symmetry.rotations) > 1 and along < 1e-3 else 1
 

@@ -40,7 +40,7 @@ def test_the_closure_has_the_order_of_the_group(text: str, order: int) -> None:
     np.testing.assert_allclose(np.linalg.det(group.rotations), 1.0)
 
 
-@pytest.mark.parametrize("text", [*list(ORDERS)[:-1], "zinf", "zinf*x2", "axis(1,1,0)inf*z2"])
+@pytest.mark.parametrize("text", [*list(ORDERS)[:-1], "zinf", "zinf*x2", "axis(1,1,0)inf*z2", "sphere"])
 def test_the_elements_are_closed_under_product_and_inverse(text: str) -> None:
     T = SymmetryGroup.parse(text, CENTRE_M).list_elements(math.radians(36.0))
     products = (T[:, None] @ T[None]).reshape(-1, 16)
@@ -57,6 +57,23 @@ def test_parsing_and_writing_keep_the_text(text: str) -> None:
 
 def test_parsing_ignores_case_and_spaces() -> None:
     assert str(SymmetryGroup.parse(" Z6 * axis( 1, 1.0 ,0 )2 ", CENTRE_M)) == "z6*axis(1,1,0)2"
+
+
+@pytest.mark.parametrize("text", ["sphere", "zinf*xinf", "zinf*x4", "zinf*axis(1,0,1)2", "axis(1,2,3)inf*z2"])
+def test_two_axes_of_which_one_is_continuous_make_a_sphere(text: str) -> None:
+    group = SymmetryGroup.parse(text, CENTRE_M)
+    assert str(group) == "sphere"
+    assert group.order == math.inf
+    assert not SymmetryGroup.parse("zinf*x2", CENTRE_M).is_sphere
+
+
+def test_all_rotations_of_a_sphere_are_equal() -> None:
+    group, R = SymmetryGroup.parse("sphere", CENTRE_M), random_rotations(50)
+    assert not np.ptp(group.find_canonical(R), axis=0).any()
+    assert not group.measure_least_angle(R[0], R).any()
+    assert group.is_representative(R, 0.1).sum() == 1
+    T = group.list_elements()
+    np.testing.assert_allclose(T[:, :3, :3] @ CENTRE_M + T[:, :3, 3], np.tile(CENTRE_M, (60, 1)), atol=1e-15)
 
 
 def test_an_axis_with_three_decimals_gives_a_closed_group() -> None:
@@ -98,9 +115,6 @@ def test_terms_along_a_continuous_axis_are_merged() -> None:
         ("z7*x3", 120),
         ("z121", 120),
         ("axis(1,2,3)2*z4", 120),
-        ("zinf*xinf", "sphere"),
-        ("zinf*x4", "sphere"),
-        ("zinf*axis(1,0,1)2", "sphere"),
     ],
 )
 def test_an_invalid_group_is_refused_by_name(text: str, value: object) -> None:

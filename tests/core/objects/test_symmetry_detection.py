@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 import functools
-import logging
 import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from message_helpers import missing, naming
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -269,12 +269,20 @@ def test_a_wider_tolerance_ignores_larger_features() -> None:
     assert str(detect_symmetry(*cylinder(16), tolerance_m=2e-5)) == "zinf*x2", "facets are not features"
 
 
-def test_a_sphere_is_treated_as_a_cylinder_and_logs_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_sphere_is_found_and_an_ellipsoid_is_not() -> None:
     polar_rad = np.linspace(0.001, math.pi - 0.001, 40)
-    ball = stack(np.stack([circle(64, 10.0 * s) for s in np.sin(polar_rad)]), -10.0 * np.cos(polar_rad))
-    with caplog.at_level(logging.WARNING):
-        assert str(detect_symmetry(*ball)) == "zinf*x2"
-    assert "sphere" in caplog.text
+    vertices_m, faces = stack(np.stack([circle(64, 10.0 * s) for s in np.sin(polar_rad)]), -10.0 * np.cos(polar_rad))
+    group = detect_symmetry(vertices_m + np.array([0.02, 0, 0]), faces)
+    assert str(group) == "sphere"
+    np.testing.assert_allclose(group.centre_m, [0.02, 0, 0], atol=1e-8)
+    assert str(detect_symmetry(vertices_m * [1, 1, 1.05], faces)) == "zinf*x2"
+
+
+def test_a_sphere_can_be_declared_only_of_a_sphere() -> None:
+    ball = trimesh.creation.icosphere(4, 0.01)
+    require_symmetry(SymmetryGroup.parse("sphere", np.zeros(3)), ball.vertices, ball.faces)
+    with pytest.raises(SymmetryError, match="'sphere'"):
+        require_symmetry(SymmetryGroup.parse("sphere", np.zeros(3)), ball.vertices * [1, 1, 1.1], ball.faces)
 
 
 @pytest.mark.slow

@@ -125,6 +125,17 @@ def test_the_symmetric_distance_between_equivalents_is_zero(make_box, cylinder):
     )
 
 
+def test_the_distance_of_spheres_is_that_of_their_centres(make_object):
+    ball = make_object(trimesh.creation.icosphere(3, 0.01).apply_translation([0.05, 0, 0]), "sphere")
+    metric, T1, T2 = PoseMetric(ball), random_poses(20, 14), random_poses(20, 15)
+    moved = transform_points(T2, [[0.05, 0, 0]])[:, 0] - transform_points(T1, [[0.05, 0, 0]])[:, 0]
+    for distance in (metric.symmetric_distance(T1, T2), metric.distance(T1, T2)):
+        np.testing.assert_allclose(distance, np.linalg.norm(moved, axis=1), atol=1e-9)
+    same = metric.nearest_equivalents(T1, T2)
+    np.testing.assert_allclose(same[:, :3, :3], T2[:, :3, :3])
+    np.testing.assert_allclose(metric.symmetric_distance(same, T1), 0, atol=1e-9)
+
+
 def test_the_symmetric_distance_is_at_most_the_plain_distance(make_box):
     metric = PoseMetric(make_box(0.03, 0.02, 0.01, symmetry="x2*y2"))
     T1, T2 = random_poses(30, 15), random_poses(30, 16)
