@@ -74,8 +74,11 @@ class _File:
         self._buffers: dict[int, bytes] = {}
 
     def _refuse(self, *extensions: str) -> NoReturn:
+        """Raise ObjectError: the file needs these extensions, or without any, it lacks data that it refers to."""
+        if not extensions:
+            raise ObjectError(f"{self._path} lacks data of a mesh that it refers to; {EXPORT_AGAIN}")
         names = " and ".join(extensions)
-        raise ObjectError(f"{self._path} needs {names}, which cannot be read; export it again without compression")
+        raise ObjectError(f"{self._path} needs {names}, which cannot be read; export it again without extensions")
 
     def list_instances(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Yield the number of each mesh of the scene, with its transform (4, 4) to the scene."""
@@ -84,14 +87,15 @@ class _File:
             roots = self.tree["scenes"][self.tree.get("scene", 0)].get("nodes", [])
         else:
             roots = set(range(len(nodes))) - {child for node in nodes for child in node.get("children", [])}
-        waiting = [(root, np.eye(4), 0) for root in roots]
+        waiting, seen = [(root, np.eye(4)) for root in roots], set()
         while waiting:
-            index, T, depth = waiting.pop()
+            index, T = waiting.pop()
             node = nodes[index]
-            if depth > len(nodes):
-                raise ObjectError(f"{self._path} has a node that is its own child; {EXPORT_AGAIN}")
+            if index in seen:
+                raise ObjectError(f"{self._path} has a node with several parents; {EXPORT_AGAIN}")
+            seen.add(index)
             T = T @ _read_transform(node)
-            waiting += [(child, T, depth + 1) for child in node.get("children", [])]
+            waiting += [(child, T) for child in node.get("children", [])]
             if "mesh" not in node:
                 continue
             weights = node.get("weights", self.tree["meshes"][node["mesh"]].get("weights", []))
@@ -106,8 +110,8 @@ class _File:
         position, indices = primitive["attributes"].get("POSITION"), primitive.get("indices")
         for number in (position, indices):
             stored = number is None or not {"bufferView", "sparse"}.isdisjoint(self.tree["accessors"][number])
-            if primitive.get("extensions") and not (stored and position is not None):
-                self._refuse(*primitive["extensions"])
+            if position is None or not stored:
+                self._refuse(*primitive.get("extensions", ()))
         vertices = self._read_accessor(position).astype(float)
         order = np.arange(len(vertices)) if indices is None else self._read_accessor(indices).ravel().astype(np.int64)
         mode = primitive.get("mode", TRIANGLES)
@@ -148,7 +152,7 @@ class _File:
             uri = self.tree["buffers"][number].get("uri")
             if uri is None:
                 if number or self._chunk is None:
-                    self._refuse(*view.get("extensions", {"a binary part": {}}))
+                    self._refuse(*view.get("extensions", ()))
                 self._buffers[number] = self._chunk
             elif uri.startswith("data:"):
                 self._buffers[number] = base64.b64decode(uri.split(",", 1)[1])
@@ -177,7 +181,7 @@ def _read_transform(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], float).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
     T = np.eye(4)
-    quaternion = np.array([w, x, y, z]) / np.linalg.norm([w, x, y, z])
+    quaternion = np.array([w, x, y, z]) / max(float(np.linalg.norm([w, x, y, z])), 1e-300)
     T[:3, :3] = quaternion_to_rotation(quaternion) * node.get("scale", (1.0, 1.0, 1.0))
     T[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return T

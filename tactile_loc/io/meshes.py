@@ -65,9 +65,10 @@ def read_surface(path: Path) -> Surface:
     import trimesh
 
     try:
-        polygons, metres_per_unit = _read_polygons(path)
-        polygons.require_valid(path)
-        faces = polygons.triangulate(path)
+        with np.errstate(all="ignore"):  # numbers that are too large or NaN are refused
+            polygons, metres_per_unit = _read_polygons(path)
+            polygons.require_valid(path)
+            faces = polygons.triangulate(path)
     except TactileLocError:
         raise
     except ImportError as error:

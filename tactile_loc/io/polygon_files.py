@@ -53,7 +53,7 @@ def read_off(path: Path) -> Polygons:
 
 def _list_lines(content: bytes) -> list[str]:
     """Return the lines of a text without comments and without empty lines."""
-    lines = (line.split("#", 1)[0].strip() for line in content.decode("utf-8", "replace").splitlines())
+    lines = (line.split("#", 1)[0].strip() for line in content.decode("utf-8-sig", "replace").splitlines())
     return [line for line in lines if line]
 
 

@@ -168,16 +168,21 @@ def test_an_optional_extension_needs_its_fallback(write):
         del lacking["accessors"][number]["bufferView"]
         with pytest.raises(ObjectError, match=naming("part.gltf", EXTENSIONS[0])):
             read_surface(write(lacking))
+        del lacking["meshes"][0]["primitives"][0]["extensions"]
+        with pytest.raises(ObjectError, match=naming("part.gltf")):
+            read_surface(write(lacking))
     del tree["buffers"][0]["uri"]
     with pytest.raises(ObjectError, match=naming("part.gltf", EXTENSIONS[1])):
         read_surface(write(tree))
 
 
 @pytest.mark.parametrize(("key", "value"), [
-    ("skin", 0), ("weights", [0.0, 0.5]), ("children", [0]), ("extensions", {"EXT_mesh_gpu_instancing": {}}),
+    ("skin", 0), ("weights", [0.0, 0.5]), ("children", [0]), ("children", [1, 1]),
+    ("extensions", {"EXT_mesh_gpu_instancing": {}}),
 ])  # fmt: skip
 def test_a_mesh_that_a_node_changes_in_another_way_is_refused(write, key, value):
     tree = tetrahedron()
+    tree["nodes"].append({})
     tree["nodes"][0][key] = value
     with pytest.raises(ObjectError, match=naming("part.gltf")):
         read_surface(write(tree))

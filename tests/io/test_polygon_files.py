@@ -19,7 +19,7 @@ VOLUME = 18.0 * 5.0
 
 
 def write_obj(style: str) -> bytes:
-    lines = ["# a channel", *(f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in VERTICES), "vt 0 0", "vn 0 0 1", "l 1 2"]
+    lines = [*(f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in VERTICES), "# a channel", "vt 0 0", "vn 0 0 1", "l 1 2"]
     name = {"plain": "{}", "texture": "{}/1", "normal": "{}//1", "both": "{}/1/1", "relative": "{}"}[style]
     shift = -16 if style == "relative" else 1
     corners = [[name.format(i + shift) for i in face] for face in FACES]
@@ -50,6 +50,7 @@ def write_ply(form: str, faces: list[list[int]] = FACES) -> bytes:
 
 FILES = {
     **{f"{style}.obj": write_obj(style) for style in ("plain", "texture", "normal", "both", "relative")},
+    "mark.obj": "\ufeff".encode() + write_obj("plain"),
     **{f"{header}.off": write_off(header) for header in ("OFF", "COFF", "NOFF")},
     **{f"{form}.ply": write_ply(form) for form in ("ascii", "binary_little_endian", "binary_big_endian")},
 }
