@@ -173,10 +173,14 @@ class _Search:
                 return False
         return True
 
+    def _is_continuous(self, axis: NDArray[np.float64]) -> bool:
+        """Return whether every rotation about an axis (3,) maps the surface onto itself."""
+        angles_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
+        return all(self._is_nearly_symmetry(axis, a) for a in angles_rad) and self._has_no_feature(axis, _GOLDEN_RAD)
+
     def order_about(self, axis: NDArray[np.float64], multiple_of: int = 1) -> float:
         """Return the order of the symmetry about an axis (3,): math.inf, 2 to 60, or 1 without symmetry."""
-        angles_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
-        if all(self._is_nearly_symmetry(axis, a) for a in angles_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
+        if self._is_continuous(axis):
             return math.inf
         largest = MAX_ORDER // 2
         held = [p for p in _list_primes(largest) if self._has_nearly_order(axis, p)]
@@ -201,8 +205,8 @@ class _Search:
     def terms_anywhere(self, extra: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
         """Return the terms of a surface with three equal moments. The directions `extra` (E, 3) are tested first."""
         few = self._probe.few
-        if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
-            return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), math.inf)]
+        if all(self._is_continuous(axis) for axis in np.eye(3)):
+            return [(axis, math.inf) for axis in np.eye(3)[[2, 0]]]  # a sphere
         terms: list[tuple[NDArray[np.float64], float]] = []
         points_m = few.points_m[:200]
         for scanned in _SCAN_ORDERS:
