@@ -20,7 +20,7 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.gltf_files import read_gltf
 from tactile_loc.io.images import summarize
-from tactile_loc.io.polygon_files import read_obj, read_off, read_ply
+from tactile_loc.io.polygon_files import read_obj, read_off, read_ply, read_stl
 from tactile_loc.io.polygons import EXPORT_AGAIN, Polygons
 from tactile_loc.io.step_files import convert_step, is_step
 
@@ -34,7 +34,7 @@ ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused, because archives c
 _found: dict[tuple[str, str], SymmetryGroup] = {}  # by digest and declaration; a sweep opens the same file many times
 
 
-POLYGON_READERS = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
+POLYGON_READERS = {".stl": read_stl, ".obj": read_obj, ".off": read_off, ".ply": read_ply}
 GLTF_SUFFIXES = (".glb", ".gltf")
 
 
@@ -104,7 +104,7 @@ def _read_polygons(path: Path) -> tuple[Polygons, float | None]:
 
 
 def _read_by_trimesh(path: Path) -> tuple[Polygons, float | None]:
-    """Read a file with triangles, such as STL and 3MF. Raises ObjectError if trimesh warns that a part is missing."""
+    """Read a file of another format, such as 3MF. Raises ObjectError if trimesh warns that a part is missing."""
     import trimesh
 
     if path.suffix.lower() == ".dae":

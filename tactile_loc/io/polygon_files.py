@@ -1,4 +1,4 @@
-"""Reads OBJ, OFF and PLY files, whose faces are polygons."""
+"""Reads STL, OBJ, OFF and PLY files, whose faces may be polygons."""
 
 from __future__ import annotations
 
@@ -49,6 +49,28 @@ def read_off(path: Path) -> Polygons:
         raise ObjectError(f"{path} ends before its {vertices} vertices and {faces} faces; {EXPORT_AGAIN}")
     rows = [[int(word) for word in _cut_list(line.split())] for line in lines[1 + vertices : 1 + vertices + faces]]
     return _gather([line.split()[:3] for line in lines[1 : 1 + vertices]], rows)
+
+
+def read_stl(path: Path) -> Polygons:
+    """Read the facets of an STL file, text or binary. Raises ObjectError if it ends too early, or has more content."""
+    content = path.read_bytes()
+    count = int.from_bytes(content[80:84], "little")
+    more = len(content) - 84 - 50 * count
+    if more == 0 or b"\0" in content:
+        if not 0 <= more < 50:
+            raise ObjectError(f"{path} does not hold the {count} triangles that it states; {EXPORT_AGAIN}")
+        facets = np.frombuffer(content, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("use", "<u2")], count, 84)
+        return Polygons.of_triangles(facets["corners"].reshape(-1, 3), np.arange(3 * count))
+    text = content.lower().replace(b"\r", b"\n")
+    solids = re.findall(rb"^\s*(end)?solid\b.*$", text, re.MULTILINE)
+    if not solids:
+        raise ObjectError(f"{path} is not an STL file; {EXPORT_AGAIN}")
+    if len(solids) != 2 * solids.count(b"end"):
+        raise ObjectError(f"{path} begins or ends within a solid; {EXPORT_AGAIN}")
+    text = re.sub(rb"^\s*(end)?solid\b.*$", b"", text, flags=re.MULTILINE)  # a name may be any word
+    vertices = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", text)
+    counts = np.array([loop.count(b"vertex") for loop in text.split(b"endloop")], np.int64)
+    return Polygons(np.array(vertices, "S").reshape(-1, 3).astype(float), np.arange(counts.sum()), counts)
 
 
 def _list_lines(content: bytes) -> list[str]:

@@ -1,4 +1,4 @@
-"""OBJ, OFF and PLY files with polygons give the surface that they describe, in every notation of these formats."""
+"""STL, OBJ, OFF and PLY files with polygons give the surface that they describe, in every notation of these formats."""
 
 from __future__ import annotations
 
@@ -27,6 +27,21 @@ def write_obj(style: str) -> bytes:
     return "\n".join([*lines, "v 90 90 90"] if style != "relative" else lines).encode()
 
 
+def write_stl(faces: list[list[int]] = FACES) -> bytes:
+    loops = ["".join("vertex {} {} {}\n".format(*VERTICES[i]) for i in face) for face in faces]
+    facets = [f"facet normal -nan(ind) 0 0\nouter loop\n{loop}endloop\nendfacet\n" for loop in loops]
+    half = len(faces) // 2
+    solids = [f"solid vertex {name}\n{''.join(some)}endsolid {name}\n" for name, some in
+              (("one", facets[:half]), ("two", facets[half:]))]  # fmt: skip
+    return "".join(solids).encode()
+
+
+def write_binary_stl() -> bytes:
+    faces = [[face[0], *face[k : k + 2]] for face in FACES[2:] for k in (1, 2)]
+    facets = [struct.pack("<12fH", 0, 0, 0, *VERTICES[face].ravel(), 0) for face in faces]
+    return b"solid".ljust(80) + struct.pack("<I", len(facets)) + b"".join(facets)
+
+
 def write_off(header: str) -> bytes:
     extra = " 0.1 0.2 0.3" if header != "OFF" else ""
     faces = [f"{len(face)} " + " ".join(map(str, face)) + " 255 0 0" for face in FACES]
@@ -50,6 +65,8 @@ def write_ply(form: str, faces: list[list[int]] = FACES) -> bytes:
 
 FILES = {
     **{f"{style}.obj": write_obj(style) for style in ("plain", "texture", "normal", "both", "relative")},
+    "text.stl": write_stl(),
+    "capital.stl": write_stl().upper().replace(b"\n", b"\r\n"),
     "mark.obj": "\ufeff".encode() + write_obj("plain"),
     **{f"{header}.off": write_off(header) for header in ("OFF", "COFF", "NOFF")},
     **{f"{form}.ply": write_ply(form) for form in ("ascii", "binary_little_endian", "binary_big_endian")},
@@ -79,7 +96,18 @@ def test_a_header_of_one_line_is_read(tmp_path):
     assert len(read_surface(tmp_path / "one.off").faces) == 1
 
 
+def test_a_binary_stl_file_may_have_a_few_more_bytes(tmp_path):
+    (tmp_path / "tube.stl").write_bytes(write_binary_stl() + b"\n")
+    surface = read_surface(tmp_path / "tube.stl")
+    assert len(surface.faces) == 16
+    np.testing.assert_array_equal(np.ptp(surface.vertices, axis=0), [6, 4, 5])
+
+
 BAD = {
+    "letter.stl": b"Dear all, solid parts are attached.",
+    "second.stl": write_stl()[:-300],
+    "short.stl": write_binary_stl()[:-20],
+    "more.stl": write_binary_stl() * 2,
     "zero.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n",
     "far.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n",
     "curved.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ncstype bspline\nsurf 0 1 0 1 1 2 3\n",
