@@ -64,7 +64,7 @@ class _File:
         if content[:4] == b"glTF":
             chunks = dict(reversed(list(_list_chunks(content))))
             content, self._chunk = chunks[b"JSON"], chunks.get(b"BIN\0")
-        self.tree: dict[str, Any] = json.loads(content)
+        self.tree: dict[str, Any] = json.loads(content.decode("utf-8-sig", "replace"))
         version = str(self.tree["asset"]["version"])
         if not version.startswith("2."):
             raise ObjectError(f"{path} is glTF {version}; export it again as glTF 2.0")
@@ -166,10 +166,10 @@ class _File:
 
 def _list_chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Yield the type and the content of each chunk of a GLB file."""
-    start = 12
-    while start < len(content):
+    start, end = 12, int.from_bytes(content[8:12], "little")
+    while start < end:
         length = int.from_bytes(content[start : start + 4], "little")
-        if start + 8 + length > len(content):
+        if start + 8 + length > min(end, len(content)):
             raise ValueError("the file ends too early")
         yield content[start + 4 : start + 8], content[start + 8 : start + 8 + length]
         start += 8 + length
