@@ -20,6 +20,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.progress import NOTE, Progress, rank
 
 _FLAGS: ContextVar[Mapping[str, str]] = ContextVar("flags", default=MappingProxyType({}))
@@ -31,16 +32,19 @@ UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and 
 
 
 def say(text: str = "") -> None:
-    """Write a line of results, without wrapping it. If several processes work together, only the first one writes."""
+    """Write a line of results, without wrapping it. If several processes work together, only the first one writes.
+
+    Characters that cannot be printed, which come from names of files, are escaped.
+    """
     if rank() == 0:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write("\n".join(map(show_name, text.split("\n"))) + "\n")
 
 
 def say_written(paths: Iterable[Path]) -> list[str]:
     """List the written files, if any, and return their paths as JSON values."""
     written = [str(path) for path in paths]
     if written:
-        say(f"written: {', '.join(written)}")
+        say(f"written: {', '.join(map(show_name, written))}")
     return written
 
 
@@ -104,7 +108,7 @@ def write_flags(text: str) -> str:
 
 def complain(kind: str, text: str) -> None:
     """Write "kind: text" as one line on stderr, with the command's flags."""
-    sys.stderr.write(f"{kind}: {' '.join(write_flags(text).split())}\n")
+    sys.stderr.write(f"{kind}: {show_name(' '.join(write_flags(text).split()))}\n")
     sys.stderr.flush()
 
 
@@ -196,10 +200,15 @@ class Bars(Progress):
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as RichProgress
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
         with RichProgress(*columns, console=Console(stderr=True), transient=True) as bars:
-            number = bars.add_task(description, total=total)
-            self._note = lambda text: bars.update(number, description=f"{description}: {text}")
+            number = bars.add_task(show_name(description), total=total)
+            self._note = lambda text: bars.update(number, description=show_name(f"{description}: {text}"))
             try:
                 yield lambda steps: bars.advance(number, steps)
             finally:

@@ -227,7 +227,7 @@ def _list_known_cells(one: KnownObjectRecord) -> list[str]:
 def say_located(files: Sequence[LocatedFile]) -> None:
     """Write a line for each touch, with its best pose or the reason why it has no pose."""
     header = ["touch", "verdict", "right %", IMPRINT, *POSE]
-    say_table([header, *([one.path.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
+    say_table([header, *([one.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
 
 
 def _list_best_cells(located: LocatedFile) -> list[str]:

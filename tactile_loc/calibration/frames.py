@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.core.errors import CalibrationError, TouchError
+from tactile_loc.core.formatting import is_unicode
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES, read_video
 from tactile_loc.store.files import replace_folder
@@ -63,6 +64,9 @@ def list_pictures(folder: Path) -> set[str]:
 
 def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
+    for path in found:
+        if not is_unicode(path.name):
+            raise CalibrationError(f"the name of {path} is not Unicode, so no table can list it; rename the file")
     return sorted(path for path in found if path.name != SHEET and not path.name.startswith("."))
 
 

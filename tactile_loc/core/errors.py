@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from typing import Any
 
 from tactile_loc.core.deprecation import make_getattr
+from tactile_loc.core.formatting import show_name
 
 MOST_LETTERS = 1500  # largest length of a message
 _source: ContextVar[str] = ContextVar("source", default="")
@@ -132,7 +133,7 @@ class AnswerError(PluginError):
 def fold_line(text: str) -> str:
     """Return a text as one line. Unprintable characters are escaped, and a very long text loses its middle."""
     words = " ".join(text.split())
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
+    shown = show_name(words)
     half = MOST_LETTERS // 2
     return shown if len(shown) <= MOST_LETTERS else f"{shown[:half]} ... {shown[3 - half :]}"
 

@@ -1,6 +1,27 @@
-"""Formatting of SI values for people: as millimetres, percentages, bytes and seconds."""
+"""Formatting for people: SI values as millimetres, percentages, bytes and seconds, and names as printable text."""
 
 from __future__ import annotations
+
+import unicodedata
+
+
+def show_name(name: object) -> str:
+    r"""Return a name, such as a file's, as printable Unicode text in one line.
+
+    Line breaks and other control characters become escapes such as `\n`. A byte that is not UTF-8, which Python stores
+    as a lone surrogate, becomes an escape such as `\xe4`.
+    """
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape(c) for c in str(name))
+
+
+def is_unicode(name: object) -> bool:
+    """Return whether a name can be written as Unicode: it has no lone surrogate."""
+    return not any("\ud800" <= c <= "\udfff" for c in str(name))
+
+
+def _escape(character: str) -> str:
+    byte = ord(character) - 0xDC00
+    return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else character.encode("unicode_escape").decode()
 
 
 def format_mm(length_m: float) -> str:

@@ -135,14 +135,24 @@ def save_figure(path: str | Path, figure: Figure, dpi: int | None = None) -> Pat
 
     Raises OutputError if the file cannot be written.
     """
-    return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi or DPI, facecolor="white"))
+    return write_atomically(Path(path), lambda temporary: _save(figure, temporary, dpi))
 
 
 def render_figure(figure: Figure, dpi: int | None = None) -> NDArray[np.uint8]:
     """Return a figure as a picture (H, W, 3) with `dpi` (default `DPI`) dots per inch."""
     file = BytesIO()
-    figure.savefig(file, dpi=dpi or DPI, facecolor="white", format="png")
+    _save(figure, file, dpi)
     return load_image(BytesIO(file.getvalue()), "RGB")[1]
+
+
+def _save(figure: Figure, file: Path | BytesIO, dpi: int | None) -> None:
+    """Write a figure as PNG. A $ in a text, which comes from the name of a file, does not begin a formula."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        if "$" in text.get_text() and "mathdefault" not in text.get_text():  # of a logarithmic axis
+            text.set_parse_math(False)
+    figure.savefig(file, dpi=dpi or DPI, facecolor="white", format="png")
 
 
 def _draw_observed(panel: SubFigure, touch: Touch) -> None:

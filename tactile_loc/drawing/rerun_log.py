@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
-from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.formatting import format_percent, is_unicode
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import invert, rotate_covariance, rotation_to_quaternion_xyzw
 from tactile_loc.core.objects.mesh import TriangleMesh
@@ -41,6 +41,8 @@ def require_rerun(path: Path) -> None:
         raise OutputError(f"`rerun` {path.name} must end in .rrd; choose another name")
     if path.is_dir():
         raise OutputError(f"{path} is a folder; choose another `rerun`")
+    if not is_unicode(path):
+        raise OutputError(f"`rerun` {path} cannot be written by rerun-sdk; choose a name in Unicode")
     require_writable(path.parent)
     _import_rerun()
 

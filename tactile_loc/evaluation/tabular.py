@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import format_mm
 from tactile_loc.io.streams.records import read_versions
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_text
 
 Table = list[list[str]]
 """Rows of cells; the first row names the columns."""
@@ -103,7 +102,8 @@ def bracket_shares(lengths: Table, shares: Table, names: int) -> Table:
 def format_markdown(table: Sequence[Sequence[str]]) -> str:
     """Return a table as Markdown."""
     header, *rows = table
-    return "\n".join("| " + " | ".join(line) + " |" for line in (header, ["---"] * len(header), *rows)) + "\n"
+    lines = ([cell.replace("|", "\\|") for cell in line] for line in (header, ["---"] * len(header), *rows))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -130,10 +130,7 @@ def build_document(
 
 def write_texts(folder: Path, name: str, **texts: str) -> list[Path]:
     """Write each text to the file `name`.KEYWORD in `folder`, and return the paths. Raises OutputError."""
-    return [
-        write_atomically(folder / f"{name}.{suffix}", partial(Path.write_text, data=text, encoding="utf-8"))
-        for suffix, text in texts.items()
-    ]
+    return [write_text(folder / f"{name}.{suffix}", text) for suffix, text in texts.items()]
 
 
 def format_json(document: Mapping[str, Any]) -> str:

@@ -26,7 +26,7 @@ from tactile_loc.io.toml import (
     read_toml,
     scale,
 )
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_text
 
 Pose = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def write_approaches(path: str | Path, approaches: Sequence[Approach], in_base: 
         for approach in approaches
     ]  # fmt: skip
     text = format_toml({"approach": tables})
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_text(Path(path), text)
 
 
 def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:

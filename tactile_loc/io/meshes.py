@@ -23,6 +23,7 @@ from tactile_loc.io.images import summarize
 from tactile_loc.io.polygon_files import read_obj, read_off, read_ply, read_stl
 from tactile_loc.io.polygons import EXPORT_AGAIN, Polygons
 from tactile_loc.io.step_files import convert_step, is_step
+from tactile_loc.store.files import link_plainly
 
 log = logging.getLogger(__name__)
 
@@ -112,10 +113,10 @@ def _read_by_trimesh(path: Path) -> tuple[Polygons, float | None]:
     complaints = _Complaints()
     trimesh.util.log.addHandler(complaints)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), link_plainly(path) as file:
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", UserWarning)
-            scene: Any = trimesh.load(path, force="scene", process=False)
+            scene: Any = trimesh.load(file, force="scene", process=False)
             raw = scene.to_mesh()
     finally:
         trimesh.util.log.removeHandler(complaints)

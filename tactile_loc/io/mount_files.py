@@ -26,7 +26,7 @@ from tactile_loc.io.toml import (
     read_pose,
     read_toml,
 )
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_text
 
 Six = Annotated[list[Finite], Field(min_length=6, max_length=6)]
 Covariance = Annotated[list[Six], Field(min_length=6, max_length=6)]
@@ -109,7 +109,7 @@ def read_mount(path: str | Path) -> Mount:
 def write_mount(path: Path, record: MountRecord) -> Path:
     """Write a mount as TOML, atomically, and return the path. Raises OutputError if that fails."""
     text = format_toml(record.model_dump(mode="json", exclude_none=True))
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_text(path, text)
 
 
 def _check_covariance(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

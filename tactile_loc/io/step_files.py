@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tactile_loc.core.errors import MissingLibraryError, ObjectError
+from tactile_loc.store.files import link_plainly
 
 STEP_SUFFIXES = (".step", ".stp")
 DEVIATION_MM, ANGLE_RAD = 0.005, 0.2  # largest distance and angle between the triangles and the exact surface
@@ -48,9 +49,9 @@ def convert_step(path: Path) -> Iterator[Path]:
     Raises MissingLibraryError without cascadio, and ObjectError if the file is damaged.
     """
     describe_step_reader()
-    with TemporaryDirectory(prefix="tactile-loc-step-") as folder:
+    with TemporaryDirectory(prefix="tactile-loc-step-") as folder, link_plainly(path) as plain:
         made = Path(folder) / "converted.glb"
-        words = [str(path.absolute()), str(made), str(DEVIATION_MM), str(ANGLE_RAD)]
+        words = [str(plain.absolute()), str(made), str(DEVIATION_MM), str(ANGLE_RAD)]
         done = subprocess.run([sys.executable, "-P", "-c", CONVERT, *words], capture_output=True, check=False)
         if done.returncode != 0 or not made.is_file():
             raise ObjectError(f"{path} cannot be read as a STEP file; export it again as STEP, or as STL")

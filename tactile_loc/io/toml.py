@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, quote
+from tactile_loc.core.formatting import is_unicode, show_name
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, quaternion_to_rotation, rotation_about
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -227,4 +228,6 @@ def _quote(value: Any) -> str:
         return "[" + ", ".join(_quote(item) for item in value) + "]"
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)  # inf, -inf or nan, which JSON writes in another way
-    return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, str) and not is_unicode(value):
+        value = show_name(value)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

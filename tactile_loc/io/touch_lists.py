@@ -32,7 +32,7 @@ from tactile_loc.io.toml import (
     scale,
 )
 from tactile_loc.io.touches import read_contents
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_text
 
 Pose = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def write_touch_list(path: str | Path, sensor_poses: Mapping[str, Pose], sensor:
     named = {} if sensor is None else {"sensor": sensor}
     tables = [{"path": file, **named, "T_base_sensor": T.tolist()} for file, T in sensor_poses.items()]
     text = format_toml({"touch": tables})
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_text(Path(path), text)
 
 
 def _read_mount(path: Path, values: dict[str, Any]) -> Mount | None:

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, OutputError, TactileLocError, fold_line
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.registry import registry
@@ -161,9 +162,9 @@ def list_meshes(meshes: Iterable[str | Path], units: Units = "auto", symmetry: s
         files += found
     by_name: dict[str, Path] = {}
     for path in files:
-        other = by_name.setdefault(path.stem, path)
+        other = by_name.setdefault(show_name(path.stem), path)
         if other != path:
-            raise ObjectError(f"{other} and {path} would both be called {path.stem}; rename one of them")
+            raise ObjectError(f"{other} and {path} would both be called {show_name(path.stem)}; rename one of them")
     return [
         MeshSource(name, path.absolute(), hash_file(path), units, symmetry) for name, path in sorted(by_name.items())
     ]
@@ -221,7 +222,7 @@ def make_part_key(source: MeshSource, sampler: GridSampler) -> str:
     """Return the hash of everything that the record of a part is made from."""
     return hash_json({
         "version": VERSION, "places": PLACES_VERSION, "descriptor": load_descriptor().digest,
-        "grid": sampler.describe(), "name": source.name, "file": source.path.name, "sha256": source.sha256,
+        "grid": sampler.describe(), "name": source.name, "file": show_name(source.path.name), "sha256": source.sha256,
         "units": str(source.units), "symmetry": source.symmetry,
     })  # fmt: skip
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.errors import LibraryError, MissingLibraryError
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.rigid import align_all_to_z, make_transform
 from tactile_loc.core.limits import require_size
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
@@ -163,7 +164,7 @@ def make_record(obj: ObjectModel, sampler: GridSampler, name: str, units: str, s
     x, y, z = (float(coordinate) for coordinate in obj.symmetry.centre_m)
     record = PartRecord(
         obj.name, vertices_m, obj.mesh.faces.astype(np.int32), units, str(obj.symmetry), (x, y, z),
-        obj.source.rpartition("/")[2], source_sha256, describe_grid(name, sampler),
+        show_name(obj.source.rpartition("/")[2]), source_sha256, describe_grid(name, sampler),
         places.placements.astype(np.float32), places.patches, vectors, descriptor.digest,
     )  # fmt: skip
     if np.abs((record.places.T_place_object - places.T_place_object)[:, :3, :3]).max(initial=0.0) > AXIS_TOLERANCE:

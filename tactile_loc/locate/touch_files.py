@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import NoContactError, TactileLocError, TouchError
+from tactile_loc.core.formatting import is_unicode, show_name
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import SlotConfig, choose_sensor, find_sensor_kind
@@ -25,7 +26,7 @@ from tactile_loc.io.touches import TRUE_POSES, is_overview
 from tactile_loc.locate.localizer import Localizer, Observation
 from tactile_loc.locate.results.localization import Hypothesis, Localization
 from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_text
 
 log = logging.getLogger(__name__)
 
@@ -62,9 +63,14 @@ class LocatedFile:
     verdict: Verdict | None = None
     probability_within: float | None = None
 
+    @property
+    def name(self) -> str:
+        """The name of the file, as printable text."""
+        return show_name(self.path.name)
+
     def make_row(self) -> dict[str, str]:
         """Return a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
-        row = {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
+        row = {"touch": self.name, "verdict": self.verdict or "", "says": self.problem}
         if self.best is None:
             return row
         row |= {"probability": f"{self.best.probability:.4f}", "imprint_iou": f"{self.best.imprint_iou:.3f}"}
@@ -155,7 +161,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, str]]
     writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
     writer.writeheader()
     writer.writerows(rows)
-    return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+    return write_text(path, text.getvalue())
 
 
 def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
@@ -184,12 +190,12 @@ def match_localizers(localizer: Localizer, listed: Iterable[ListedTouch]) -> lis
 def name_listed_sensor(sensor: SlotConfig, folder: Path) -> str | None:
     """Return a sensor as a list of touches in `folder` names it: a name, or the path of its file or calibration folder.
 
-    Returns None for a sensor with other options, because a list cannot state them.
+    Returns None for a sensor with other options, or whose path is not Unicode, because a list cannot state them.
     """
     if not sensor.options:
         return sensor.name
     place = _find_place(sensor)
-    if place is None or sensor.options.keys() != {"path"}:
+    if place is None or not is_unicode(place) or sensor.options.keys() != {"path"}:
         return None
     return os.path.relpath(place, os.path.realpath(folder))
 

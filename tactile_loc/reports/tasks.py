@@ -147,6 +147,6 @@ def _list_mount_cells(one: MountTouchRecord) -> list[str]:
 def _list_located_cells(one: LocatedFile) -> list[str]:
     verdict = name_verdict(one.verdict)
     if one.best is None:
-        return [one.path.name, verdict, *[""] * 7]
+        return [one.name, verdict, *[""] * 7]
     numbers = [f"{100 * one.best.probability:.1f}", f"{100 * one.best.imprint_iou:.0f}"]
-    return [one.path.name, verdict, *numbers, *format_pose(one.best.T_sensor_object)]
+    return [one.name, verdict, *numbers, *format_pose(one.best.T_sensor_object)]

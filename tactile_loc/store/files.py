@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import glob
+import hashlib
 import json
 import os
 import re
@@ -17,8 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.core.formatting import is_unicode
 
 _TEMPORARY = ".tmp-"
+LONGEST_NAME = 200  # bytes of a name to which letters are added; file systems allow 255
 _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 
 
@@ -109,6 +112,18 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("it is nested too deeply") from error
 
 
+@contextmanager
+def link_plainly(path: Path) -> Iterator[Path]:
+    """Yield a path that libraries in C++ can open: `path`, or a temporary link to it if its name is not Unicode."""
+    if not is_unicode(path):
+        with tempfile.TemporaryDirectory(prefix="tactile-loc-") as folder:
+            link = Path(folder, f"file{path.suffix}")
+            link.symlink_to(path.absolute())
+            yield link
+    else:
+        yield path
+
+
 def delete(path: Path) -> None:
     """Delete a file, or a folder with its contents. Raises OSError if that fails."""
     if path.is_dir() and not path.is_symlink():
@@ -183,8 +198,15 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 def write_json(path: Path, value: Any) -> Path:
     """Write a value as indented JSON, atomically, and return the path. Raises OutputError if that fails."""
-    text = json.dumps(value, indent=1) + "\n"
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_text(path, json.dumps(value, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text in UTF-8, atomically, and return the path. Raises OutputError if that fails.
+
+    A lone surrogate, which stands for a byte in the name of a file, is escaped.
+    """
+    return write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8", "backslashreplace"))
 
 
 @contextmanager
@@ -194,11 +216,12 @@ def _make_folder_beside(path: Path) -> Iterator[Path]:
     The folder usually has the same name for the same `path`. Leftovers of a killed process are therefore found without
     listing all files, which would be slow in a folder of many files.
     """
-    folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
+    name = _shorten(path.name)
+    folder = path.with_name(f"{_TEMPORARY}new-{name}")
     descriptor = _claim(folder)
     while descriptor is None:  # another process uses the folder, or was killed
-        remove_abandoned(path.parent, glob.escape(path.name))
-        folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if os.path.lexists(folder) else folder
+        remove_abandoned(path.parent, glob.escape(name))
+        folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{name}") if os.path.lexists(folder) else folder
         descriptor = _claim(folder)
     try:
         with _raise_by_number():
@@ -251,7 +274,13 @@ def _is_at(folder: Path, descriptor: int) -> bool:
 
 
 def _name_aside(path: Path) -> Path:
-    return path.with_name(f"{_TEMPORARY}old-{path.name}")
+    return path.with_name(f"{_TEMPORARY}old-{_shorten(path.name)}")
+
+
+def _shorten(name: str) -> str:
+    """Return a name to which a few letters can be added: `name`, or its hash if file systems allow no longer name."""
+    coded = os.fsencode(name)
+    return name if len(coded) <= LONGEST_NAME else hashlib.sha256(coded).hexdigest()
 
 
 def _swap(new: Path, path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import group_nearby, make_figure
 from tactile_loc.evaluation.figures import COLOURS
@@ -105,7 +106,7 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
         left.set_ylabel(f"median error of {line} (mm)")
         left.set_xlabel("median time per touch, one pose refined (ms)")
         _write_list(right, found, front, numbers)
-    objects = [one.path.rpartition("/")[2] for one in sweep.plan.objects]
+    objects = [show_name(one.path.rpartition("/")[2]) for one in sweep.plan.objects]
     among = "" if len(objects) == 1 else "geometric mean over "
     title = f"Error against time: {among}{', '.join(objects)}; {sweep.plan.count} touches each"
     figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")

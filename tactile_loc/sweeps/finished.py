@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.store.files import read_json, remove_abandoned, write_atomically, write_json
+from tactile_loc.store.files import read_json, remove_abandoned, write_json, write_text
 from tactile_loc.sweeps.workers import Outcome
 
 ROWS, ERRORS = "rows", "errors"  # folders
@@ -36,7 +36,7 @@ class FinishedRows:
         """Write an outcome, with JSON values `about` its job, atomically. Raises OutputError."""
         trace = self.out / ERRORS / f"{outcome.key}.txt"
         if outcome.trace:
-            write_atomically(trace, lambda path: path.write_text(outcome.trace, encoding="utf-8"))
+            write_text(trace, outcome.trace)
         elif not outcome.error:
             trace.unlink(missing_ok=True)
         values = {name: value for name, value in asdict(outcome).items() if name != "trace"}

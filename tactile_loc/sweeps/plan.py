@@ -12,6 +12,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError, did_you_mean, name_source, quote
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
@@ -206,7 +207,7 @@ def _resolve(slot: str, name: str, options: Mapping[str, Any]) -> SlotConfig:
 
 def _shorten(value: Any) -> str:
     if isinstance(value, str):
-        return PurePath(value).name if "/" in value else value
+        return show_name(PurePath(value).name if "/" in value else value)
     return f"{value:g}" if isinstance(value, float) else json.dumps(value)
 
 

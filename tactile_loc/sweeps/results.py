@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -64,9 +63,10 @@ def write_parquet(path: Path, table: pd.DataFrame) -> Path:
     from pyarrow import ArrowException
 
     try:
-        return write_atomically(path, lambda temporary: table.to_parquet(temporary, engine="pyarrow", index=False))
+        packed = table.to_parquet(engine="pyarrow", index=False)
     except ArrowException as error:
         raise OutputError(f"{path} cannot be written ({error})") from error
+    return write_atomically(path, lambda temporary: temporary.write_bytes(packed))
 
 
 def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
@@ -104,7 +104,6 @@ def _require_rows(rows: list[dict[str, Any]]) -> None:
     """Raise an error that `read_sweep` catches if a row lacks its combination, or has an error that is not a number."""
     if not rows:
         raise ValueError("it has no row")
-    json.dumps(rows, ensure_ascii=False).encode()  # raises for a lone surrogate, which cannot be written again
     for row in rows:
         chosen = [row["configuration"][slot] for slot in SLOTS]
         said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.errors import NoContactError, TactileLocError
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.io.streams.sensor_tracks import SensorTrack
@@ -55,8 +56,9 @@ class LiveResult:
         """The frame as one line in the file of a live run."""
         T = self.located.T_sensor_object
         return LiveRecord(
-            number=self.frame.number, name=self.frame.name, time_s=self.frame.time_s, seconds=self.located.seconds,
-            dropped=self.dropped, T_sensor_object=None if T is None else T.tolist(), **record_fields(self.located),
+            number=self.frame.number, name=show_name(self.frame.name), time_s=self.frame.time_s,
+            seconds=self.located.seconds, dropped=self.dropped, T_sensor_object=None if T is None else T.tolist(),
+            **record_fields(self.located),
         )  # fmt: skip
 
 

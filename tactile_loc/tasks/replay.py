@@ -22,6 +22,7 @@ from tactile_loc.core.errors import (
     StoreError,
     TactileLocError,
 )
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.frame_sources import is_touch_file
@@ -194,14 +195,15 @@ class FolderReplay:
         """The images' file names and times, seconds, in order. Raises FrameError if a file is missing or misnamed."""
         names, track = list_touch_files(self.folder), self.sensor_track
         if track.names:
-            missing = [name for name in track.names if name not in names]
+            known = {show_name(name): name for name in names}
+            missing = [name for name in track.names if name not in known]
             if missing:
                 raise FrameError(f"{track.path} names {missing[0]}, which is not in {self.folder}; correct its row")
             if others := len(names) - len(track.names):
                 log.warning(
                     "%s holds %d images that %s does not name; they are left out", self.folder, others, track.path
                 )
-            return tuple(zip(track.names, track.times_s.tolist(), strict=True))
+            return tuple(zip((known[name] for name in track.names), track.times_s.tolist(), strict=True))
         timed = [(name, read_time_s(name)) for name in names]
         for name, time_s in timed:
             if time_s is None:
@@ -258,7 +260,7 @@ def make_frame_record(frame: ReplayFrame, located: LocatedFrame) -> FrameRecord:
     moved = located if frame.T_base_sensor is None else located.view_from(frame.T_base_sensor)
     T = moved.T_sensor_object
     return FrameRecord(
-        number=frame.number, name=frame.name, stamp_ns=frame.stamp_ns, log_time_ns=frame.log_time_ns,
+        number=frame.number, name=show_name(frame.name), stamp_ns=frame.stamp_ns, log_time_ns=frame.log_time_ns,
         frame=frame.frame, T_frame_object=None if T is None else T.tolist(), **record_fields(moved),
     )  # fmt: skip
 

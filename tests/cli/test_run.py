@@ -348,3 +348,22 @@ def test_a_rerun_file_is_written_beside_the_result(cli):
     np.testing.assert_allclose(place, np.array(best)[:3, 3], atol=1e-6)
     Path("many").mkdir()
     assert_refused(cli("run", "--object", "pin", "--touch", "many", "--rerun", "a.rrd"), "--rerun")
+
+
+def test_names_that_are_not_unicode_or_not_printable_are_kept_apart_from_their_text(cli, tmp_path):
+    name = os.fsdecode(b"-Geh\xe4use[red]\n$x$")
+    mesh, touch = write_box(tmp_path / f"{name}.obj"), tmp_path / f"{name}.npz"
+    np.savez(touch, depth=touch_depths(), unit="m")
+    shown = r"-Geh\xe4use[red]\n$x$"
+    done = cli(
+        "run", f"--object={mesh}", "--units", "mm", f"--touch={touch}", f"--out={name}", *TINY, *SURE, "--report"
+    )
+    assert done.exit_code == 0, done.stderr
+    assert shown in done.stdout
+    record = read_record(Path(name) / "result.json")
+    assert (record.object.name, record.touch.name) == (shown, f"{shown}.npz")
+    assert (record.object.source, record.touch.path) == (str(mesh), str(touch))
+    assert cli("report", f"{Path(name).absolute()}").exit_code == 0
+    assert "Geh\\xe4use" in (Path(name) / "report.html").read_text(encoding="utf-8")
+    assert cli("run", f"--object={mesh}", "--units", "mm", "--touch", ".", "--out", "all", *TINY, *SURE).exit_code == 0
+    assert shown in Path("all/results.csv").read_text(encoding="utf-8")

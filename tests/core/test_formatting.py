@@ -1,10 +1,20 @@
-"""Formatting of SI values for people."""
+"""Formatting of SI values and names for people."""
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
-from tactile_loc.core.formatting import format_bytes, format_duration, format_millimetres, format_mm, format_percent
+from tactile_loc.core.formatting import (
+    format_bytes,
+    format_duration,
+    format_millimetres,
+    format_mm,
+    format_percent,
+    is_unicode,
+    show_name,
+)
 
 
 def test_lengths_have_three_digits():
@@ -40,3 +50,18 @@ def test_sizes_are_written_in_bytes():
 
 def test_durations_are_written_with_a_unit():
     assert [format_duration(s) for s in (0.0123, 0.9999, 4.54)] == ["12.3 ms", "999.9 ms", "4.5 s"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("Gehäuse 日本.obj", "Gehäuse 日本.obj"),
+        (os.fsdecode(b"Geh\xe4use.obj"), r"Geh\xe4use.obj"),
+        ("a\nb\x1b[31m\u202e", r"a\nb\x1b[31m\u202e"),
+        ("\ud800", r"\ud800"),
+    ],
+)
+def test_names_become_printable_text_in_one_line(name, text):
+    assert show_name(name) == text
+    assert is_unicode(show_name(name))
+    assert is_unicode(name) == ("\\" not in text or "\n" in name)

@@ -204,3 +204,9 @@ def test_the_outline_on_an_elastic_gel_encloses_the_contact_alone(press_block_el
     (contour,) = axes.collections
     x, y = np.concatenate([path.vertices for path in contour.get_paths()]).T
     assert [np.ptp(x), np.ptp(y)] == pytest.approx([8, 6], abs=1.0)
+
+
+def test_signs_of_formulas_in_names_are_drawn_as_they_are(tmp_path):
+    figure = make_figure(4, 2)
+    figure.suptitle(r"$x^{a$")  # no valid formula
+    assert save_figure(tmp_path / "a.png", figure).stat().st_size > 0

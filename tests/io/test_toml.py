@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 
 import numpy as np
@@ -14,6 +15,7 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import PoseKeys, format_toml, parse_value, read_pose, read_toml
+from tactile_loc.store.files import write_text
 
 
 def test_angles_rotate_about_fixed_axes_with_roll_first():
@@ -116,3 +118,8 @@ def test_endless_numbers_and_endless_nesting_are_refused(tmp_path, text):
     with pytest.raises(ConfigError, match=naming("a.toml", "TOML")):
         read_toml(tmp_path / "a.toml")
     assert parse_value(text.removeprefix("a = ")) == text.removeprefix("a = ")
+
+
+def test_a_text_that_toml_does_not_allow_is_escaped(tmp_path):
+    path = write_text(tmp_path / "names.toml", format_toml({"a": '\x7f\n"', "b": os.fsdecode(b"Geh\xe4use")}))
+    assert read_toml(path) == {"a": '\x7f\n"', "b": r"Geh\xe4use"}

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,6 +12,7 @@ from message_helpers import naming
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
 from tactile_loc.store.files import (
+    link_plainly,
     lock_folder,
     read_json,
     recover_folder,
@@ -19,6 +21,7 @@ from tactile_loc.store.files import (
     require_writable,
     write_atomically,
     write_json,
+    write_text,
 )
 
 
@@ -281,3 +284,15 @@ def test_a_fresh_folder_never_replaces_another_folder(tmp_path):
     assert names(tmp_path) == ["folder"]
     replace(tmp_path / "other", "new", fresh=True)
     assert text(tmp_path / "other") == "new"
+
+
+def test_files_may_have_the_longest_names_and_names_that_are_not_unicode(tmp_path):
+    for name in ("x" * 255, os.fsdecode(b"\xe4" * 255), "-a[red]\n%s"):
+        path = tmp_path / name
+        for text in ("first", "second \udce4"):
+            write_text(path, text)
+        assert path.read_text(encoding="utf-8") == r"second \udce4"
+        with link_plainly(path) as plain:
+            assert plain.read_bytes() == path.read_bytes()
+            str(plain).encode()
+    assert len(list(tmp_path.iterdir())) == 3

@@ -243,8 +243,8 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
         for one, localization in localize_files(localizer, files, localizer.config.touch.press_depth_m):
             if localization is not None:
                 record = _write(localizer, localization, out / one.path.stem, pictures)
-                doubtful += [one.path.name] if list_doubts(record) else []
-                shown |= {one.path.name: localization.touch} if page and len(shown) < MOST_SHOWN else {}
+                doubtful += [one.name] if list_doubts(record) else []
+                shown |= {one.name: localization.touch} if page and len(shown) < MOST_SHOWN else {}
             found.append(one)
             advance(1)
     written = [write_table(out / "results.csv", found)]
@@ -309,9 +309,9 @@ def _write(localizer: Localizer, localization: Localization, folder: Path, pictu
 def _make_json(located: LocatedFile, out: Path) -> dict[str, Any]:
     """Return the result of one touch as JSON values, in SI units."""
     if (best := located.best) is None:
-        return {"touch": located.path.name, "verdict": located.verdict, "error": located.problem}
+        return {"touch": located.name, "verdict": located.verdict, "error": located.problem}
     return {
-        "touch": located.path.name, "result": str(out / located.path.stem / "result.json"),
+        "touch": located.name, "result": str(out / located.path.stem / "result.json"),
         "verdict": located.verdict, "probability": best.probability,
         "probability_within": located.probability_within, "imprint_iou": best.imprint_iou,
         "T_sensor_object": best.T_sensor_object.tolist(),

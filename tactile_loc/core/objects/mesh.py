@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 
 SMALLEST_M, LARGEST_M = 1e-3, 1.0
@@ -97,6 +98,7 @@ class ObjectModel:
     source: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", show_name(self.name))
         check_surface(self.mesh, self.name)
 
     def describe(self) -> dict[str, object]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.sensing.depth_maps import (
     METRES_PER_UNIT,
@@ -136,6 +137,7 @@ class Touch:
     image: NDArray[np.uint8] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", show_name(self.name))
         depth = self.contact_shape.depth_m
         require_fit(depth.shape, self.geometry, self.name)
         contact = self.contact_shape.contact[self.geometry.observed_mask]

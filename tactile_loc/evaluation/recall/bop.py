@@ -14,7 +14,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.evaluation.recall.summary import RecallRun
-from tactile_loc.store.files import write_atomically, write_json
+from tactile_loc.store.files import write_json, write_text
 
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 FOLDER, SPLIT = "bop", "test"
@@ -125,14 +124,14 @@ def write_bop(folder: Path, scenes: Sequence[BopScene], dataset: str = "evaluati
     for scene_id, scene in enumerate(scenes, start=1):
         obj_id = of_object[scene.object]
         path = root / SPLIT / f"{scene_id:06d}" / "scene_gt.json"
-        _write_text(path, json.dumps(make_truth(scene, obj_id)))
+        write_text(path, json.dumps(make_truth(scene, obj_id)))
         about.append({"scene_id": scene_id, "obj_id": obj_id, "object": scene.object, **scene.about})
     kinds = list(dict.fromkeys(kind for scene in scenes for kind in scene.answers))
     files = [f"{name}_{dataset}-{SPLIT}.csv" for name in _name_results(kinds)]
     results = [{"file": file, "method": kind[0], "touches": kind[1]} for file, kind in zip(files, kinds, strict=True)]
     ids = write_json(root / "ids.json", {"objects": of_object, "scenes": about, "results": results})
     texts = (format_results(scenes, *kind) for kind in kinds)
-    return [ids, *(_write_text(root / file, text) for file, text in zip(files, texts, strict=True))]
+    return [ids, *(write_text(root / file, text) for file, text in zip(files, texts, strict=True))]
 
 
 def _name_results(kinds: Sequence[tuple[str, int]]) -> Iterator[str]:
@@ -143,7 +142,3 @@ def _name_results(kinds: Sequence[tuple[str, int]]) -> Iterator[str]:
     for method, touches in kinds:
         number = f"-{methods.index(method) + 1}" if method in alike else ""
         yield f"{plain[method]}{number}-{touches}-touches"
-
-
-def _write_text(path: Path, text: str) -> Path:
-    return write_atomically(path, partial(Path.write_text, data=text, encoding="utf-8"))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
+from pydantic_core import PydanticSerializationError
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.store.files import read_json, write_atomically
+from tactile_loc.store.files import read_json, write_text
 
 LIBRARIES = (
     "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
@@ -25,8 +27,15 @@ class Record(BaseModel):
 
 def write_record(path: str | Path, record: Record) -> Path:
     """Write a record as JSON, atomically, and return the path. Raises OutputError if that fails."""
-    text = record.model_dump_json(indent=1) + "\n"
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_text(Path(path), format_record(record, indent=1) + "\n")
+
+
+def format_record(record: Record, indent: int | None = None, exclude_unset: bool = False) -> str:
+    """Return a record as JSON. A byte of a file's name that is not UTF-8 is written as Python's json module does."""
+    try:
+        return record.model_dump_json(indent=indent, exclude_unset=exclude_unset)
+    except PydanticSerializationError:  # which refuses lone surrogates
+        return json.dumps(record.model_dump(mode="json", exclude_unset=exclude_unset), indent=indent)
 
 
 def read_document(path: Path) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import FrameError, name_source
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.frame_tree import Edge
 from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation
 from tactile_loc.io.csv_tables import Row, read_number, read_table
@@ -34,7 +35,8 @@ USUAL_HZ = 30.0  # rate of images whose times are unknown
 class SensorTrack:
     """The sensor's poses `T_base_sensor` (N, 4, 4), metres, at `times_s` (N,), seconds.
 
-    `names` (N,) are the images' files; they are empty if the poses are given by time alone. `path` is the CSV file.
+    `names` (N,) are the images' files, as `show_name` writes them; they are empty if the poses are given by time alone.
+    `path` is the CSV file.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class SensorTrack:
         the number in its name, or else `time_s`. Raises FrameError if the pose is unknown.
         """
         if self.names:
+            name = show_name(name)
             if name not in self._row_of:
                 raise FrameError(f"{self.path} has no pose for {name}; add a row, or remove the image")
             return np.asarray(self.T_base_sensor[self._row_of[name]])
@@ -97,7 +100,7 @@ def read_sensor_track(path: str | Path) -> SensorTrack:
         with name_source(f"{path}, row {number}"):
             poses.append(_read_pose(row, places))
             times_s.append(read_number(row, TIME, FrameError) if TIME in columns else (number - 1) / USUAL_HZ)
-    names = tuple(row[FILE] for row in rows) if FILE in columns else ()
+    names = tuple(show_name(row[FILE]) for row in rows) if FILE in columns else ()
     _require_names(path, names)
     _require_order(path, times_s)
     return SensorTrack(path, names, np.array(times_s), np.stack(poses))

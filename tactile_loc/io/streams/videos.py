@@ -7,12 +7,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.io.images import summarize
+from tactile_loc.store.files import link_plainly
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv", ".gif")
 TO_INSTALL = "pip install 'tactile-loc[video]'"
@@ -50,10 +52,17 @@ def read_video_facts(path: Path) -> VideoFacts:
     return VideoFacts(rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else USUAL_HZ, round(count) if known else None)
 
 
+def _open_opencv(path: Path) -> Any:
+    import cv2
+
+    with link_plainly(path) as plain:
+        return cv2.VideoCapture(str(plain))
+
+
 def _read_opencv_facts(path: Path) -> tuple[float, float]:
     import cv2
 
-    film = cv2.VideoCapture(str(path))
+    film = _open_opencv(path)
     try:
         return float(film.get(cv2.CAP_PROP_FPS)), float(film.get(cv2.CAP_PROP_FRAME_COUNT))
     finally:
@@ -75,9 +84,7 @@ def _read_imageio_facts(path: Path) -> tuple[float, float]:
 
 
 def _read_opencv(path: Path) -> Iterator[NDArray[np.uint8]]:
-    import cv2
-
-    film = cv2.VideoCapture(str(path))
+    film = _open_opencv(path)
     try:
         while (answer := film.read())[0]:
             yield np.asarray(answer[1][..., ::-1], np.uint8)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic_core import PydanticSerializationError
 
 from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses
@@ -27,6 +26,7 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import View, relate_sensors
 from tactile_loc.io.images import load_npz
 from tactile_loc.io.meshes import simplify_mesh
+from tactile_loc.io.streams.records import format_record
 from tactile_loc.locate.results.result_json import Located, ResultRecord
 from tactile_loc.store.files import parse_json, write_atomically
 
@@ -160,10 +160,7 @@ def hash_record(record: ResultRecord, read: bool = False) -> str:
 
     If the record was `read` from a file, only the keys in the file count, because older files lack some.
     """
-    try:
-        return hashlib.sha256(record.model_dump_json(exclude_unset=read).encode()).hexdigest()
-    except PydanticSerializationError as error:  # for instance a lone surrogate in a text
-        raise ResultError(f"result.json holds text that is not Unicode; {AGAIN}") from error
+    return hashlib.sha256(format_record(record, exclude_unset=read).encode()).hexdigest()
 
 
 def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:

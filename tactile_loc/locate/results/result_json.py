@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import format_mm, format_percent
+from tactile_loc.core.formatting import format_mm, format_percent, show_name
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.tolerance import Tolerance
@@ -244,7 +244,7 @@ class ResultRecord(Record):
         """The name of the sensor or of its file."""
         sensor = self.configuration.get("sensor", {})
         path = sensor.get("options", {}).get("path")
-        return Path(path).stem if path else str(sensor.get("name", "a sensor"))
+        return show_name(Path(path).stem) if path else str(sensor.get("name", "a sensor"))
 
     @property
     def errors_m(self) -> list[float] | None:
