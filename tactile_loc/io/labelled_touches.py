@@ -19,10 +19,10 @@ from tactile_loc.core.geometry.rigid import (
     make_transform,
     quaternion_to_rotation,
     require_rigid,
+    require_unit,
     rotation_about,
 )
 from tactile_loc.io.csv_tables import Row, read_number, read_table
-from tactile_loc.io.toml import UNIT_TOLERANCE
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import read_contents
 from tactile_loc.store.files import read_json
@@ -103,13 +103,10 @@ def _read_row(folder: Path, row: Row, rotation: Sequence[str]) -> LabelledTouch:
     file = _require_touch(folder, row["touch"])
     place_m = 1e-3 * np.array([read_number(row, name, TouchError) for name in PLACE])
     numbers = np.array([read_number(row, name, TouchError) for name in rotation])
-    of = numbers if rotation == QUATERNION else numbers[1:]
-    length = float(np.linalg.norm(of))
-    if not abs(length - 1) <= UNIT_TOLERANCE:
-        kind = "quaternion" if rotation == QUATERNION else "axis"
-        raise TouchError(f"the {kind} {of.tolist()} has the length {length:.4g}; it must have the length 1")
-    unit = of / length
-    R = quaternion_to_rotation(unit) if rotation == QUATERNION else rotation_about(unit, np.radians(numbers[0]))
+    if rotation == QUATERNION:
+        R = quaternion_to_rotation(require_unit(numbers, "the quaternion", TouchError))
+    else:
+        R = rotation_about(require_unit(numbers[1:], "the axis", TouchError), np.radians(numbers[0]))
     return LabelledTouch(ListedTouch(file), make_transform(R, place_m))
 
 

@@ -17,7 +17,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, quote
 from tactile_loc.core.formatting import is_unicode, show_name
-from tactile_loc.core.geometry.rigid import is_rigid, make_transform, quaternion_to_rotation, rotation_about
+from tactile_loc.core.geometry.rigid import (
+    make_transform,
+    quaternion_to_rotation,
+    require_rigid,
+    require_unit,
+    rotation_about,
+)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -29,7 +35,6 @@ POSITIVE_MM = "a positive number (mm)"
 NOT_TOML = (ValueError, RecursionError)  # tomllib raises RecursionError for deep nesting
 POSITIONS_M = {"xyz_mm": 1e-3, "xyz_m": 1.0}  # keys of a position, with their units in metres
 ROTATIONS = ("rpy_deg", "quaternion_wxyz", "quaternion_xyzw")  # keys of a rotation
-UNIT_TOLERANCE = 1e-3  # tolerance of a quaternion's length: its numbers may be rounded to four digits
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -138,16 +143,14 @@ def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: st
     """Return the pose (4, 4), metres, that a table gives by a matrix or by the other keys; None if it gives no pose.
 
     `matrix` is the value of the key named `name`. The other keys are one of POSITIONS_M and one of ROTATIONS. For
-    `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError for a wrong or incomplete pose.
+    `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError or ConfigError for a
+    wrong or incomplete pose.
     """
     given = [key for key in (*POSITIONS_M, *ROTATIONS) if getattr(keys, key) is not None]
     if matrix is not None:
         if given:
             raise ValueError(f"{name} is the whole pose; leave out {given[0]}")
-        T = np.array(matrix, float)
-        if not is_rigid(T):
-            raise ValueError(f"{name} is not a rigid transform; it must be {MATRIX}")
-        return T
+        return require_rigid(matrix, name)
     if not given:
         return None
     position = _choose_key(given, tuple(POSITIONS_M), "position", name)
@@ -179,13 +182,7 @@ def _read_rotation(key: str, numbers: Sequence[float]) -> NDArray[np.float64]:
             rotation_about(axis, angle) for axis, angle in zip(np.eye(3), np.radians(numbers), strict=True)
         )
         return yaw @ pitch @ roll
-    w_last = key == "quaternion_xyzw"
-    q = np.roll(np.array(numbers, float), 1 if w_last else 0)
-    length = float(np.linalg.norm(q))
-    if abs(length - 1.0) > UNIT_TOLERANCE:
-        order = "last" if w_last else "first"
-        raise ValueError(f"{key} has length {length:.4g}; it must be a unit quaternion, scalar {order}")
-    return quaternion_to_rotation(q / length)
+    return quaternion_to_rotation(np.roll(require_unit(numbers, key), 1 if key == "quaternion_xyzw" else 0))
 
 
 def format_toml(configuration: Mapping[str, Any]) -> str:

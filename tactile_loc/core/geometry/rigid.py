@@ -16,6 +16,8 @@ from tactile_loc.core.errors import ConfigError, TactileLocError
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+ROUNDED = 1e-3  # largest difference from a rotation that rounding to three decimals explains
+UNIT_TOLERANCE = 0.01  # largest difference of a unit vector's length from 1
 
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
@@ -170,11 +172,60 @@ def _are_near(values: Array, wanted: Array, tolerance: float) -> bool:
 
 
 def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
-    """Return a rigid transform (4, 4) as float64. Raises `error`, with `what` as its name, if it is not rigid."""
+    """Return a rigid transform (4, 4), metres, as float64. A rotation that was rounded becomes orthogonal.
+
+    Raises `error`, with `what` as its name, if the transform is not rigid.
+    """
     found = _convert_numbers(T)
-    if found is None or found.shape != (4, 4) or not is_rigid(found):
-        raise error(f"{what} is not a rigid transform; give (4, 4), in metres, with last row 0 0 0 1 and no reflection")
-    return found
+    if found is None or found.shape != (4, 4) or not np.isfinite(found).all():
+        raise error(
+            f"{what} is not a rigid transform; give (4, 4) finite numbers: a rotation, a translation in metres, and "
+            "the last row 0 0 0 1"
+        )
+    if is_rigid(found):
+        return found
+    U, stretches, V = np.linalg.svd(found[:3, :3])
+    nearest = U @ V  # the orthogonal matrix with the least sum of squared differences
+    fault = _find_fault(found, nearest, stretches)
+    if fault:
+        raise error(f"{what} is not a rigid transform: {fault}")
+    return make_transform(nearest, found[:3, 3])
+
+
+def _find_fault(T: Array, nearest: Array, stretches: Array) -> str:
+    """Return in words why a transform (4, 4) is not rigid, or an empty text if its rotation was only rounded.
+
+    `nearest` (3, 3) is the nearest orthogonal matrix, and `stretches` (3,) are the singular values of its rotation.
+    """
+    if not _are_near(T[3], LAST_ROW, ROUNDED):
+        if _are_near(T[:, 3], LAST_ROW, ROUNDED):
+            return "its translation is in its last row, so transpose it"
+        return f"its last row is {' '.join(f'{v:g}' for v in T[3])}, but must be 0 0 0 1"
+    scale = float(stretches.mean())
+    if scale > 0 and np.ptp(stretches) <= 2 * ROUNDED * scale:
+        if np.linalg.det(nearest) < 0:
+            return "it is a reflection, because its determinant is negative; correct the sign of one axis"
+        if abs(scale - 1) > ROUNDED:
+            return f"its rotation is scaled by {scale:.4g}, but a rotation has no unit; divide it by this number"
+    apart = float(np.abs(T[:3, :3] - nearest).max())
+    if apart > ROUNDED or np.linalg.det(nearest) < 0:
+        return (
+            f"its rotation is up to {apart:.2g} from the nearest orthogonal matrix; if its numbers are rounded, give "
+            "at least three decimals"
+        )
+    return ""
+
+
+def require_unit(v: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+    """Return a vector or a quaternion (N,) with the length 1 exactly.
+
+    Raises `error`, with `what` as its name, if its length differs from 1 by more than rounded numbers explain.
+    """
+    found = np.asarray(v, float)
+    length = float(np.linalg.norm(found))
+    if not abs(length - 1) <= UNIT_TOLERANCE:
+        raise error(f"{what} has the length {length:.4g}; it must have the length 1")
+    return found / length
 
 
 def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:

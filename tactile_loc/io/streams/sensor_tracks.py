@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import FrameError, name_source
 from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.frame_tree import Edge
-from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation
+from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, require_unit
 from tactile_loc.io.csv_tables import Row, read_number, read_table
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,6 @@ METRES_PER_COLUMN: dict[tuple[str, ...], float] = {
 }
 QUATERNION = ("qx", "qy", "qz", "qw")
 LARGEST_M = 20.0  # a sensor farther from the robot's base has its place in another unit
-LENGTH_ERROR = 0.01  # largest difference of a quaternion's length from 1
 USUAL_HZ = 30.0  # rate of images whose times are unknown
 
 
@@ -131,11 +130,8 @@ def _read_pose(row: Row, places: tuple[str, ...]) -> Floats:
             f"the sensor is {np.linalg.norm(place_m):,.0f} m from the base; name the columns x_mm, y_mm and z_mm if "
             "the places are in mm"
         )
-    q = np.array([read_number(row, name, FrameError) for name in QUATERNION])
-    length = float(np.linalg.norm(q))
-    if abs(length - 1) > LENGTH_ERROR:
-        raise FrameError(f"the quaternion has the length {length:.3g}, not 1; give qx, qy, qz and qw, scalar last")
-    return make_transform(quaternion_to_rotation(np.roll(q / length, 1)), place_m)
+    q = require_unit([read_number(row, name, FrameError) for name in QUATERNION], "the quaternion", FrameError)
+    return make_transform(quaternion_to_rotation(np.roll(q, 1)), place_m)
 
 
 def _require_names(path: Path, names: Sequence[str]) -> None:

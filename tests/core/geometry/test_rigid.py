@@ -23,6 +23,7 @@ from tactile_loc.core.geometry.rigid import (
     quaternion_to_rotation,
     require_covariance,
     require_rigid,
+    require_unit,
     rotate_covariance,
     rotation_about,
     rotation_angle,
@@ -187,24 +188,50 @@ def test_axis_and_angle_match_any_rotation_and_the_identity():
     assert axis_angle(np.eye(3))[1].tolist() == [0, 0, 1]
 
 
-@pytest.mark.parametrize(
-    "T",
-    [
-        np.eye(3),
-        np.eye(5),
-        np.diag([-1.0, 1, 1, 1]),
-        np.full((4, 4), np.nan),
-        np.eye(4)[None],
-        "pose",
-        [[1, 0], [0]],
-        None,
-    ],
-)
-def test_a_matrix_that_is_not_rigid_is_refused(T):
-    with pytest.raises(ConfigError, match=naming("the pose", "(4, 4)")):
-        require_rigid(T, "the pose")
+@pytest.mark.parametrize("T", [np.eye(3), np.full((4, 4), np.nan), np.eye(4)[None], "pose", [[1, 0], [0]], None])
+def test_what_is_not_a_finite_matrix_of_four_rows_is_refused(T):
     with pytest.raises(TouchError, match=naming("the pose", "(4, 4)")):
         require_rigid(T, "the pose", TouchError)
+
+
+def test_a_rounded_rotation_becomes_orthogonal_and_stays_near():
+    exact = make_transform(draw_rotations(200, np.random.default_rng(3)), [0.4, -0.1, 0.2])
+    for T in exact:
+        found = require_rigid(np.round(T, 3), "the pose")
+        assert is_rigid(found, 1e-12)
+        np.testing.assert_allclose(found, T, atol=1.5e-3)
+        np.testing.assert_array_equal(require_rigid(T, "the pose"), T, "an exact pose stays as it is")
+
+
+TURNED = make_transform(rotation_about([1, 2, 3], 1.0), [0.4, -0.1, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("T", "words"),
+    [
+        (np.round(TURNED, 2), "three decimals"),
+        (TURNED @ np.diag([1.0, 1, -1, 1]), "reflection"),
+        (TURNED @ np.diag([1000.0, 1000, 1000, 1]), "scaled by 1000"),
+        (TURNED @ np.diag([1.1, 1.1, 1.1, 1]), "scaled by 1.1,"),
+        (TURNED @ np.diag([1.0, 1.2, 1, 1]), "orthogonal"),
+        (np.zeros((4, 4)) + np.diag([0, 0, 0, 1.0]), "orthogonal"),
+        (TURNED.T, "transpose"),
+        (TURNED * 1000, "last row"),
+    ],
+)
+def test_each_fault_of_a_pose_is_named(T, words):
+    with pytest.raises(ConfigError, match=naming("the pose", words)):
+        require_rigid(T, "the pose")
+
+
+def test_a_rounded_quaternion_gets_the_length_one():
+    q = rotation_to_quaternion(TURNED[:3, :3])
+    found = require_unit(np.round(q, 3), "the quaternion")
+    assert np.linalg.norm(found) == pytest.approx(1, abs=1e-15)
+    np.testing.assert_allclose(found, q, atol=1e-3)
+    for wrong in (2 * q, 0 * q, np.nan * q):
+        with pytest.raises(TouchError, match=naming("the quaternion", "length")):
+            require_unit(wrong, "the quaternion", TouchError)
 
 
 def test_a_rigid_transform_may_be_a_list_of_integers():

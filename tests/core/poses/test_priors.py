@@ -82,7 +82,7 @@ class TestGaussian:
         [
             ({"translation_std_m": 0.0}, "translation_std_m"),
             ({"rotation_std_rad": -1.0}, "rotation_std_rad"),
-            ({"T": np.zeros((4, 4))}, "(4, 4)"),
+            ({"T": np.zeros((4, 4))}, "rigid"),
         ],
     )
     def test_invalid_means_and_deviations_are_refused(self, change, value):

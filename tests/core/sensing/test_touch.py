@@ -98,7 +98,7 @@ def test_bad_arrays_are_refused(values: object, press_depth_m: float | None, wro
 def test_an_invalid_pose_of_a_touch_is_refused(name: str, T: np.ndarray) -> None:
     shape = ContactShape(np.full(PINHOLE.shape, 2 * MM, np.float32), 2 * MM)
     shape.depth_m[2:4, 2:5] = 0
-    with pytest.raises(TouchError, match=naming(name, "press 3", "(4, 4)")):
+    with pytest.raises(TouchError, match=naming(name, "press 3", "rigid")):
         Touch(shape, PINHOLE, "press 3", **{name: T})
 
 
