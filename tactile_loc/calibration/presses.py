@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,10 +35,11 @@ from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
+from tactile_loc.io.csv_tables import read_table, require_columns
 from tactile_loc.io.images import load_npz, read_photo, write_image
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.toml import format_toml
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import read_text, write_atomically
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"
 KINDS = {
@@ -65,7 +66,7 @@ class Row:
     folder: Path
     image: Path
     kind: str
-    values: dict[str, str]
+    values: Mapping[str, str]
 
     @property
     def mesh(self) -> Path:
@@ -262,23 +263,15 @@ def _shrink_sensor(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGe
 
 
 def _read_table(table: Path) -> list[Row]:
-    try:
-        with table.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = {"image", "kind"} - set(reader.fieldnames or ())
-            lines = [(reader.line_num, line) for line in reader]
-    except FileNotFoundError as error:
-        raise CalibrationError(
-            f"there is no table {table}; give a folder with images of presses and this table"
-        ) from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CalibrationError(f"{table} cannot be read as a table ({error}); write it anew") from error
-    if missing:
-        raise CalibrationError(
-            f"{table} has no column {' and no column '.join(sorted(missing))}; its first line must name image and "
-            "kind, and the columns that the kind needs (docs/sensor-labels.md)"
-        )
-    return [_parse_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
+    if not table.exists():
+        raise CalibrationError(f"there is no table {table}; give a folder with images of presses and this table")
+    found = read_table(table, "press", CalibrationError)
+    advice = "; it needs image, kind, and the columns of the kind (docs/sensor-labels.md)"
+    require_columns(table, found.columns, ("image", "kind"), CalibrationError, advice)
+    return [
+        _parse_row(row, f"{table}, line {number}", table.parent)
+        for number, row in zip(found.lines, found.rows, strict=True)
+    ]
 
 
 def summarize_table(folder: Path) -> tuple[set[str], set[float]]:
@@ -297,8 +290,7 @@ def list_named_files(table: Path) -> set[str]:
     return {row.values["image"] for row in rows} | {row.values.get("mesh") or "" for row in rows} - {""}
 
 
-def _parse_row(line: dict[str, str | None], where: str, folder: Path) -> Row:
-    values = {key: (value or "").strip() for key, value in line.items() if key and not isinstance(value, list)}
+def _parse_row(values: Mapping[str, str], where: str, folder: Path) -> Row:
     image, kind = values["image"], values["kind"]
     if not image:
         raise CalibrationError(f"{where}: image is missing; give the path of a picture, relative to the table")
@@ -334,7 +326,7 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
     try:
         found = FORMATS[format](source, out)
         rows = [(image, None if c is None else (c[0] + HALF, c[1] + HALF, c[2])) for image, c in found]
-    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
+    except (OSError, KeyError, ValueError, IndexError, TypeError, CalibrationError) as error:
         named = getattr(error, "filename", None)
         reason = getattr(error, "strerror", None) or error
         reason = f"{named}: {reason}" if named else reason
@@ -417,11 +409,10 @@ def _read_fots(source: Path, out: Path) -> Rows:
 
     The set has no image of the untouched gel.
     """
-    with (source / "csv" / "annotate.csv").open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            name = Path(row["img_names"]).name
-            circle = (float(row["center_x"]), float(row["center_y"]), float(row["radius"]))
-            yield _copy_image(source / "gelsight" / name, out, name), circle
+    for row in read_table(source / "csv" / "annotate.csv", "press", CalibrationError).rows:
+        name = Path(row["img_names"]).name
+        circle = (float(row["center_x"]), float(row["center_y"]), float(row["radius"]))
+        yield _copy_image(source / "gelsight" / name, out, name), circle
 
 
 def _read_circles(source: Path, out: Path) -> Rows:
@@ -432,7 +423,7 @@ def _read_circles(source: Path, out: Path) -> Rows:
     tables = sorted(source.glob("labels*.txt"))
     if len(tables) != 1:
         raise ValueError(f"there are {len(tables)} files labels*.txt; there must be one")
-    for line in filter(str.strip, tables[0].read_text(encoding="utf-8").splitlines()):
+    for line in filter(str.strip, read_text(tables[0]).splitlines()):
         found = re.fullmatch(r"\s*(\S+)\s*\(([^,]+),([^)]+)\)\s*(\S+)\s*", line)
         if found is None:
             raise ValueError(f"{tables[0].name} has the line {line!r}; write: image (x, y) radius")

@@ -3,37 +3,79 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from tactile_loc.core.errors import TactileLocError, quote
+from tactile_loc.core.errors import TactileLocError, did_you_mean, quote
+from tactile_loc.store.files import read_text
 
 Row = Mapping[str, str]
 
+SEPARATORS = ",;\t"
+_NAMED_SEPARATOR = re.compile(r"sep=(.)\n", re.IGNORECASE)  # a first line that spreadsheets write
+_NUMBER = re.compile(r"[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?")
 
-def read_table(path: Path, what: str, error: type[TactileLocError]) -> tuple[Sequence[Row], Sequence[str]]:
-    """Return the rows of a CSV file in UTF-8, and the names of its columns. A missing cell is an empty text.
 
+@dataclass(frozen=True)
+class Table:
+    """The `rows` of a CSV file, the names of its `columns`, and the `lines` of the file in which the rows end."""
+
+    rows: Sequence[Row]
+    columns: Sequence[str]
+    lines: Sequence[int]
+
+
+def read_table(path: Path, what: str, error: type[TactileLocError]) -> Table:
+    """Read a table from a CSV file. A missing cell is an empty text.
+
+    Cells are separated by commas, or, as in the heading, by semicolons or tabs. Then the decimal sign may be a comma.
     `what` names the content of one row, such as "sensor pose". Raises `error` if the file cannot be read or has no row.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            rows = [_clean(row) for row in reader]
-            columns = [name.strip() for name in reader.fieldnames or ()]
+        text = read_text(path)
+        named = _NAMED_SEPARATOR.match(text)
+        text = text[named.end() :] if named else text
+        separator = named[1] if named else max(SEPARATORS, key=text.partition("\n")[0].count)
+        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
+        read = [(reader.line_num, [cell.strip() for cell in line]) for line in reader if line]
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise error(f"{path} cannot be read as a table ({reason}); give a CSV file in UTF-8") from problem
-    if not rows:
+    if len(read) < 2:
         raise error(f"{path} holds no {what}; give a heading with the names of the columns, and a row for each {what}")
-    return rows, columns
+    heading, cells = read[0][1], [line for _, line in read[1:]]
+    for number, line in enumerate(cells, start=1):
+        if any(line[len(heading) :]):
+            raise error(
+                f"row {number} of {path} has {len(line)} cells, but the heading has {len(heading)}; separate the cells "
+                "by semicolons if the decimal sign is a comma"
+            )
+    if separator != ",":
+        cells = _replace_decimal_commas(cells, path, error)
+    rows = [dict(zip(heading, line + [""] * len(heading), strict=False)) for line in cells]
+    return Table(rows, heading, [number + (named is not None) for number, _ in read[1:]])
 
 
-def _clean(row: Mapping[str | None, Any]) -> Row:
-    """Return the cells below named columns, without spaces."""
-    return {name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None}
+def _replace_decimal_commas(rows: Sequence[Sequence[str]], path: Path, error: type[TactileLocError]) -> list[list[str]]:
+    """Return rows whose numbers have decimal points. Raises `error` if some have commas, and some have points."""
+    signs = {found[1] for row in rows for cell in row if (found := _NUMBER.fullmatch(cell))}
+    if len(signs) > 1:
+        raise error(f"some numbers of {path} have a decimal comma, and some a decimal point; write all in one way")
+    return [[cell.replace(",", ".") if _NUMBER.fullmatch(cell) else cell for cell in row] for row in rows]
+
+
+def require_columns(
+    path: Path, columns: Sequence[str], needed: Iterable[str], error: type[TactileLocError], advice: str = ""
+) -> None:
+    """Raise `error`, which names the first missing column, unless a table has all `needed` columns."""
+    missing = next((name for name in needed if name not in columns), None)
+    if missing is not None:
+        near = did_you_mean(missing, columns)
+        raise error(f"{path} has no column {missing!r}.{near} Its columns are {', '.join(columns)}{advice}")
 
 
 def read_number(row: Row, name: str, error: type[TactileLocError]) -> float:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError, did_you_mean, name_source
+from tactile_loc.core.errors import TouchError, name_source
 from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
@@ -22,7 +22,7 @@ from tactile_loc.core.geometry.rigid import (
     require_unit,
     rotation_about,
 )
-from tactile_loc.io.csv_tables import Row, read_number, read_table
+from tactile_loc.io.csv_tables import Row, read_number, read_table, require_columns
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import read_contents
 from tactile_loc.store.files import read_json
@@ -78,25 +78,17 @@ def _find_table(path: Path) -> Path:
 
 
 def _read_csv(path: Path) -> list[Example]:
-    rows, columns = read_table(path, "touch", TouchError)
+    table = read_table(path, "touch", TouchError)
+    columns = table.columns
     rotation = QUATERNION if set(QUATERNION) & set(columns) or not set(TURN) & set(columns) else TURN
-    _require_columns(path, columns, ("touch", *PLACE, *rotation))
+    advice = f"; needed are touch, {', '.join(PLACE)}, and {', '.join(QUATERNION)} or {', '.join(TURN)}"
+    require_columns(path, columns, ("touch", *PLACE, *rotation), TouchError, advice)
     examples: dict[str, list[LabelledTouch]] = {}
-    for number, row in enumerate(rows, start=1):
+    for number, row in enumerate(table.rows, start=1):
         with name_source(f"{path}, row {number}"):
             name = row.get("example") or f"row {number}"
             examples.setdefault(name, []).append(_read_row(path.parent, row, rotation))
     return [tuple(touches) for touches in examples.values()]
-
-
-def _require_columns(path: Path, columns: Sequence[str], needed: Sequence[str]) -> None:
-    missing = [name for name in needed if name not in columns]
-    if missing:
-        near = did_you_mean(missing[0], columns)
-        raise TouchError(
-            f"{path} has no column {missing[0]!r}.{near} Needed: touch, {', '.join(PLACE)}, and "
-            f"{', '.join(QUATERNION)} or {', '.join(TURN)}"
-        )
 
 
 def _read_row(folder: Path, row: Row, rotation: Sequence[str]) -> LabelledTouch:

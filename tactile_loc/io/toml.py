@@ -24,6 +24,7 @@ from tactile_loc.core.geometry.rigid import (
     require_unit,
     rotation_about,
 )
+from tactile_loc.store.files import read_text
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -44,12 +45,12 @@ def read_toml(path: str | Path) -> dict[str, Any]:
             raise ConfigError(f"there is no file {path}; check the path")
         if not os.path.isfile(path):  # reading a device or a pipe may never end
             raise ConfigError(f"{path} is not a file; give a TOML file")
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(Path(path)))
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror or error}); check its permissions") from error
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
-        raise ConfigError(f"{path} is not text in UTF-8 (byte 0x{byte:02x}); give a TOML file") from error
+        raise ConfigError(f"{path} is not text in UTF-8 (byte 0x{byte:02x}); save it in UTF-8") from error
     except NOT_TOML as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 

@@ -96,6 +96,16 @@ def is_unfinished(path: Path) -> bool:
     return path.name.startswith(_TEMPORARY)
 
 
+def read_text(path: Path) -> str:
+    r"""Return the text of a file, with `\n` as the end of each line.
+
+    The text is in UTF-8, or in UTF-16 or UTF-32, which its first bytes show. A byte order mark is dropped. Raises
+    OSError when the file cannot be read, and UnicodeDecodeError when it is not text.
+    """
+    data = path.read_bytes()
+    return data.decode(json.detect_encoding(data)).replace("\r\n", "\n").replace("\r", "\n")
+
+
 def read_json(path: Path) -> Any:
     """Return the value in a JSON file.
 

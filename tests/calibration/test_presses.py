@@ -239,14 +239,14 @@ def test_a_folder_without_a_table_is_refused(tmp_path):
 @pytest.mark.parametrize("column", ["image", "kind"])
 def test_a_table_without_a_required_column_is_refused(folder, column):
     write_table(folder, BALLS.rows(), [name for name in COLUMNS if name != column])
-    refused(folder, f"column {column}")
+    refused(folder, f"column {column!r}")
 
 
 def test_an_unreadable_table_is_refused(folder):
     table = folder / "presses.csv"
     table.write_text("")
-    refused(folder, "image", "kind")
-    table.write_bytes(b"\xff\xfe\x00image,kind")
+    refused(folder, "presses.csv")
+    table.write_bytes(b"\xffimage,kind")
     refused(folder, "presses.csv")
     table.unlink()
     table.mkdir()
@@ -263,7 +263,7 @@ def test_a_table_without_presses_or_untouched_gel_is_refused(folder):
     write_table(folder, BALLS.rows()[:1])
     refused(folder, "ball", "mesh")
     write_table(folder, [])
-    refused(folder, "ball", "mesh")
+    refused(folder, "presses.csv", "press")
     write_table(folder, BALLS.rows()[1:])
     refused(folder, "background", "`background` median")
 

@@ -196,7 +196,7 @@ def cut_image(folder: Path, name: str) -> None:
 
 BAD = {
     "no table": (lambda f: remove(f, "presses.csv"), ("presses.csv", "table")),
-    "no column": (lambda f: write_table(f, BALLS.rows(), ["image", "radius_px"]), ("presses.csv", "column kind")),
+    "no column": (lambda f: write_table(f, BALLS.rows(), ["image", "radius_px"]), ("presses.csv", "column 'kind'")),
     "unknown kind": (lambda f: break_table(f, 4, kind="bull"), ("presses.csv, line 4", "'bull'", "ball")),
     "no label": (lambda f: break_table(f, 4, kind=""), ("line 4", "0001.png", "kind")),
     "no number": (lambda f: break_table(f, 5, radius_px=""), ("line 5", "radius_px")),

@@ -123,3 +123,11 @@ def test_endless_numbers_and_endless_nesting_are_refused(tmp_path, text):
 def test_a_text_that_toml_does_not_allow_is_escaped(tmp_path):
     path = write_text(tmp_path / "names.toml", format_toml({"a": '\x7f\n"', "b": os.fsdecode(b"Geh\xe4use")}))
     assert read_toml(path) == {"a": '\x7f\n"', "b": r"Geh\xe4use"}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_files_of_other_editors_are_read(tmp_path, encoding, end):
+    path = tmp_path / "a.toml"
+    path.write_bytes(end.join(["name = 'ü'", "[grid]", "n = 3", ""]).encode(encoding))
+    assert read_toml(path) == {"name": "ü", "grid": {"n": 3}}

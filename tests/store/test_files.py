@@ -296,3 +296,10 @@ def test_files_may_have_the_longest_names_and_names_that_are_not_unicode(tmp_pat
             assert plain.read_bytes() == path.read_bytes()
             str(plain).encode()
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_json_of_other_editors_is_read(tmp_path, encoding):
+    path = tmp_path / "a.json"
+    path.write_text('{"a": "ü"}', encoding=encoding, newline="\r\n")
+    assert read_json(path) == {"a": "ü"}

@@ -15,7 +15,7 @@ from tactile_loc.core.errors import FrameError, name_source
 from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.frame_tree import Edge
 from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, require_unit
-from tactile_loc.io.csv_tables import Row, read_number, read_table
+from tactile_loc.io.csv_tables import Row, read_number, read_table, require_columns
 
 Floats = NDArray[np.float64]
 
@@ -89,11 +89,12 @@ def read_sensor_track(path: str | Path) -> SensorTrack:
     number that is impossible.
     """
     path = Path(path)
-    rows, columns = read_table(path, "sensor pose", FrameError)
+    table = read_table(path, "sensor pose", FrameError)
+    rows, columns = table.rows, table.columns
     places = _find_place_columns(path, columns)
     if FILE not in columns and TIME not in columns:
         raise FrameError(f"{path} has neither a column {FILE} nor a column {TIME}; add one of them")
-    _require_columns(path, columns, QUATERNION)
+    require_columns(path, columns, QUATERNION, FrameError)
     poses, times_s = [], []
     for number, row in enumerate(rows, 1):
         with name_source(f"{path}, row {number}"):
@@ -112,14 +113,8 @@ def _find_place_columns(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
         found = "gives places in several units" if given else "gives no places"
         listed = ", or ".join(",".join(names) for names in METRES_PER_COLUMN)
         raise FrameError(f"{path} {found}; give the columns {listed}")
-    _require_columns(path, columns, given[0])
+    require_columns(path, columns, given[0], FrameError)
     return given[0]
-
-
-def _require_columns(path: Path, columns: Sequence[str], names: Sequence[str]) -> None:
-    missing = [name for name in names if name not in columns]
-    if missing:
-        raise FrameError(f"{path} has no column {missing[0]}; its columns are {', '.join(columns)}")
 
 
 def _read_pose(row: Row, places: tuple[str, ...]) -> Floats:
