@@ -198,9 +198,14 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     return replace(found, untouched=newer)
 
 
+def _is_replaceable(path: Path) -> bool:
+    """Return whether a file belongs to a calibration, to its writing, or to macOS."""
+    return path.name in OURS or path.name.startswith((".DS_Store", "._")) or is_unfinished(path)
+
+
 def require_replaceable(folder: Path) -> None:
     """Check that a calibrated sensor may be written to `folder`. Raises OutputError if the folder holds other files."""
-    if folder.exists() and not (folder.is_dir() and all(p.name in OURS or is_unfinished(p) for p in folder.iterdir())):
+    if folder.exists() and not (folder.is_dir() and all(map(_is_replaceable, folder.iterdir()))):
         raise OutputError(f"{folder} contains files that do not belong to a calibration; choose another `out`")
 
 

@@ -20,7 +20,7 @@ from tactile_loc.core.errors import CalibrationError, TouchError
 from tactile_loc.core.formatting import is_unicode
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES, read_video
-from tactile_loc.store.files import replace_folder
+from tactile_loc.store.files import list_files, replace_folder
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
@@ -40,7 +40,7 @@ class Frame:
 
 
 def read_frames(source: Path) -> tuple[Path, list[Frame]]:
-    """Return the folder of a source's pictures, and the pictures as frames in the order of their names.
+    """Return the folder of a source's pictures, and the pictures as frames in order.
 
     The source is a folder of pictures and videos, or a video. A video's chosen frames are written to the folder
     NAME-frames beside the video. Raises CalibrationError when there are no pictures, when a picture cannot be read, or
@@ -63,11 +63,11 @@ def list_pictures(folder: Path) -> set[str]:
 
 
 def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
+    found = [path for path in list_files(folder, suffixes) if path.name != SHEET]
     for path in found:
         if not is_unicode(path.name):
             raise CalibrationError(f"the name of {path} is not Unicode, so no table can list it; rename the file")
-    return sorted(path for path in found if path.name != SHEET and not path.name.startswith("."))
+    return found
 
 
 def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:

@@ -36,10 +36,10 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.csv_tables import read_table, require_columns
-from tactile_loc.io.images import load_npz, read_photo, write_image
+from tactile_loc.io.images import IMAGE_SUFFIXES, load_npz, read_photo, write_image
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.toml import format_toml
-from tactile_loc.store.files import read_text, write_atomically
+from tactile_loc.store.files import list_files, order_as_counted, read_text, write_atomically
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"
 KINDS = {
@@ -365,7 +365,7 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
 
     Pixels are square and `mm_per_px` mm wide. Raises TouchError when an image cannot be read.
     """
-    first = min(path for path in folder.iterdir() if path.name != TABLE)
+    first = list_files(folder, IMAGE_SUFFIXES)[0]
     return write_scale(folder, read_photo(first).shape[:2], mm_per_px)
 
 
@@ -386,7 +386,7 @@ def _read_gs_sdk(source: Path, out: Path) -> Rows:
     label.npz holds the circle's center and radius.
     """
     yield _copy_image(source / "background.png", out, "background.png"), None
-    for label in sorted(source.glob("*/label.npz"), key=lambda path: (len(path.parent.name), path.parent.name)):
+    for label in sorted(source.glob("[!.]*/label.npz"), key=lambda path: order_as_counted(path.parent)):
         values = load_npz(label)
         x, y = map(float, values["center"])
         circle = (x, y, float(values["radius"]))

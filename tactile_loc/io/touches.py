@@ -44,13 +44,14 @@ from tactile_loc.io.images import (
     read_colour_image,
     require_file,
 )
-from tactile_loc.store.files import replace_file
+from tactile_loc.store.files import list_files, replace_file
 
 if TYPE_CHECKING:
     from tactile_loc.core.slots.sensor import SensorModel
 
 logger = logging.getLogger(__name__)
 
+TOUCH_SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)  # of images and contact shapes
 LARGEST_INDENTATION_M = 0.05
 OVERVIEW, TRUE_POSES = "touches.png", "poses.json"  # a picture of simulated touches, and their poses, beside them
 GEL_NAMES = {"rigid": "a rigid gel", "layer": "an elastic gel"}
@@ -168,6 +169,11 @@ NO_CONTACT_U16 = 65535
 def is_overview(path: Path) -> bool:
     """Return whether a file is the picture that shows all touches of a folder of simulated touches."""
     return path.name == OVERVIEW and path.with_name(TRUE_POSES).is_file()
+
+
+def list_touches(folder: Path, pattern: str = "*") -> list[Path]:
+    """Return the visible images and contact shapes in a folder, as `list_files` does, without the overview."""
+    return [path for path in list_files(folder, TOUCH_SUFFIXES, pattern) if not is_overview(path)]
 
 
 def read_contact_shape(

@@ -17,6 +17,7 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
 from tactile_loc.io.meshes import Surface, Units, find_symmetry, load_object, read_surface
 from tactile_loc.io.step_files import STEP_SUFFIXES, describe_step_reader, is_step
 from tactile_loc.store.artifact import Artifact
+from tactile_loc.store.files import list_files
 from tactile_loc.store.keys import StageKey, hash_file
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
@@ -30,8 +31,8 @@ Kept = TypeVar("Kept")
 
 
 def list_mesh_files(folder: Path) -> list[Path]:
-    """Return the mesh files in a folder, sorted. Raises ObjectError if there are none."""
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)
+    """Return the visible mesh files in a folder, in order. Raises ObjectError if there are none."""
+    files = list_files(folder, SELF_CONTAINED)
     if not files:
         raise ObjectError(f"{folder} holds no mesh; give a folder with files of type {', '.join(SELF_CONTAINED)}")
     return files

@@ -19,10 +19,9 @@ from tactile_loc.core.formatting import is_unicode, show_name
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import SlotConfig, choose_sensor, find_sensor_kind
-from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
-from tactile_loc.io.touches import TRUE_POSES, is_overview
+from tactile_loc.io.touches import TOUCH_SUFFIXES, TRUE_POSES, list_touches
 from tactile_loc.locate.localizer import Localizer, Observation
 from tactile_loc.locate.results.localization import Hypothesis, Localization
 from tactile_loc.locate.results.verdict import Verdict
@@ -30,7 +29,6 @@ from tactile_loc.store.files import write_text
 
 log = logging.getLogger(__name__)
 
-SUFFIXES = {".npz", ".npy", *IMAGE_SUFFIXES}
 COLUMNS = (
     "touch",
     "verdict",
@@ -98,21 +96,19 @@ def is_list(path: Path) -> bool:
 
 
 def find_touches(folder: Path) -> list[Path]:
-    """Return the touch files in a folder or matching a pattern, sorted by name. Raises TouchError if there is none."""
+    """Return the touch files in a folder or matching a pattern, in order. Raises TouchError if there is none."""
     if os.path.isdir(folder):
         # `simulate` writes contact shapes and photos of the same touches: use only the contact shapes
-        simulated = list(folder.glob("*.npz")) if (folder / TRUE_POSES).is_file() else []
-        candidates = simulated or folder.iterdir()
+        simulated = list_touches(folder, "*.npz") if (folder / TRUE_POSES).is_file() else []
+        files = simulated or list_touches(folder)
         if any(path.with_suffix(".png").is_file() for path in simulated):
             log.warning(
                 "only the contact shapes are located; to locate the photos, give `touch` '%s'", folder / "touch-*.png"
             )
     else:
-        candidates = folder.parent.glob(folder.name)
-    usable = (path for path in candidates if path.suffix.lower() in SUFFIXES and not is_overview(path))
-    files = sorted(path for path in usable if path.is_file())
+        files = list_touches(folder.parent, folder.name)
     if not files:
-        raise TouchError(f"{folder} holds no touch; give files of type {', '.join(sorted(SUFFIXES))}")
+        raise TouchError(f"{folder} holds no touch; give files of type {', '.join(sorted(TOUCH_SUFFIXES))}")
     return files
 
 

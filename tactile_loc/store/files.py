@@ -12,7 +12,7 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -94,6 +94,23 @@ def remove_abandoned(folder: Path, names: str = "*") -> None:
 def is_unfinished(path: Path) -> bool:
     """Return whether a path has the name of a temporary folder of this module."""
     return path.name.startswith(_TEMPORARY)
+
+
+def list_files(folder: Path, suffixes: Container[str], pattern: str = "*") -> list[Path]:
+    """Return the files in a folder with one of some lower-case suffixes, ordered by `order_as_counted`.
+
+    Hidden files, such as the files `._NAME` of macOS, are left out. Raises OSError when the folder cannot be read.
+    """
+    found = folder.iterdir() if pattern == "*" else folder.glob(pattern)
+    usable = (path for path in found if path.suffix.lower() in suffixes and not path.name.startswith("."))
+    return sorted(filter(os.path.isfile, usable), key=order_as_counted)
+
+
+def order_as_counted(path: Path) -> tuple[list[str | int], str]:
+    """Return a key that sorts paths by name as people count: frame_2 before frame_10."""
+    parts: list[str | int] = [*re.split(r"([0-9]+)", path.stem)]
+    parts[1::2] = map(int, parts[1::2])
+    return parts, path.name
 
 
 def read_text(path: Path) -> str:

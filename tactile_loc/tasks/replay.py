@@ -25,12 +25,11 @@ from tactile_loc.core.errors import (
 from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.streams.frame_sources import is_touch_file
 from tactile_loc.io.streams.recordings import Message, Recording
 from tactile_loc.io.streams.ros_messages import Topic, decode_image, read_stamp_ns
 from tactile_loc.io.streams.sensor_tracks import SensorTrack, read_time_s
 from tactile_loc.io.toml import Matrix
-from tactile_loc.io.touches import read_touch, touch_from_image
+from tactile_loc.io.touches import list_touches, read_touch, touch_from_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
 from tactile_loc.locate.results.verdict import Verdict, explain_verdict
@@ -230,9 +229,9 @@ class FolderReplay:
 
 
 def list_touch_files(folder: Path) -> list[str]:
-    """Return the names of the images and contact shapes in a folder, sorted. Raises SourceError for a bad folder."""
+    """Return the names of the images and contact shapes in a folder, in order. Raises SourceError for a bad folder."""
     try:
-        return sorted(path.name for path in folder.iterdir() if is_touch_file(path))
+        return [path.name for path in list_touches(folder)]
     except OSError as error:
         raise SourceError(f"{folder} cannot be read ({error.strerror}); check that the folder exists") from error
 

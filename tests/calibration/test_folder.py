@@ -102,8 +102,10 @@ def test_a_folder_with_other_files_is_not_changed(folder, other):
     assert contents(folder) == before
 
 
-def test_leftovers_of_a_killed_process_do_not_prevent_writing(folder):
+def test_leftovers_of_a_killed_process_and_of_macos_do_not_prevent_writing(folder):
     (folder / ".tmp-new-held-out.png").mkdir()
+    for name in (".DS_Store", "._sensor.toml"):  # of macOS
+        (folder / name).touch()
     read_calibration(write(folder, seed=1))
     assert not [path for path in folder.iterdir() if files.is_unfinished(path)]
 

@@ -45,8 +45,10 @@ def test_a_folder_or_pattern_means_many_touches_and_a_toml_file_a_list(folder):
 
 
 def test_touches_are_found_by_suffix_in_the_order_of_names(folder):
-    assert [path.name for path in find_touches(folder)] == ["a.PNG", "b.npz", "c.npy"]
-    assert [path.name for path in find_touches(folder / "*.npz")] == ["b.npz"]
+    for name in ("._b.npz", "b10.npz", "b9.npz"):
+        (folder / name).touch()
+    assert [path.name for path in find_touches(folder)] == ["a.PNG", "b.npz", "b9.npz", "b10.npz", "c.npy"]
+    assert [path.name for path in find_touches(folder / "*.npz")] == ["b.npz", "b9.npz", "b10.npz"]
     with pytest.raises(TouchError, match=naming("*.txt", ".npz")):
         find_touches(folder / "*.txt")
 

@@ -13,6 +13,7 @@ from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
 from tactile_loc.store.files import (
     link_plainly,
+    list_files,
     lock_folder,
     read_json,
     recover_folder,
@@ -303,3 +304,13 @@ def test_json_of_other_editors_is_read(tmp_path, encoding):
     path = tmp_path / "a.json"
     path.write_text('{"a": "ü"}', encoding=encoding, newline="\r\n")
     assert read_json(path) == {"a": "ü"}
+
+
+def test_visible_files_are_listed_as_people_count(tmp_path):
+    for name in ("f10.png", "f2.PNG", "f02.png", "._f1.png", ".f1.png", "f1.txt", "2.png", "f.png"):
+        (tmp_path / name).touch()
+    (tmp_path / "f3.png").mkdir()
+    assert [path.name for path in list_files(tmp_path, {".png"})] == ["2.png", "f.png", "f02.png", "f2.PNG", "f10.png"]
+    assert [path.name for path in list_files(tmp_path, {".png"}, "f*.png")] == ["f.png", "f02.png", "f10.png"]
+    with pytest.raises(FileNotFoundError):
+        list_files(tmp_path / "none", {".png"})

@@ -188,9 +188,11 @@ def _describe_rest(touches: list[Touch]) -> dict[str, Any]:
 
 def _warn_of_others(out: Path, names: list[str], listed: bool) -> None:
     """Warn about older touches in the folder, and about an older list of them."""
+    from tactile_loc.io.touches import list_touches
+
     if not listed and (out / LIST).exists():
         logger.warning("%s is older than the touches, and does not fit them; remove it", out / LIST)
-    others = sorted(path.name for path in out.glob("*.npz") if path.stem not in names)
+    others = [path.name for path in list_touches(out, "*.npz") if path.stem not in names]
     if others:
         logger.warning(
             "%s also holds %s of an older simulation, such as %s, without a pose in poses.json; remove these files, "

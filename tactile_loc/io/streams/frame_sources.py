@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import MissingLibraryError, SourceError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.sensor import SensorModel
-from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
+from tactile_loc.io.images import read_colour_image
 from tactile_loc.io.streams.videos import TO_READ, read_video, read_video_facts
-from tactile_loc.io.touches import is_overview, read_contents, read_touch, touch_from_image
+from tactile_loc.io.touches import list_touches, read_contents, read_touch, touch_from_image
 
-SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
 POLL_S = 0.05
 SETTLED_S = 1.0  # an unreadable file that has not grown for this time is damaged, not incomplete
 LACKING, FEW = 0.02, 3  # allowed error of the number of frames in a video's header: share, and least number
@@ -235,7 +234,8 @@ class ImageFolder:
     def _list_waiting(self) -> list[tuple[int, Path]]:
         """Return the files that were not yielded yet, oldest first, each with its time of writing, ns."""
         try:
-            found = sorted((_read_time_ns(path), path) for path in self.path.iterdir() if is_touch_file(path))
+            found = [(_read_time_ns(path), path) for path in list_touches(self.path)]
+            found.sort(key=lambda one: one[0])
         except OSError as error:
             raise SourceError(f"{self.path} cannot be read ({error.strerror}); check that the folder exists") from error
         waiting = [(when, path) for when, path in found if self._seen.get(path.name) != when]
@@ -283,12 +283,6 @@ class ImageFolder:
         before, since = self._growing.get(path.name, (size, now))
         self._growing[path.name] = (size, since if size == before else now)
         return now - self._growing[path.name][1] < SETTLED_S
-
-
-def is_touch_file(path: Path) -> bool:
-    """Return whether a file may hold an image or a contact shape, by its name."""
-    usable = path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not is_overview(path)
-    return usable and path.is_file()
 
 
 def _read_time_ns(path: Path) -> int:
