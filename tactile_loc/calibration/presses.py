@@ -388,8 +388,8 @@ def _read_gs_sdk(source: Path, out: Path) -> Rows:
     yield _copy_image(source / "background.png", out, "background.png"), None
     for label in sorted(source.glob("[!.]*/label.npz"), key=lambda path: order_as_counted(path.parent)):
         values = load_npz(label)
-        x, y = map(float, values["center"])
-        circle = (x, y, float(values["radius"]))
+        x, y = map(float, values["center"].ravel())
+        circle = (x, y, float(values["radius"].item()))
         yield _copy_image(label.with_name("gelsight.png"), out, f"{label.parent.name}.png"), circle
 
 

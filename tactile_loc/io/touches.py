@@ -101,7 +101,7 @@ def _read_npz(path: Path, geometry: SensorGeometry | None) -> FileContents:
         if held[name].nbytes > LARGEST_OTHER_BYTES:
             raise TouchError(f"{name} in {path} has shape {held[name].shape}; save a number, a text or a pose (4, 4)")
     arrays = load_npz(path, (depth, *others))
-    unit, kind, gel = (str(arrays[name]) if name in arrays else None for name in ("unit", "kind", "gel"))
+    unit, kind, gel = (_find_text(arrays, name, path) for name in ("unit", "kind", "gel"))
     return FileContents(
         arrays[depth], unit, _find_number(arrays, "press_depth", path),
         _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
@@ -128,11 +128,22 @@ def _find_depth(held: Mapping[str, NDArray[Any]], path: Path) -> str:
     """Return the name `depth`, or else that of the only array with two or more dimensions that is not a pose."""
     if "depth" in held:
         return "depth"
-    maps = [name for name, a in held.items() if a.ndim >= 2 and not name.startswith("T_")]
+    maps = [name for name, a in held.items() if a.ndim >= 2 and a.size > 1 and not name.startswith("T_")]
     if len(maps) != 1:
         listed = ", ".join(f"{name} {a.shape}" for name, a in held.items()) or "nothing"
         raise TouchError(f"{path} holds {listed}; save one array (H, W), or name the contact shape 'depth'")
     return maps[0]
+
+
+def _find_text(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> str | None:
+    """Return a text, which may be stored as bytes or as an array of one text; None if there is none."""
+    if name not in arrays:
+        return None
+    value = arrays[name]
+    if value.size != 1 or value.dtype.kind not in "SU":
+        raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be one text")
+    text = value.item()
+    return (text.decode(errors="backslashreplace") if isinstance(text, bytes) else str(text)).strip()
 
 
 def _find_number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float | None:
@@ -141,7 +152,7 @@ def _find_number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> f
     value = arrays[name]
     if value.size != 1 or value.dtype.kind not in "fiu":
         raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be one number")
-    return float(value.reshape(()))
+    return float(value.item())
 
 
 def _find_pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:

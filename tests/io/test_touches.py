@@ -109,6 +109,26 @@ def test_an_unknown_gel_is_refused(tmp_path: Path, depth_m: NDArray[np.float64])
         read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit="m", gel="jelly"), SENSOR)
 
 
+@pytest.mark.parametrize(
+    "store", [np.str_, np.bytes_, lambda one: [one], lambda one: [[one]], lambda one: [one.encode()]]
+)
+def test_texts_and_numbers_may_be_bytes_or_arrays_of_one_element(
+    tmp_path: Path, depth_m: NDArray[np.float64], store: Any
+) -> None:
+    texts = {"unit": store("mm"), "kind": store("distance"), "gel": store("rigid")}
+    press = np.reshape(1e3 * PRESS_DEPTH_M, np.shape(texts["unit"]))
+    path = save_npz(tmp_path / "a.npz", touched=1e3 * depth_m, press_depth=press, **texts)
+    found = read_touch(path, SENSOR)
+    assert found.press_depth_m == pytest.approx(PRESS_DEPTH_M)
+    np.testing.assert_allclose(found.contact_shape.depth_m, depth_m, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [["m", "mm"], 3.0, np.bytes_(b"\xb5m")])
+def test_a_text_that_is_none_is_refused(tmp_path: Path, depth_m: NDArray[np.float64], unit: Any) -> None:
+    with pytest.raises(TouchError, match=naming("unit", "a.npz")):
+        read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit=unit), SENSOR)
+
+
 def test_unknown_poses_are_absent_from_the_file(tmp_path: Path, touch: Touch) -> None:
     bare = Touch(touch.contact_shape, touch.geometry)
     back = read_touch(write_touch(tmp_path / "a.npz", bare), SENSOR)
