@@ -34,17 +34,17 @@ UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and 
 def say(text: str = "") -> None:
     """Write a line of results, without wrapping it. If several processes work together, only the first one writes.
 
-    Characters that cannot be printed, which come from names of files, are escaped.
+    Line breaks and other characters that cannot be printed, which come from names of files, are escaped.
     """
     if rank() == 0:
-        sys.stdout.write("\n".join(map(show_name, text.split("\n"))) + "\n")
+        sys.stdout.write(show_name(text) + "\n")
 
 
 def say_written(paths: Iterable[Path]) -> list[str]:
     """List the written files, if any, and return their paths as JSON values."""
     written = [str(path) for path in paths]
     if written:
-        say(f"written: {', '.join(map(show_name, written))}")
+        say(f"written: {', '.join(written)}")
     return written
 
 
@@ -171,7 +171,8 @@ def hide_results() -> Iterator[None]:
 
 def say_json(value: Mapping[str, Any]) -> None:
     """Write a value as a JSON document; numbers that are not finite become null."""
-    say(json.dumps(_make_plain(value), indent=1, allow_nan=False))
+    for line in json.dumps(_make_plain(value), indent=1, allow_nan=False).splitlines():
+        say(line)
 
 
 def _make_plain(value: Any) -> Any:

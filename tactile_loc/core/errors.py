@@ -156,7 +156,7 @@ def name_source(source: object) -> Iterator[None]:
         with note_source(source):
             yield
     except TactileLocError as error:
-        if str(source) in str(error):
+        if fold_line(str(source)) in str(error):
             raise
         raise type(error)(f"{source}: {error}") from error
 

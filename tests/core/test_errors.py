@@ -32,6 +32,8 @@ def test_errors_name_their_source_once():
         raise ConfigError("wrong")
     with pytest.raises(ConfigError, match=r"^wrong in plan\.toml$"), name_source("plan.toml"):
         raise ConfigError("wrong in plan.toml")
+    with pytest.raises(ConfigError, match=r"^wrong in \\xe4 1$"), name_source("\udce4\n1"):
+        raise ConfigError("wrong in \udce4\n1")
 
 
 @pytest.mark.parametrize(

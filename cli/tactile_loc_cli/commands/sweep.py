@@ -184,7 +184,8 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     ]  # fmt: skip
     header = ["object", *SLOTS, "noise", "seed", "state"]
     say_table([header, *rows], left=len(header))
-    say(f"\n{format_count(len(combinations), 'combination')} with {plan.count} touches each, {len(missing)} to do")
+    say()
+    say(f"{format_count(len(combinations), 'combination')} with {plan.count} touches each, {len(missing)} to do")
     say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
     say("an encoder that depends on the press depth needs a bank for each depth; one bank is counted")
     keys = [dict(zip(header, row, strict=True)) for row in rows]
@@ -198,7 +199,8 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     files = write_sweep(out, found, line)
     _say_medians(found, line)
     total = len(found.combinations)
-    say(f"\n{format_count(total, 'combination')}: {found.done} evaluated now, {total - found.done} before")
+    say()
+    say(f"{format_count(total, 'combination')}: {found.done} evaluated now, {total - found.done} before")
     say(f"stages built: {', '.join(f'{stage} {count}' for stage, count in found.built.items()) or 'none'}")
     return {
         "out": str(out), "combinations": total, "evaluated": found.done, "failed": found.failed, "built": found.built,

@@ -33,9 +33,11 @@ def doctor(
     fatal = [check.name for check in checks if check.is_fatal]
     result = {"ready": not fatal, "broken": fatal, "checks": [check.record() for check in checks]}
     if fatal:
-        say(f"\ntactile-loc cannot work here: {', '.join(fatal)}")
+        say()
+        say(f"tactile-loc cannot work here: {', '.join(fatal)}")
         raise Finding(UNEXPECTED, result)
-    say("\ntactile-loc is ready")
+    say()
+    say("tactile-loc is ready")
     return result
 
 

@@ -187,7 +187,9 @@ def _say_left_out(run: FusionRun) -> None:
         listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
         say(
             f"{run.object}: no pose touches all sensors in some examples, which are located from the first contact "
-            f"alone: {listed} contacts\n"
+            f"alone: {listed} contacts"
         )
+        say()
     if found.refused.any():
-        say(f"{run.object}: {found.refused.sum()} presses made no contact and were replaced by others\n")
+        say(f"{run.object}: {found.refused.sum()} presses made no contact and were replaced by others")
+        say()

@@ -43,7 +43,8 @@ def new_plugin(slot: Slot, name: Name, out: Out = None) -> dict[str, Any]:
     say(f"written: {folder}")
     for file in files:
         say(f"  {file}")
-    say("\nnext:")
+    say()
+    say("next:")
     where = shlex.quote(str(folder) if folder.is_absolute() else f"./{folder}")  # pip would download a bare name
     for command in (f"pip install -e {where}", f"tactile-loc plugins {slot} {name} --check", f"pytest {where}"):
         say(f"  {command}")
