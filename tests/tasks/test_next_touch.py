@@ -268,7 +268,7 @@ def test_invalid_approaches_and_modes_are_refused(knobbed):
     modes = modes_of(knobbed, np.eye(4))
     with pytest.raises(ConfigError):
         choose_next_touch(modes, [])
-    with pytest.raises(ConfigError, match=naming("T_base_sensor", 2, "(4, 4)")):
+    with pytest.raises(ConfigError, match=naming("T_base_sensor", 2, "rigid")):
         choose_next_touch(modes, [np.eye(4), 2 * np.eye(4)])
     with pytest.raises(ConfigError, match=naming("approach 1", "cost", 0)):
         choose_next_touch(modes, [towards([0, 0, 1], cost=0.0)])
