@@ -20,7 +20,7 @@ from tactile_loc.core.errors import CalibrationError, TouchError
 from tactile_loc.core.formatting import is_unicode
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES, read_video
-from tactile_loc.store.files import list_files, replace_folder
+from tactile_loc.store.files import list_files, replace_folder, shorten_name
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
@@ -116,7 +116,7 @@ def take_frames(video: Path) -> Path:
 
 def name_frames_folder(video: Path) -> Path:
     """Return the folder for the chosen frames of a video."""
-    return video.with_name(f"{video.stem}-frames")
+    return video.with_name(f"{shorten_name(video.stem)}-frames")
 
 
 def _shrink(image: Image) -> Frames:

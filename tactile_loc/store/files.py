@@ -139,6 +139,12 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("it is nested too deeply") from error
 
 
+def shorten_name(name: str) -> str:
+    """Return a name to which a few letters can be added: `name`, or its hash if file systems allow no longer name."""
+    coded = os.fsencode(name)
+    return name if len(coded) <= LONGEST_NAME else hashlib.sha256(coded).hexdigest()
+
+
 @contextmanager
 def link_plainly(path: Path) -> Iterator[Path]:
     """Yield a path that libraries in C++ can open: `path`, or a temporary link to it if its name is not Unicode."""
@@ -243,7 +249,7 @@ def _make_folder_beside(path: Path) -> Iterator[Path]:
     The folder usually has the same name for the same `path`. Leftovers of a killed process are therefore found without
     listing all files, which would be slow in a folder of many files.
     """
-    name = _shorten(path.name)
+    name = shorten_name(path.name)
     folder = path.with_name(f"{_TEMPORARY}new-{name}")
     descriptor = _claim(folder)
     while descriptor is None:  # another process uses the folder, or was killed
@@ -301,13 +307,7 @@ def _is_at(folder: Path, descriptor: int) -> bool:
 
 
 def _name_aside(path: Path) -> Path:
-    return path.with_name(f"{_TEMPORARY}old-{_shorten(path.name)}")
-
-
-def _shorten(name: str) -> str:
-    """Return a name to which a few letters can be added: `name`, or its hash if file systems allow no longer name."""
-    coded = os.fsencode(name)
-    return name if len(coded) <= LONGEST_NAME else hashlib.sha256(coded).hexdigest()
+    return path.with_name(f"{_TEMPORARY}old-{shorten_name(path.name)}")
 
 
 def _swap(new: Path, path: Path) -> None:

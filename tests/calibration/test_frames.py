@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import os
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,9 @@ def test_a_folder_without_equal_colour_images_is_refused(tmp_path):
         read_frames(tmp_path)
     write_image(tmp_path / "b.png", GEL[..., 0])
     with pytest.raises(CalibrationError, match=naming("b.png", "colour")):
+        read_frames(tmp_path)
+    write_image(tmp_path / os.fsdecode(b"\xe4.png"), GEL)
+    with pytest.raises(CalibrationError, match=naming(r"\xe4.png", "Unicode")):
         read_frames(tmp_path)
     with pytest.raises(CalibrationError, match=naming(tmp_path / "none")):
         read_frames(tmp_path / "none")

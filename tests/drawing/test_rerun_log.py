@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 
@@ -97,6 +98,8 @@ def test_an_unusable_rerun_file_is_refused_before_the_run(rerun, tmp_path, monke
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=naming(tmp_path / "file", "`out`")):
         require_rerun(tmp_path / "file" / "a.rrd")
+    with pytest.raises(OutputError, match=naming(r"\xe4.rrd", "Unicode")):
+        require_rerun(tmp_path / os.fsdecode(b"\xe4.rrd"))
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingLibraryError, match=naming("pip install 'tactile-loc[view]'")):
         require_rerun(tmp_path / "a.rrd")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,7 @@ def test_a_listed_sensor_file_keeps_the_options_of_the_same_sensor(localizer: Lo
     assert other.config.sensor.options == {"path": "other.toml"}
 
 
-def test_a_list_names_a_sensor_unless_it_has_options(tmp_path):
+def test_a_list_names_a_sensor_unless_it_has_options_or_another_name_than_unicode(tmp_path):
     (tmp_path / "calibrated").mkdir()
     for name, options, listed in (
         ("digit", {}, "digit"),
@@ -129,6 +130,7 @@ def test_a_list_names_a_sensor_unless_it_has_options(tmp_path):
         ("digit", {"path": "flat.toml"}, None),
         ("file", {"path": str(tmp_path / "flat.toml")}, "../flat.toml"),
         ("file", {"path": str(tmp_path / "flat.toml"), "gel": "layer"}, None),
+        ("file", {"path": str(tmp_path / os.fsdecode(b"\xe4.toml"))}, None),
         ("calibrated", {"path": str(tmp_path / "calibrated")}, "../calibrated"),
     ):
         assert name_listed_sensor(SlotConfig(name=name, options=options), tmp_path / "out") == listed

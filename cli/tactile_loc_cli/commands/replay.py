@@ -12,7 +12,7 @@ import typer
 
 from tactile_loc.core.errors import ConfigError, OutputError, RecordingError
 from tactile_loc.core.formatting import format_percent
-from tactile_loc.store.files import require_writable
+from tactile_loc.store.files import require_writable, shorten_name
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_written
 from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
@@ -161,7 +161,7 @@ def _require_one_way(track: bool, fuse: bool, has_base: bool) -> None:
 def _choose_out(recording: Path, out: Path | None, is_folder: bool) -> Path:
     """Return the path of the new recording or table. Raises OutputError if it cannot be written there."""
     name = recording.resolve().name
-    default = f"{name}-poses.csv" if is_folder else f"{recording.stem}-poses.mcap"
+    default = f"{shorten_name(name)}-poses.csv" if is_folder else f"{shorten_name(recording.stem)}-poses.mcap"
     chosen = Path(default) if out is None else out
     if not is_folder:
         options.require_mcap("--out", chosen)

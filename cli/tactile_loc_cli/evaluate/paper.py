@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.store.files import shorten_name
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_table, say_written
 from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
@@ -88,7 +89,7 @@ class _Plan:
 
 
 def _name_gallery(name: str, encoder: str) -> str:
-    return f"gallery-{name}-{encoder}.png"
+    return f"gallery-{shorten_name(name)}-{encoder}.png"
 
 
 def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
