@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import MissingLibraryError, ObjectError, TactileLocError, did_you_mean, note_source
+from tactile_loc.core.errors import MissingLibraryError, ObjectError, TactileLocError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
@@ -194,8 +194,7 @@ def load_object(
     check_surface(mesh, path.name)
     if not surface.is_watertight:
         notes.append(f"{path.name} is not watertight; touches are drawn from its existing faces")
-    with note_source(path.name):
-        group = judge(symmetry, mesh)
+    group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
         notes.append(
             f"detected the symmetry {group} of {path.name}; give `symmetry` '{group}' to confirm it, or `symmetry` none"
