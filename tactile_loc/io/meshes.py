@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError, ObjectError, TactileLocError, did_you_mean
+from tactile_loc.core.formatting import show_name
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
@@ -185,19 +186,19 @@ def load_object(
         path, units = demo.path, "m"
         symmetry = demo.symmetry if symmetry == "auto" else symmetry
     path = Path(path)
-    name = name or path.stem
+    name, shown = name or path.stem, show_name(path.name)
     surface = read(path)
-    scale, notes = _find_scale(surface, "auto" if is_step(path) else units, path.name)
+    scale, notes = _find_scale(surface, "auto" if is_step(path) else units, shown)
     if is_step(path) and units != "auto":
-        notes.append(f"{path.name} states its own unit, so the unit {units} is not used")
+        notes.append(f"{shown} states its own unit, so the unit {units} is not used")
     mesh = TriangleMesh(surface.vertices * scale, surface.faces)
-    check_surface(mesh, path.name)
+    check_surface(mesh, shown)
     if not surface.is_watertight:
-        notes.append(f"{path.name} is not watertight; touches are drawn from its existing faces")
+        notes.append(f"{shown} is not watertight; touches are drawn from its existing faces")
     group = judge(symmetry, mesh)
     if symmetry == "auto" and not group.is_trivial:
         notes.append(
-            f"detected the symmetry {group} of {path.name}; give `symmetry` '{group}' to confirm it, or `symmetry` none"
+            f"detected the symmetry {group} of {shown}; give `symmetry` '{group}' to confirm it, or `symmetry` none"
         )
     for note in notes:
         log.warning(note)
