@@ -2,7 +2,8 @@
 """Run the numerical tests as on other processors: with other instruction sets for numba, numpy, BLAS, torch and faiss.
 
 `make test-processors` runs all variants that this processor can compute. Each has a folder of its own for compiled
-code. `--by-commit` runs one variant, chosen by the hash of the commit. Arguments after `--` replace those of pytest.
+code. First, each variant locates the same touches. Verdicts and certain poses must be those of this processor.
+`--by-commit` runs one variant, chosen by the hash of the commit. Arguments after `--` replace those of pytest.
 """
 
 from __future__ import annotations
@@ -12,15 +13,20 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = [f"tests/{name}" for name in ("core", "locate", "plugins", "tasks", "evaluation", "benchmark", "library")]
 PYTEST = ["-q", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m", "not slow", *FOLDERS]
 NUMPY_LEVELS = ("X86_V2", "X86_V3", "X86_V4", "AVX512_ICL", "AVX512_SPR")  # the features that numpy has code for
 BEYOND_AVX2 = "X86_V4 AVX512_ICL AVX512_SPR"  # numpy's names of groups of features
+OBJECTS, TOUCHES = ("hook", "pin", "damping_pin", "cotter"), (1, 1, 2, 3)  # whose touches are located by each variant
+SAME = 1e-6  # largest difference of the elements of two poses, unitless or metres
 AVX512 = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 
 
@@ -69,11 +75,42 @@ VARIANTS = (
 
 def read_features(environment: dict[str, str]) -> dict[str, Any]:
     """Return the features that the libraries use in an environment."""
-    found = subprocess.run(
-        [sys.executable, __file__, "--features"],
-        env={**os.environ, **environment}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return dict(json.loads(found.stdout))
+    return dict(_read_json("--features", environment))
+
+
+def _read_json(option: str, environment: dict[str, str]) -> Any:
+    """Return what this program prints with an option in an environment."""
+    variables = {**os.environ, **environment}
+    found = subprocess.run([sys.executable, __file__, option], env=variables, stdout=subprocess.PIPE, check=True)
+    return json.loads(found.stdout)
+
+
+def print_answers() -> None:
+    """Locate simulated touches, and print the verdict and the first pose (4, 4), metres, of each example, as JSON."""
+    from tactile_loc import Localizer
+    from tactile_loc.locate.localizer import localize_together
+
+    found = {}
+    with tempfile.TemporaryDirectory() as store:
+        for name in OBJECTS:
+            localizer = Localizer.create(name, sensor="gelslim", store=store)
+            for seed, count in enumerate(TOUCHES):
+                touches = localizer.simulate_together(count, seed)
+                result = localize_together([(localizer, touch) for touch in touches])
+                found[f"{name}, seed {seed}, touches: {count}"] = [
+                    str(result.verdict),
+                    result.best.T_sensor_object.tolist(),
+                ]
+    print(json.dumps(found))
+
+
+def compare_answers(expected: dict[str, Any], found: dict[str, Any]) -> list[str]:
+    """Return the names of the examples whose verdict or certain pose differs. Other poses may be one of many."""
+    return [
+        name
+        for name, (verdict, T) in expected.items()
+        if found[name][0] != verdict or (verdict == "certain" and np.abs(np.subtract(found[name][1], T)).max() > SAME)
+    ]
 
 
 def print_features() -> None:
@@ -118,15 +155,24 @@ def choose_variants(names: list[str], by_commit: bool) -> list[Variant]:
     return able
 
 
-def run(variant: Variant, arguments: list[str]) -> bool:
-    """Run pytest in a variant, and return whether it passed."""
+def run(variant: Variant, expected: dict[str, Any], arguments: list[str]) -> bool:
+    """Compare the answers of a variant with those expected, run pytest in it, and return whether all is right."""
     features = read_features(variant.environment)
     print(f"processors: {variant.name}: numba {features['numba'][0]}, numpy {features['numpy'][-1]}, "
           f"{', '.join(features['blas'])}", flush=True)  # fmt: skip
-    Path(variant.environment["NUMBA_CACHE_DIR"]).mkdir(parents=True, exist_ok=True)
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    different = compare_answers(expected, _read_json("--answers", variant.environment))
+    print(
+        f"processors: {variant.name}: {len(different)} of {len(expected)} answers differ",
+        *different,
+        sep="; ",
+        flush=True,
+    )
     command = [sys.executable, "-m", "pytest", *arguments]
-    return subprocess.run(command, cwd=ROOT, env={**os.environ, **threads, **variant.environment}).returncode == 0
+    return (
+        not different
+        and subprocess.run(command, cwd=ROOT, env={**os.environ, **threads, **variant.environment}).returncode == 0
+    )
 
 
 def main() -> None:
@@ -135,13 +181,15 @@ def main() -> None:
     parser.add_argument("--variant", action="append", default=[], choices=[one.name for one in VARIANTS])
     parser.add_argument("--by-commit", action="store_true", help="run one variant, chosen by the commit's hash")
     parser.add_argument("--features", action="store_true", help="print the features in force and end")
+    parser.add_argument("--answers", action="store_true", help="print the answers to simulated touches and end")
     parser.add_argument("pytest", nargs="*", help="arguments of pytest, after --")
     given = parser.parse_args()
-    if given.features:
-        print_features()
+    if given.features or given.answers:
+        print_features() if given.features else print_answers()
         return
     variants = choose_variants(given.variant, given.by_commit)
-    failed = [variant.name for variant in variants if not run(variant, given.pytest or PYTEST)]
+    expected = _read_json("--answers", {})
+    failed = [variant.name for variant in variants if not run(variant, expected, given.pytest or PYTEST)]
     print(f"processors: passed: {', '.join(one.name for one in variants if one.name not in failed) or 'none'}")
     if failed:
         sys.exit(f"processors: tests failed as on {', '.join(failed)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import processors
 import pytest
 
@@ -42,3 +43,10 @@ def test_a_variant_changes_the_features_in_force():
     assert features != processors.read_features({})
     assert features["numba"] == ["generic", "+sse2"]
     assert not {"X86_V3", "X86_V4"} & set(features["numpy"])
+
+
+def test_answers_differ_if_a_verdict_or_a_certain_pose_does():
+    near, far = np.eye(4).tolist(), (2 * np.eye(4)).tolist()
+    expected = {"a": ["certain", near], "b": ["certain", near], "c": ["ambiguous", near], "d": ["ambiguous", near]}
+    found = {"a": ["certain", near], "b": ["certain", far], "c": ["ambiguous", far], "d": ["certain", near]}
+    assert processors.compare_answers(expected, found) == ["b", "d"]
