@@ -26,7 +26,7 @@ PYTEST = ["-q", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m",
 NUMPY_LEVELS = ("X86_V2", "X86_V3", "X86_V4", "AVX512_ICL", "AVX512_SPR")  # the features that numpy has code for
 BEYOND_AVX2 = "X86_V4 AVX512_ICL AVX512_SPR"  # numpy's names of groups of features
 OBJECTS, TOUCHES = ("hook", "pin", "damping_pin", "cotter"), (1, 1, 2, 3)  # whose touches are located by each variant
-SAME = 1e-6  # largest difference of the elements of two poses, unitless or metres
+SAME_M = 1e-6  # largest distance of two poses that are the same, up to symmetry
 AVX512 = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 
 
@@ -86,8 +86,12 @@ def _read_json(option: str, environment: dict[str, str]) -> Any:
 
 
 def print_answers() -> None:
-    """Locate simulated touches, and print the verdict and the first pose (4, 4), metres, of each example, as JSON."""
+    """Locate simulated touches, and print the verdict and the first pose of each example, as JSON.
+
+    A pose is the points (K, D), metres, of `PoseMetric.embed_orbits`.
+    """
     from tactile_loc import Localizer
+    from tactile_loc.core.poses.metric import PoseMetric
     from tactile_loc.locate.localizer import localize_together
 
     found = {}
@@ -97,20 +101,19 @@ def print_answers() -> None:
             for seed, count in enumerate(TOUCHES):
                 touches = localizer.simulate_together(count, seed)
                 result = localize_together([(localizer, touch) for touch in touches])
-                found[f"{name}, seed {seed}, touches: {count}"] = [
-                    str(result.verdict),
-                    result.best.T_sensor_object.tolist(),
-                ]
+                orbit = PoseMetric(localizer.object).embed_orbits(result.best.T_sensor_object[None])[:, 0]
+                found[f"{name}, seed {seed}, touches: {count}"] = [str(result.verdict), orbit.tolist()]
     print(json.dumps(found))
 
 
 def compare_answers(expected: dict[str, Any], found: dict[str, Any]) -> list[str]:
     """Return the names of the examples whose verdict or certain pose differs. Other poses may be one of many."""
-    return [
-        name
-        for name, (verdict, T) in expected.items()
-        if found[name][0] != verdict or (verdict == "certain" and np.abs(np.subtract(found[name][1], T)).max() > SAME)
-    ]
+    different = []
+    for name, (verdict, orbit) in expected.items():
+        off_m = np.linalg.norm(np.subtract(found[name][1], orbit[0]), axis=-1).min()
+        if found[name][0] != verdict or (verdict == "certain" and off_m > SAME_M):
+            different.append(name)
+    return different
 
 
 def print_features() -> None:
