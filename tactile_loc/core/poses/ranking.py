@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseMetric
 
-TIE_NATS = 0.02  # the rounding of another processor changes log-probabilities of poses by less
+TIE_NATS = 3e-4  # the rounding of another processor changes log-probabilities of poses by less
 GENERIC = np.array([0.71, 1.13, -0.37, 0.93, -1.31, 0.53, -0.83, 0.61, 1.07, 1.49, -1.19, 0.79])  # no pair is alike
 
 
