@@ -11,7 +11,7 @@ from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import UploadError
-from tactile_loc.io.archives import read_member
+from tactile_loc.store.archives import read_member
 from tactile_loc.store.files import write_atomically
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ UNPACKED_MB, MOST_FILES = 1000, 2000  # all files of an archive together, and th
 ARCHIVE_SUFFIX = ".zip"
 DRIVE = re.compile("[A-Za-z]:")
 HIDDEN = "__MACOSX"  # a folder that macOS adds to archives
+MOST_RUNNING, LEAST_PART = 16, 2**16  # uploads of a visitor at once; bytes of the parts of an upload, on average
 MOST_ENTRIES, ENTRY = 10 * MOST_FILES, b"PK\x01\x02"  # all of an archive, with folders and hidden files; how one begins
 DAMAGED = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
 
@@ -41,6 +42,8 @@ def limit_uploads(client: ClientHandle, show_error: Callable[[UploadError], None
         try:
             names = " with ".join([start.filename, *(one["filename"] for one in running.values())])
             require_size(names, start.size_bytes + sum(one["total_bytes"] for one in running.values()))
+            if len(running) >= MOST_RUNNING or not 0 <= LEAST_PART * (max(start.part_count, 1) - 1) <= start.size_bytes:
+                raise UploadError(f"{start.filename} cannot be uploaded in this way; upload fewer files at once")
         except UploadError as error:
             whole = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
             connection.queue_message(_messages.FileTransferPartAck(*whole))  # the browser stops waiting

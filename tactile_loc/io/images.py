@@ -30,7 +30,7 @@ from tactile_loc.core.limits import (
     require_pixels,
     require_size,
 )
-from tactile_loc.io.archives import require_packing
+from tactile_loc.store.archives import require_packing
 
 FORMATS = ".npz, .npy or 16-bit grey .png"  # formats of contact shapes
 PHOTO = "an 8-bit colour photo"
@@ -47,6 +47,7 @@ COLOUR_ARRAYS = {3: "RGB", 4: "RGBA"}  # modes of photos, by the number of chann
 ORIENTATION, TRANSPOSED = 0x0112, (5, 6, 7, 8)  # tag of EXIF, and its values that exchange width and height
 TILE_WIDTH, TILE_HEIGHT = 322, 323  # tags of TIFF
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+LONGEST_HEADER = 2**16  # bytes of a header of .npy; one of version 2 may state 4 GiB
 DAMAGES = (
     EOFError, LookupError, SyntaxError, TypeError, RuntimeError, ArithmeticError, AttributeError, MemoryError,
     lzma.LZMAError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
@@ -309,8 +310,9 @@ def _read_header(file: IO[bytes], size: int) -> NDArray[Any]:
     version = tuple(file.read(2))
     if version not in HEADERS:
         raise ValueError(f"its .npy version {version} is unknown")
-    shape, _, dtype = HEADERS[version](file)
-    left, said = size - file.tell(), math.prod(shape) * dtype.itemsize
+    head = BytesIO(file.read(LONGEST_HEADER))
+    shape, _, dtype = HEADERS[version](head)
+    left, said = size - 8 - head.tell(), math.prod(shape) * dtype.itemsize
     if dtype.hasobject:
         raise ValueError("allow_pickle")
     if min(shape, default=0) < 0 or dtype.itemsize == 0 or said > left:

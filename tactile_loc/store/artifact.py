@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
@@ -16,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
+from tactile_loc.core.limits import require_size
+from tactile_loc.store.archives import require_packing
 from tactile_loc.store.files import read_json
 from tactile_loc.store.keys import StageKey, hash_file, hash_json
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
 _MEMBER = "array"  # name of the array in a packed file, which is an ordinary npz
+_MEMORY_BYTES = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")  # of this machine
 _LEVEL = 6  # compression level; level 1 takes half the time and up to a tenth more space
 
 
@@ -128,12 +132,16 @@ def write_packed(path: Path, array: NDArray[Any]) -> None:
 def read_packed(path: Path) -> NDArray[Any]:
     """Return the array that `write_packed` wrote.
 
-    Raises OSError when the file cannot be opened, and ValueError when it holds no packed array.
+    Raises OSError when the file cannot be opened, and ValueError when it holds no packed array, or one that is larger
+    than this machine's memory.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            array: NDArray[Any] = file[_MEMBER]
-    except (zipfile.BadZipFile, zlib.error, KeyError, EOFError) as error:
+        with zipfile.ZipFile(path) as file:
+            require_packing(file.infolist())
+            require_size(sum(one.file_size for one in file.infolist()), _MEMORY_BYTES)
+        with np.load(path, allow_pickle=False) as arrays:
+            array: NDArray[Any] = arrays[_MEMBER]
+    except (zipfile.BadZipFile, zlib.error, KeyError, EOFError, MemoryError) as error:
         raise ValueError(f"it holds no packed array ({error})") from error
     return array
 

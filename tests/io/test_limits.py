@@ -30,7 +30,7 @@ import mcap.stream_reader, pyarrow.parquet, safetensors.numpy, scipy.spatial, tr
 from PIL import Image
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.io.archives import read_member
+from tactile_loc.store.archives import read_member
 from tactile_loc.io.images import load_npz, read_photo
 from tactile_loc.io.meshes import read_surface
 from tactile_loc.io.streams.recordings import Recording
@@ -180,9 +180,11 @@ def safetensors() -> bytes:
 
 
 SIDE = int((HUGE / 4) ** 0.5)
+LONG_HEAD = b"\x93NUMPY\x02\x00" + struct.pack("<L", HUGE)
 FILES: dict[str, Callable[[], bytes]] = {
     "map.npz": lambda: npz((SIDE, SIDE)), "mask.npz": lambda: npz((HUGE // 4, 1)),
     "list.npz": lambda: npz((HUGE // 4,)),
+    "head.npz": lambda: zip_member("depth.npy", deflate(HUGE, -15, LONG_HEAD), len(LONG_HEAD) + HUGE),
     "map.npy": lambda: npy_head((SIDE, SIDE)),
     "map.png": lambda: png(16, 0), "mask.png": lambda: png(8, 0), "photo.png": lambda: png(8, 2),
     "photo.tif": lambda: picture("TIFF", struct.pack("<HHLL", 256, 4, 1, 77), struct.pack("<HHLL", 256, 4, 1, 10**6)),

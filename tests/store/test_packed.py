@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,14 @@ def test_files_without_a_packed_array_are_refused(tmp_path, content):
     )
     with pytest.raises(StoreError, match=r"codes\.npz"):
         artifact.load_array("codes")
+
+
+def test_a_packed_array_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "codes.npz"
+    write_packed(path, MOSTLY_EMPTY)
+    with zipfile.ZipFile(path) as file, zipfile.ZipFile(tmp_path / "other.npz", "w", zipfile.ZIP_BZIP2) as other:
+        other.writestr("array.npy", file.read("array.npy"))
+    monkeypatch.setattr("tactile_loc.store.artifact._MEMORY_BYTES", MOSTLY_EMPTY.nbytes)
+    for name in ("codes.npz", "other.npz"):
+        with pytest.raises(ValueError, match=r"memory|deflated"):
+            read_packed(tmp_path / name)

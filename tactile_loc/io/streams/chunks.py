@@ -1,4 +1,4 @@
-"""Unpacks the chunks of recordings. A chunk that unpacks to more than `MOST_PART_BYTES` is refused."""
+"""Unpacks the chunks and messages of recordings, up to `MOST_PART_BYTES`."""
 
 from __future__ import annotations
 
@@ -50,13 +50,15 @@ def require_chunks(path: Path) -> None:
 
 
 def limit_unpacking(unpack: Callable[[bytes], bytes], most: int = MOST_PART_BYTES) -> Callable[[bytes], bytes]:
-    """Return a function that unpacks like `unpack`, bz2.decompress or that of lz4, up to `most` bytes.
+    """Return a function that unpacks like `unpack`, which is that of bz2, lz4 or zstd in rosbags, up to `most` bytes.
 
     It raises TooLargeError for more.
     """
     from lz4.frame import LZ4FrameFile, decompress
+    from rosbags.rosbag2.reader import zstd
 
-    open_stream: Any = {bz2.decompress: bz2.BZ2File, decompress: LZ4FrameFile}.get(unpack)
+    streams = {bz2.decompress: bz2.BZ2File, decompress: LZ4FrameFile, zstd.decompress: zstd.ZstdFile}
+    open_stream: Any = streams.get(unpack)
     if open_stream is None:
         return unpack
 

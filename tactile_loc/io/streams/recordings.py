@@ -12,6 +12,7 @@ from typing import IO, Any
 
 from tactile_loc.core.errors import RecordingError, did_you_mean
 from tactile_loc.core.geometry.frame_tree import FrameTree
+from tactile_loc.core.limits import MOST_PART_BYTES
 from tactile_loc.io.images import summarize
 from tactile_loc.io.streams.chunks import limit_unpacking, read_records, require_chunks
 from tactile_loc.io.streams.ros_messages import (
@@ -183,21 +184,33 @@ class Recording:
             for path in self.path.glob("*.mcap") if self.path.is_dir() else ():
                 require_chunks(path)
             with AnyReader([self.path], default_typestore=load_types(CDR)) as reader:
-                _limit_chunks(reader)
+                unpack = _limit_reading(reader)
                 encoding = CDR if reader.is2 else ROS1
                 topics = {c.id: _read_bag_topic(c, encoding) for c in reader.connections}
                 for connection, time_ns, data in reader.messages():
-                    yield Message(topics[connection.id], time_ns, time_ns, bytes(data))
+                    yield Message(topics[connection.id], time_ns, time_ns, unpack(data))
         except _list_damages() as error:
             self.damage = summarize(error)
 
 
-def _limit_chunks(reader: Any) -> None:
-    """Limit the memory for the chunks of a ROS 1 bag, in a reader of rosbags."""
+def _limit_reading(reader: Any) -> Callable[[bytes], bytes]:
+    """Limit the memory for chunks and messages in a reader of rosbags, and return what unpacks a message."""
+    from apsw import SQLITE_LIMIT_LENGTH
+    from rosbags.rosbag2.reader import zstd
+
+    unpack: Callable[[bytes], bytes] = bytes
     for bag in reader.readers:
-        if hasattr(bag, "chunks"):
+        if not reader.is2:
             for at, one in bag.chunks.items():
                 bag.chunks[at] = one._replace(decompressor=limit_unpacking(one.decompressor))
+            continue
+        for file in bag.storage.storages:
+            if hasattr(file, "dbconn"):  # in SQLite
+                file.dbconn.limit(SQLITE_LIMIT_LENGTH, MOST_PART_BYTES)
+        if bag.compression_mode == "message":
+            bag.storage.metadata = bag.storage.metadata._replace(compression_mode=None)
+            unpack = limit_unpacking(zstd.decompress)
+    return unpack
 
 
 def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topic:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import CalibrationError
+from tactile_loc.core.limits import TooLargeError, require_pixels
 from tactile_loc.io.images import summarize
 from tactile_loc.store.files import link_plainly
 
@@ -37,9 +38,13 @@ def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
     """
     read = _read_opencv if importlib.util.find_spec("cv2") else _read_imageio
     number = 0
-    for frame in read(path):
-        number += 1
-        yield np.ascontiguousarray(frame[..., :3], np.uint8)
+    try:
+        for frame in read(path):
+            require_pixels(frame.shape[1], frame.shape[0])
+            number += 1
+            yield np.ascontiguousarray(frame[..., :3], np.uint8)
+    except TooLargeError as error:
+        raise CalibrationError(f"a frame of {path} cannot be read: {error}") from error
     if not number:
         raise CalibrationError(f"{path} holds no frame that can be read; {TO_READ}")
 
@@ -84,8 +89,11 @@ def _read_imageio_facts(path: Path) -> tuple[float, float]:
 
 
 def _read_opencv(path: Path) -> Iterator[NDArray[np.uint8]]:
+    import cv2
+
     film = _open_opencv(path)
     try:
+        require_pixels(int(film.get(cv2.CAP_PROP_FRAME_WIDTH)), int(film.get(cv2.CAP_PROP_FRAME_HEIGHT)))
         while (answer := film.read())[0]:
             yield np.asarray(answer[1][..., ::-1], np.uint8)
     finally:

@@ -8,6 +8,7 @@ import lz4.frame
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2.reader import zstd
 
 from tactile_loc.core.limits import TooLargeError
 from tactile_loc.io.streams.chunks import limit_unpacking, read_records, require_chunks
@@ -16,9 +17,14 @@ DATA = np.random.default_rng(0).bytes(5000)
 
 
 @pytest.mark.parametrize(
-    ("pack", "unpack"), [(bz2.compress, bz2.decompress), (lz4.frame.compress, lz4.frame.decompress)]
+    ("pack", "unpack"),
+    [
+        (bz2.compress, bz2.decompress),
+        (lz4.frame.compress, lz4.frame.decompress),
+        (zstd.compress, zstd.decompress),
+    ],
 )
-def test_a_chunk_of_a_ros_1_bag_is_unpacked_up_to_the_limit(pack, unpack):
+def test_a_chunk_or_message_of_a_bag_is_unpacked_up_to_the_limit(pack, unpack):
     assert limit_unpacking(unpack)(pack(DATA)) == DATA
     assert limit_unpacking(unpack, len(DATA))(pack(DATA)) == DATA
     with pytest.raises(TooLargeError):

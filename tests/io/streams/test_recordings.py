@@ -124,7 +124,7 @@ def test_a_copy_has_the_same_messages_and_attachments(recorded, tmp_path):
         assert [m.metadata for m in reader.iter_metadata()] == [{"arm": "left"}]
 
 
-@pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
+@pytest.mark.parametrize("kind", ["ros1", "sqlite", "packed", "mcap"])
 def test_bags_are_read(tmp_path, kind):
     path = write_bag(tmp_path / ("drive.bag" if kind == "ros1" else "drive"), IMAGES, kind)
     recording = Recording(path)
@@ -134,6 +134,13 @@ def test_bags_are_read(tmp_path, kind):
         message = found.decode()
         assert (found.log_time_ns, read_stamp_ns(message.header)) == (k * S + 9, k * S + 7)
         np.testing.assert_array_equal(decode_image(message), IMAGES[k])
+
+
+def test_a_message_in_sqlite_above_the_limit_is_refused(tmp_path, monkeypatch):
+    path = write_bag(tmp_path / "drive", IMAGES)
+    monkeypatch.setattr("tactile_loc.io.streams.recordings.MOST_PART_BYTES", IMAGES[0].nbytes)
+    with pytest.raises(RecordingError):
+        list(Recording(path).read_messages())
 
 
 def test_bags_without_definitions_are_read(tmp_path):
