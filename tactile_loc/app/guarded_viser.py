@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import socket
 import warnings
 from collections.abc import Callable, Iterator
@@ -21,8 +22,21 @@ if TYPE_CHECKING:
 
     Answer = Callable[[ServerConnection, Request], Response | None]
 
+logger = logging.getLogger(__name__)
+
 MOST_CONNECTIONS, MOST_VISITORS = 64, 32
-LARGEST_MESSAGE = 4_000_000  # bytes; the page uploads files in parts of half a megabyte
+LARGEST_PART, LARGEST_MESSAGE = 4_000_000, 2**16  # bytes; the page uploads files in parts of half a megabyte
+SENT = (
+    "FileTransferStartUpload",
+    "FileTransferPart",
+    "TransformControlsUpdateMessage",
+    "TransformControlsDragStartMessage",
+    "TransformControlsDragEndMessage",
+)
+"""The messages that this page sends beside those of controls and of the view. Others are dropped.
+
+With some of them, viser would fill the memory, reach other visitors, or open the page to the internet.
+"""
 POLICY = (
     "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; object-src 'none'; "
     "style-src 'self' 'unsafe-inline'; connect-src 'self' ws://{host} data: blob:; base-uri 'none'; "
@@ -56,9 +70,32 @@ def start_viser(host: str, port: int, access: Access) -> ViserServer:
         if not guarded:
             server.stop()
             raise MissingLibraryError(f"viser {viser.__version__} cannot be guarded; install viser 1.1.1")
-    for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
-        server._websock_server.unregister_handler(message)  # it would open the page to the internet
+    loop = server.get_event_loop()
+    loop.call_soon_threadsafe(loop.set_exception_handler, _log_failure)
     return server
+
+
+def _log_failure(loop: Any, context: dict[str, Any]) -> None:
+    """Log a message of a visitor that viser fails on, in one line."""
+    logger.warning("a message of a visitor cannot be used (%r)", context.get("exception") or context["message"])
+
+
+def _is_sent(content: str | bytes) -> bool:
+    """Return whether a message is one that the page sends: a control with its value alone, and a view that is seen."""
+    from viser._messages import Message
+
+    try:
+        message: Any = Message.deserialize(content)  # type: ignore[arg-type]
+        match kind := type(message).__name__:
+            case "GuiUpdateMessage":
+                usable = set(message.updates) == {"value"}
+            case "ViewerCameraMessage":
+                usable = message.image_height > 0
+            case _:
+                usable = kind in SENT
+    except Exception:  # noqa: BLE001 - the bytes may be anything
+        return False
+    return usable and (kind == "FileTransferPart" or len(content) <= LARGEST_MESSAGE)
 
 
 def _require_host(host: str) -> None:
@@ -80,17 +117,23 @@ def _guard_sockets(access: Access) -> Iterator[list[bool]]:
     serve, guarded = sockets.serve, list[bool]()
 
     class Connection(sockets.ServerConnection):
-        """A connection that replaces the oldest one without a request if there are too many."""
+        """A connection that takes messages of the page alone, and replaces the oldest without an open websocket."""
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            opened = [one for one in self.server.handlers if not one.transport.is_closing()]
-            if len(opened) > MOST_CONNECTIONS:
-                next(one for one in opened if one.request is None).transport.abort()
+            others = [one for one in self.server.handlers if one is not self and not one.transport.is_closing()]
+            if len(others) >= MOST_CONNECTIONS:
+                slow = [one for one in others if one not in self.server.connections]
+                min(slow, key=lambda one: one.request is not None).transport.abort()
+
+        async def recv(self, decode: bool | None = None) -> Any:
+            while not _is_sent(content := await super().recv(decode)):
+                pass
+            return content
 
     def serve_guarded(*args: Any, process_request: Answer, **options: Any) -> Any:
         guarded.append(True)
-        limits = {"max_size": LARGEST_MESSAGE, "create_connection": Connection}
+        limits = {"max_size": LARGEST_PART, "create_connection": Connection}
         return serve(*args, process_request=_guard(process_request, access), **{**options, **limits})
 
     with _starting:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from select import select
+from socket import SO_RCVBUF, SOL_SOCKET
 from typing import Any
 
 import pytest
 
 pytest.importorskip("viser")
 
-from web_visitor import ask, idle_sockets, open_socket, send, visit
+from web_visitor import CAMERA, ask, idle_sockets, open_socket, send, visit
 
 from tactile_loc.app.guarded_viser import MOST_CONNECTIONS
 from tactile_loc.app.server import AppServer
-from tactile_loc.app.uploads import LARGEST_MB, MB
+from tactile_loc.app.uploads import LARGEST_MB, MB, MOST_RUNNING
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 
@@ -81,9 +83,34 @@ def test_a_host_of_another_machine_is_an_error(store):
             AppServer(PIN, MINI, host=host, store=store)
 
 
-def test_no_visitor_opens_the_page_to_the_internet(server):
-    names = {message.__name__ for message in server._server._websock_server._incoming_handlers}
-    assert not {name for name in names if "Share" in name}
+def test_messages_that_the_page_never_sends_reach_nobody(server, port, caplog):
+    import msgspec
+    from viser import _messages
+
+    strange = [
+        {"type": "GuiFormDirtyMessage", "uuid": "kept for all visitors"},
+        {"type": "ShareUrlRequest"},
+        {"type": "GuiUpdateMessage", "uuid": "", "updates": {"removed": True}},
+        {"type": "GuiUpdateMessage", "uuid": "x" * 2**17, "updates": {"value": ""}},
+        {"type": "GuiUpdateMessage"},
+        {**CAMERA, "image_height": 0},
+        {"type": "none"},
+        {},
+    ]
+    taken: list[str] = []
+    kinds = ("GuiFormDirtyMessage", "ShareUrlRequest", "GuiUpdateMessage", "ViewerCameraMessage")
+    with visit(port) as visitor:
+        connection = wait_until(lambda: next(iter(server.pages.values()), None)).client._websock_connection
+        for kind in kinds:
+            connection.register_handler(
+                getattr(_messages, kind), lambda _, one: taken.append(vars(one).get("uuid", ""))
+            )
+        for content in (b"", b"\xff\x00", "text", *map(msgspec.msgpack.encode, strange)):
+            visitor.send(content)
+        send(visitor, {"type": "GuiUpdateMessage", "uuid": "last", "updates": {"value": ""}})
+        wait_until(lambda: taken)
+    assert taken == ["last"]
+    assert not caplog.records
 
 
 def test_uploads_are_dropped_by_their_stated_size(server, port, monkeypatch):
@@ -111,9 +138,16 @@ def test_uploads_are_dropped_by_their_stated_size(server, port, monkeypatch):
         wait_until(lambda: len(shown) == 3)
         assert set(running) == {"half.stl"}
         assert f"{LARGEST_MB} MB" in shown[0]
+        begin("negative.stl", -1_200 * MB, 2)
+        begin("pieces.stl", MB, 10**6)
+        for number in range(MOST_RUNNING):
+            begin(f"{number}.stl", 10, 1)
+        wait_until(lambda: len(shown) == 6)
+        assert set(running) == {"half.stl", *(f"{number}.stl" for number in range(MOST_RUNNING - 1))}
+        running.clear()
         uuids = begin("small.stl", 4, 1)
         send(visitor, {"type": "FileTransferPart", **uuids, "part_index": 0, "content": b"mesh"})
-        wait_until(lambda: len(shown) == 4)  # it is no mesh
+        wait_until(lambda: len(shown) == 7)  # it is no mesh
         assert page.upload.value.content == b""
 
 
@@ -126,8 +160,13 @@ def test_visitors_who_leave_at_once_leave_nothing(server, port):
     wait_until(lambda: "follower" not in {thread.name for thread in threading.enumerate()})
 
 
-def test_idle_connections_keep_nobody_out(port):
+@pytest.mark.parametrize("request_line", ["", "GET / HTTP/1.1\r\nHost: localhost:{}\r\n\r\n"], ids=["idle", "deaf"])
+def test_connections_that_wait_keep_nobody_out(port, request_line):
     with idle_sockets(port, 250) as idle:
+        for one in idle:
+            with suppress(OSError):  # it is cut already
+                one.setsockopt(SOL_SOCKET, SO_RCVBUF, 2048)  # the page does not fit, and is not taken
+                one.sendall(request_line.format(port).encode())
         assert ask(port)[0] == 200
         closed = idle[: len(idle) - MOST_CONNECTIONS]
         assert [one for one in closed if not select([one], [], [], 30)[0]] == []
