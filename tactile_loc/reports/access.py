@@ -72,7 +72,7 @@ class Access:
         asked = parse_qs(path.partition("?")[2]).get("token", [])
         cookies = [one.strip().partition("=") for line in headers.get_all("Cookie") or [] for one in line.split(";")]
         given = [*asked, *(value for name, _, value in cookies if name == self._cookie)]
-        return any(hmac.compare_digest(one.encode(), self.token.encode()) for one in given)
+        return any(hmac.compare_digest(one.encode(errors="replace"), self.token.encode()) for one in given)
 
     @property
     def _cookie(self) -> str:

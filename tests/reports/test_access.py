@@ -57,7 +57,8 @@ def test_a_foreign_page_is_refused(origin):
 def test_other_machines_need_the_token(name):
     path, origin = f"/?token={OPEN.token}", f"http://{name}"
     assert OPEN.find_fault("/", headers(Host=name))
-    assert OPEN.find_fault("/?token=wrong", headers(Host=name))
+    for wrong in ("wrong", "\udcff", "%ff", ""):
+        assert OPEN.find_fault(f"/?token={wrong}", headers(Host=name))
     assert OPEN.find_fault(path, headers(Host=name)) == ""
     kept = OPEN.headers["Set-Cookie"].partition(";")[0]
     assert OPEN.find_fault("/a.js", headers(Host=name, Cookie=f"a=b; {kept}")) == ""
