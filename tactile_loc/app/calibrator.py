@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from tactile_loc.app.task_progress import ShowProgress, TaskProgress
-from tactile_loc.app.uploads import list_files, write_upload
+from tactile_loc.app.uploads import read_files, write_upload
 from tactile_loc.calibration.frames import SHEET
 from tactile_loc.calibration.labelling import Labels, label_presses
 from tactile_loc.calibration.outcome import Outcome, calibrate_folder
@@ -18,9 +18,11 @@ from tactile_loc.core.errors import CalibrationError, TactileLocError, UploadErr
 from tactile_loc.drawing.calibration import save_held_out, save_labels
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
+from tactile_loc.store.files import list_files
 from tactile_loc.store.store import StageStore
 
 PHOTOS = "photos"
+SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, PurePath(TABLE).suffix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ class Calibrator:
     @property
     def names(self) -> list[str]:
         """The names of the photos and videos of presses, and of the table if there is one."""
-        return sorted(path.name for path in self._photos.iterdir() if path.name != self.reference)
+        return [path.name for path in list_files(self._photos, SUFFIXES) if path.name != self.reference]
 
     def set_reference(self, name: str, content: bytes) -> None:
         """Take the photo of the untouched gel, instead of an earlier one. Raises TactileLocError if it is none."""
@@ -92,7 +94,7 @@ class Calibrator:
         """
         with tempfile.TemporaryDirectory(dir=self.folder) as temporary:
             added: list[Path] = []
-            for path, data in list_files(name, content):
+            for path, data in read_files(name, content):
                 if path.name in {other.name for other in added}:
                     raise UploadError(f"{name} holds two files {path.name}; give each photo its own name")
                 if path.name != SHEET:
@@ -125,7 +127,7 @@ class Calibrator:
     def clear(self) -> None:
         """Remove all photos. A sensor that was made from them stays."""
         self.reference = None
-        for path in self._photos.iterdir():
+        for path in list_files(self._photos, SUFFIXES):
             path.unlink()
 
     def stop(self) -> None:

@@ -22,6 +22,7 @@ from tactile_loc.reports.report import write_report
 from tactile_loc.store.files import write_atomically
 
 SCRIPT = "locate.py"
+OBJECT, SENSOR = "object", "sensor"  # folders of the copies, whose names may be those of other files
 
 _TEMPLATE = """# Locate {name!r} from {count}. Run: python {script}
 
@@ -68,13 +69,21 @@ def write_export(
 
 
 def _name_copies(config: RunConfig) -> RunConfig:
-    """Return the settings with the names of the copies of the object's and the sensor's files, not with their paths."""
+    """Return the settings with the paths of the copies of the object's and the sensor's files."""
     chosen, sensor = config.object, config.sensor
-    options = {key: Path(value).name if key == "path" else value for key, value in sensor.options.items()}
+    options = {key: _name_copy(SENSOR, value) if key == "path" else value for key, value in sensor.options.items()}
+    path = chosen.path if _is_demo(chosen.path) else _name_copy(OBJECT, chosen.path)
     return config.model_copy(update={
-        "object": chosen.model_copy(update={"path": Path(chosen.path).name}),
-        "sensor": sensor.model_copy(update={"options": options}),
+        "object": chosen.model_copy(update={"path": path}), "sensor": sensor.model_copy(update={"options": options}),
     })  # fmt: skip
+
+
+def _is_demo(path: str) -> bool:
+    return path in DEMO_OBJECTS and not Path(path).is_file()
+
+
+def _name_copy(part: str, path: str) -> str:
+    return f"{part}/{Path(path).resolve().name}"
 
 
 def _write_script(
@@ -99,7 +108,7 @@ def _list_touches(names: list[str], touches: tuple[Touch, ...]) -> str:
 
 def _copy_object(folder: Path, path: str) -> str:
     """Return the object as Python: a demo object's name, or the path of a copy of its file."""
-    return repr(path) if path in DEMO_OBJECTS and not Path(path).is_file() else _copy(folder, path)
+    return repr(path) if _is_demo(path) else _copy(folder, OBJECT, path)
 
 
 def _copy_sensor(folder: Path, localizer: Localizer) -> str:
@@ -109,23 +118,24 @@ def _copy_sensor(folder: Path, localizer: Localizer) -> str:
         return repr(sensor.name)
     options: dict[str, Any] = {"name": sensor.name, **sensor.options}
     values = (
-        f"{key!r}: str({_copy(folder, value)})" if key == "path" else f"{key!r}: {value!r}"
+        f"{key!r}: str({_copy(folder, SENSOR, value)})" if key == "path" else f"{key!r}: {value!r}"
         for key, value in options.items()
     )
     return f"{{{', '.join(values)}}}"
 
 
-def _copy(folder: Path, path: str) -> str:
-    """Copy a file or a folder into `folder`, and return the copy's path as Python. Raises OutputError."""
-    source = Path(path).resolve()
+def _copy(folder: Path, part: str, path: str) -> str:
+    """Copy a file or a folder into the folder `part`, and return the copy's path as Python. Raises OutputError."""
+    source, name = Path(path).resolve(), _name_copy(part, path)
     try:
+        (folder / part).mkdir(parents=True, exist_ok=True)
         if source.is_dir():
-            shutil.copytree(source, folder / source.name, dirs_exist_ok=True)
+            shutil.copytree(source, folder / name, dirs_exist_ok=True)
         else:
-            shutil.copyfile(source, folder / source.name)
+            shutil.copyfile(source, folder / name)
     except (OSError, shutil.Error) as error:
         raise OutputError(f"{source.name} cannot be copied to {folder}; choose another folder") from error
-    return f"HERE / {source.name!r}"
+    return f"HERE / {name!r}"
 
 
 def _write_prior(prior: GaussianPrior | None) -> str:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MB = 1_000_000
 LARGEST_MB = 200  # an uploaded file
 UNPACKED_MB, MOST_FILES = 1000, 2000  # all files of an archive together, and their number
+LONGEST_PLAIN = 255  # bytes of a name without folders, in most file systems
 ARCHIVE_SUFFIX = ".zip"
 DRIVE = re.compile("[A-Za-z]:")
 HIDDEN = "__MACOSX"  # a folder that macOS adds to archives
@@ -78,8 +79,8 @@ def write_upload(folder: Path, name: str, content: bytes) -> Path:
     """
     require_size(name, len(content))
     plain = _find_plain_name(name)
-    if not plain or plain == ".." or "\0" in plain:
-        raise UploadError(f"a file cannot be called {name!r}; give it another name")
+    if not plain or plain.startswith(".") or "\0" in plain or len(plain.encode()) > LONGEST_PLAIN:
+        raise UploadError(f"a file cannot be called {name[:LONGEST_PLAIN]!r}; give it another name")
     return _write(folder / plain, content)
 
 
@@ -103,7 +104,7 @@ def is_archive(name: str) -> bool:
     return PurePath(name).suffix.lower() == ARCHIVE_SUFFIX
 
 
-def list_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes]]:
+def read_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes]]:
     """Yield the path and the content of each file in an upload: those of a zip archive, or the one file itself.
 
     Paths in an archive are relative and stay inside it. Hidden files are left out. Raises UploadError if the upload or
@@ -155,6 +156,6 @@ def _is_hidden(path: PurePosixPath) -> bool:
 def unpack_upload(folder: Path, name: str, content: bytes) -> list[Path]:
     """Write the files of an upload into a folder, with their folders, and return their paths.
 
-    Raises UploadError as `list_files`, and OutputError if a file cannot be written.
+    Raises UploadError as `read_files`, and OutputError if a file cannot be written.
     """
-    return [_write(folder / path, data) for path, data in list_files(name, content)]
+    return [_write(folder / path, data) for path, data in read_files(name, content)]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from test_uploads import pack
 
-from tactile_loc.app.export import _copy_object
+from tactile_loc.app.export import _copy, _copy_object, _name_copies
 from tactile_loc.app.session import Session, list_poses, place_above
 from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.core.errors import (
@@ -306,13 +307,27 @@ def test_exported_files_of_an_uploaded_mesh_name_no_folder_of_the_server(session
     session.add_touch()
     found = session.locate()
     session.export(tmp_path)
-    assert json.loads((tmp_path / "result.json").read_text())["configuration"]["object"]["path"] == "block.stl"
-    for path in tmp_path.iterdir():
+    assert json.loads((tmp_path / "result.json").read_text())["configuration"]["object"]["path"] == "object/block.stl"
+    for path in filter(Path.is_file, tmp_path.rglob("*")):
         assert str(session.folder).encode() not in path.read_bytes(), path
     assert Localization.load(tmp_path).summary() == found.summary()
 
 
-def test_the_script_of_an_uploaded_mesh_holds_its_copy(session, tmp_path):
-    session.upload_object("block.stl", make_block(), "mm")
-    assert _copy_object(tmp_path, session.localizer.config.object.path) == "HERE / 'block.stl'"
-    assert (tmp_path / "block.stl").read_bytes() == make_block()
+@pytest.mark.parametrize("name", ["block.stl", "it's {name!r} of \"\\n.stl", "locate.py.stl"])
+def test_the_script_of_an_uploaded_mesh_holds_its_copy(session, tmp_path, name):
+    session.upload_object(name, make_block(), "mm")
+    copy = eval(_copy_object(tmp_path, session.localizer.config.object.path), {"HERE": tmp_path})
+    assert copy.read_bytes() == make_block()
+    assert _name_copies(session.localizer.config).object.path == str(copy.relative_to(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["locate.py", "result.json", "pin.toml"])
+def test_the_copy_of_a_sensor_replaces_no_other_file(session, tmp_path, name):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / "inner").write_text("sensor")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("kept")
+    copy = eval(_copy(tmp_path / "out", "sensor", str(folder)), {"HERE": tmp_path / "out"})
+    assert (copy / "inner").read_text() == "sensor"
+    assert (tmp_path / "out" / name).read_text() == "kept"

@@ -9,7 +9,7 @@ import zipfile
 import pytest
 
 from tactile_loc.app import uploads
-from tactile_loc.app.uploads import list_files, unpack_upload, write_upload
+from tactile_loc.app.uploads import read_files, unpack_upload, write_upload
 from tactile_loc.core.errors import UploadError
 
 
@@ -26,7 +26,7 @@ def test_an_uploaded_file_stays_in_its_folder(tmp_path, name):
     assert write_upload(tmp_path, name, b"x") == tmp_path / "part.stl"
 
 
-@pytest.mark.parametrize("name", ["", "..", "a/..", "a\0b.stl"])
+@pytest.mark.parametrize("name", ["", "..", "a/..", "a\0b.stl", ".a.stl", "ö" * 126 + ".stl"])
 def test_an_upload_needs_a_name_that_files_can_have(tmp_path, name):
     with pytest.raises(UploadError):
         write_upload(tmp_path, name, b"x")
@@ -38,7 +38,7 @@ def test_a_large_file_is_refused(tmp_path, monkeypatch):
     with pytest.raises(UploadError, match="1 MB"):
         write_upload(tmp_path, "other.stl", bytes(1_000_001))
     with pytest.raises(UploadError):
-        list(list_files("many.zip", bytes(1_000_001)))
+        list(read_files("many.zip", bytes(1_000_001)))
     assert not (tmp_path / "other.stl").exists()
 
 
@@ -83,7 +83,7 @@ def test_names_of_too_many_entries_are_not_read(monkeypatch):
     monkeypatch.setattr(uploads, "MOST_ENTRIES", 3)
     monkeypatch.setattr(zipfile, "ZipFile", None)
     with pytest.raises(UploadError, match="3"):
-        list(list_files("some.zip", b"PK\x01\x02" * 4))
+        list(read_files("some.zip", b"PK\x01\x02" * 4))
 
 
 def test_a_stated_size_that_is_wrong_is_refused(tmp_path):
