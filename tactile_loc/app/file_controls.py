@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, get_args
 
-from tactile_loc.app.markdown import Paragraph, show_plain
+from tactile_loc.app.markdown import Paragraph
 from tactile_loc.app.notices import Notices
 from tactile_loc.app.pictures import EMPTY, paint_beside, paint_photo, paint_wide
 from tactile_loc.app.session import Session
 from tactile_loc.app.uploads import LARGEST_MB, take_upload
+from tactile_loc.core.errors import fold_line
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
 from tactile_loc.core.sensing.touch import Touch
 
@@ -76,4 +77,4 @@ class FileControls:
         if touch.image is not None:
             shape = paint_wide(touch.contact_shape, touch.geometry)
             self.taken.image = paint_beside(paint_photo(touch.image, shape.shape[:2]), shape)
-            self.taken.label = f"{show_plain(touch.name)}. Left: the photo. Right: its contact shape"
+            self.taken.label = f"{fold_line(touch.name)}. Left: the photo. Right: its contact shape"

@@ -10,28 +10,23 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from tactile_loc.core.errors import fold_line
+
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-REPLACEMENT = "\ufffd"  # stands for a control character, or one that turns the direction of writing
 _LINK_SIGNS = re.compile(r"(?<=\S)(?=[:@.])")  # addresses become links where these signs follow a letter
 _BREAK = "<!-- -->"
 
 
-def show_plain(text: object) -> str:
-    """Return a text as one line of printable characters, for the page's plain texts."""
-    words = " ".join(str(text).split())
-    return "".join(letter if letter.isprintable() else REPLACEMENT for letter in words)
-
-
 def list_numbered(names: Iterable[str]) -> list[str]:
     """Return names with their numbers, from 1, as the options of a list."""
-    return [f"{number}: {show_plain(name)}" for number, name in enumerate(names, 1)]
+    return [f"{number}: {fold_line(name)}" for number, name in enumerate(names, 1)]
 
 
 def escape(text: object) -> str:
     """Return the Markdown that shows a text literally: no HTML, link, picture, list, table or emphasis."""
-    parts = _LINK_SIGNS.split(show_plain(text))
+    parts = _LINK_SIGNS.split(fold_line(str(text)))
     return _BREAK.join("".join(map(_escape_character, part)) for part in parts)
 
 

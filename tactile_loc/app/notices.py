@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.app.markdown import show_plain
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.errors import TactileLocError, fold_line
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -63,7 +62,7 @@ class Notices:
 
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
         """Show a notification."""
-        self.client.add_notification(show_plain(title), show_plain(text), auto_close_seconds=SECONDS, color=colour)
+        self.client.add_notification(fold_line(title), fold_line(text), auto_close_seconds=SECONDS, color=colour)
 
 
 class _ThreadWarnings(logging.Handler):

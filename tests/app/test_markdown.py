@@ -11,7 +11,7 @@ import pytest
 
 from tactile_loc.app import markdown
 from tactile_loc.app.export import _TEMPLATE
-from tactile_loc.app.markdown import REPLACEMENT, Paragraph, escape, show_plain
+from tactile_loc.app.markdown import Paragraph, escape
 
 APP = Path(markdown.__file__).parent
 DRAWS_MARKUP = {"add_markdown", "add_html", "add_plotly", "add_uplot", "add_modal"}
@@ -30,8 +30,8 @@ def test_markdown_has_no_sign_of_a_text(text):
     assert not re.search(r"[^\s>]&#(46|58|64);", escape(text))  # no address is in one piece, so none becomes a link
 
 
-def test_control_characters_and_turned_writing_are_replaced():
-    assert show_plain("a\x00b\u202ec\n d") == f"a{REPLACEMENT}b{REPLACEMENT}c d"
+def test_control_characters_and_turned_writing_are_escaped():
+    assert html.unescape(escape("a\x00b\u202ec\n d")) == r"a\x00b\u202ec d"
 
 
 def test_only_the_values_of_a_paragraph_are_escaped():
@@ -80,11 +80,11 @@ def test_only_one_module_writes_markup_and_all_templates_are_constant():
     assert writers == {"markdown.py"}
 
 
-def test_notifications_and_lists_show_plain_text():
+def test_notifications_and_lists_show_one_line():
     for path in APP.glob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         for call in calls(tree, "add_notification"):
-            assert [ast.unparse(text.func) for text in call.args] == ["show_plain", "show_plain"]
+            assert [ast.unparse(text.func) for text in call.args] == ["fold_line", "fold_line"]
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign) and getattr(node.targets[0], "attr", "") == "options":
                 assert "list_numbered" in ast.unparse(node.value), path
