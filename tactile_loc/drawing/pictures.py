@@ -131,9 +131,10 @@ def draw_contact_shape(
 
 
 def save_figure(path: str | Path, figure: Figure, dpi: int | None = None) -> Path:
-    """Write a figure atomically as PNG with `dpi` (default `DPI`) dots per inch, and return the path.
+    """Write a figure atomically with `dpi` (default `DPI`) dots per inch, and return the path.
 
-    Raises OutputError if the file cannot be written.
+    The suffix chooses the format, such as PDF; the default is PNG. Raises OutputError if the file cannot be
+    written.
     """
     return write_atomically(Path(path), lambda temporary: _save(figure, temporary, dpi))
 
@@ -146,13 +147,15 @@ def render_figure(figure: Figure, dpi: int | None = None) -> NDArray[np.uint8]:
 
 
 def _save(figure: Figure, file: Path | BytesIO, dpi: int | None) -> None:
-    """Write a figure as PNG. A $ in a text, which comes from the name of a file, does not begin a formula."""
+    """Write a figure. A $ in a text, which comes from the name of a file, does not begin a formula."""
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
         if "$" in text.get_text() and "mathdefault" not in text.get_text():  # of a logarithmic axis
             text.set_parse_math(False)
-    figure.savefig(file, dpi=dpi or DPI, facecolor="white", format="png")
+    asked = file.suffix[1:].lower() if isinstance(file, Path) else ""
+    kind = asked if asked in figure.canvas.get_supported_filetypes() else "png"
+    figure.savefig(file, dpi=dpi or DPI, facecolor="white", format=kind)
 
 
 def _draw_observed(panel: SubFigure, touch: Touch) -> None:

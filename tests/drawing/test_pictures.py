@@ -192,6 +192,8 @@ def test_a_figure_is_saved_in_a_new_folder_but_not_below_a_file(tmp_path, figure
     with Image.open(save_figure(tmp_path / "deep" / "a.png", figure, dpi=50)) as picture:
         picture.load()
         assert picture.size == tuple(int(50 * side) for side in figure.get_size_inches())
+    starts = [save_figure(tmp_path / name, figure).read_bytes()[:4] for name in ("a.pdf", "a.other", "a")]
+    assert starts == [b"%PDF", b"\x89PNG", b"\x89PNG"]
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         save_figure(tmp_path / "file" / "a.png", figure)
