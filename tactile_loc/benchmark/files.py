@@ -14,7 +14,7 @@ from tactile_loc.benchmark.suite import Entry, Suite
 from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import format_mm
-from tactile_loc.core.limits import require_table
+from tactile_loc.core.limits import list_values, require_table
 from tactile_loc.evaluation.recall.bop import write_bop
 from tactile_loc.evaluation.recall.tables import format_share
 from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts
@@ -99,17 +99,19 @@ def make_table(results: Results) -> Any:
 def _read_rows(path: Path) -> list[Row]:
     """Return the rows of `make_table`. Values that a row lacks are left out."""
     require_tables("a benchmark", "benchmark")
-    import pandas as pd
     from pyarrow import parquet
 
     if not path.is_file():
         raise ResultError(f"there is no file {path}: no job of the benchmark has succeeded, or the file was moved")
     try:
-        require_table(parquet.read_metadata(path))
-        table = pd.read_parquet(path)
+        table = parquet.read_table(path, read_dictionary=require_table(parquet.read_metadata(path)))
     except (OSError, ValueError) as error:
         raise ResultError(f"{path} cannot be read ({error}); run the benchmark again") from error
-    return [{key: value for key, value in row.items() if pd.notna(value)} for row in table.to_dict("records")]
+    rows = zip(*map(list_values, table.columns), strict=True)
+    return [
+        {key: value for key, value in zip(table.column_names, row, strict=True) if value is not None and value == value}
+        for row in rows
+    ]
 
 
 def describe_suite(results: Results) -> str:

@@ -39,7 +39,24 @@ def require_pixels(width: int, height: int) -> None:
         raise TooLargeError(f"it has {width} x {height} pixels; the limit is {most}")
 
 
-def require_table(metadata: Any) -> None:
-    """Raise TooLargeError if a table is too large, from the metadata of a Parquet file (pyarrow)."""
+def require_table(metadata: Any) -> list[str]:
+    """Raise TooLargeError if a table is too large, from the metadata of a Parquet file (pyarrow).
+
+    Returns the columns of texts. They must be read as dictionaries, because one long text may stand in many rows.
+    """
     packed = sum(metadata.row_group(n).total_byte_size for n in range(metadata.num_row_groups))
     require_size(max(packed, 8 * metadata.num_rows * metadata.num_columns))
+    columns = (metadata.schema.column(n) for n in range(metadata.num_columns))
+    return [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
+
+
+def list_values(column: Any) -> list[Any]:
+    """Return the values of a column (pyarrow). Equal texts are one object, and take memory once."""
+    values: list[Any] = []
+    for chunk in column.chunks:
+        if hasattr(chunk, "dictionary"):
+            texts = chunk.dictionary.to_pylist()
+            values += [None if k is None else texts[k] for k in chunk.indices.to_pylist()]
+        else:
+            values += chunk.to_pylist()
+    return values

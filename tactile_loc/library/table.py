@@ -5,10 +5,9 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
-from typing import Any
 
 from tactile_loc.core.errors import LibraryError
-from tactile_loc.core.limits import require_table
+from tactile_loc.core.limits import list_values, require_table
 from tactile_loc.library.record import hash_record, read_header, require_pyarrow
 
 
@@ -81,25 +80,12 @@ def read_table(content: bytes) -> list[PartRow]:
     from pyarrow import parquet
 
     names = [field.name for field in fields(PartRow)]
-    texts = [field.name for field in fields(PartRow) if field.type == "str"]
     try:
         # unlike `read_table`, this does not import pandas
+        texts = require_table(parquet.read_metadata(pa.BufferReader(content)))
         file = parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts)
-        require_table(file.metadata)
         found = file.read(columns=names, use_threads=False)
-        columns = [_list_values(found.column(name)) for name in names]
+        columns = [list_values(found.column(name)) for name in names]
     except (pa.ArrowException, KeyError) as error:
         raise ValueError(str(error)) from error
     return [PartRow(*values) for values in zip(*columns, strict=True)]
-
-
-def _list_values(column: Any) -> list[Any]:
-    """Return the values of a column. Equal texts are one object, so they take no more memory than in the file."""
-    values: list[Any] = []
-    for chunk in column.chunks:
-        if hasattr(chunk, "dictionary"):
-            texts = chunk.dictionary.to_pylist()
-            values += [None if k is None else texts[k] for k in chunk.indices.to_pylist()]
-        else:
-            values += chunk.to_pylist()
-    return values
