@@ -16,7 +16,8 @@ from tactile_loc.store.files import read_text
 Row = Mapping[str, str]
 
 SEPARATORS = ",;\t"
-_NAMED_SEPARATOR = re.compile(r"sep=(.)\n", re.IGNORECASE)  # a first line that spreadsheets write
+_NOTES = r"(?:[^\S\n]*(?:#.*)?\n)*"  # empty lines and comments
+_PREAMBLE = re.compile(rf"{_NOTES}(?:sep=(.)\n{_NOTES})?", re.IGNORECASE)  # spreadsheets name the separator
 _NUMBER = re.compile(r"[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?")
 
 
@@ -30,24 +31,30 @@ class Table:
 
 
 def read_table(path: Path, what: str, error: type[TactileLocError]) -> Table:
-    """Read a table from a CSV file. A missing cell is an empty text.
+    """Read a table from a CSV file. A missing cell is an empty text, and empty rows are left out.
 
+    Lines above the heading that begin with # are comments, and so are rows of one cell that begins with #.
     Cells are separated by commas, or, as in the heading, by semicolons or tabs. Then the decimal sign may be a comma.
     `what` names the content of one row, such as "sensor pose". Raises `error` if the file cannot be read or has no row.
     """
     try:
         text = read_text(path)
-        named = _NAMED_SEPARATOR.match(text)
-        text = text[named.end() :] if named else text
-        separator = named[1] if named else max(SEPARATORS, key=text.partition("\n")[0].count)
+        preamble = _PREAMBLE.match(text)
+        assert preamble is not None  # it may be empty
+        text = text[preamble.end() :]
+        separator = preamble[1] or max(SEPARATORS, key=text.partition("\n")[0].count)
         reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
-        read = [(reader.line_num, [cell.strip() for cell in line]) for line in reader if line]
+        above = preamble[0].count("\n")
+        read = [(above + reader.line_num, [cell.strip() for cell in line]) for line in reader if not _is_empty(line)]
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise error(f"{path} cannot be read as a table ({reason}); give a CSV file in UTF-8") from problem
     if len(read) < 2:
         raise error(f"{path} holds no {what}; give a heading with the names of the columns, and a row for each {what}")
     heading, cells = read[0][1], [line for _, line in read[1:]]
+    twice = next((name for name in heading if name and heading.count(name) > 1), None)
+    if twice is not None:
+        raise error(f"{path} has more than one column {twice!r}; keep one of them")
     for number, line in enumerate(cells, start=1):
         if any(line[len(heading) :]):
             raise error(
@@ -57,7 +64,12 @@ def read_table(path: Path, what: str, error: type[TactileLocError]) -> Table:
     if separator != ",":
         cells = _replace_decimal_commas(cells, path, error)
     rows = [dict(zip(heading, line + [""] * len(heading), strict=False)) for line in cells]
-    return Table(rows, heading, [number + (named is not None) for number, _ in read[1:]])
+    return Table(rows, heading, [number for number, _ in read[1:]])
+
+
+def _is_empty(line: Sequence[str]) -> bool:
+    """Return whether a row has only empty cells, or is a comment without separators."""
+    return not any(cell.strip() for cell in line) or (len(line) == 1 and line[0].startswith("#"))
 
 
 def _replace_decimal_commas(rows: Sequence[Sequence[str]], path: Path, error: type[TactileLocError]) -> list[list[str]]:

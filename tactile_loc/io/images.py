@@ -8,6 +8,7 @@ from __future__ import annotations
 import lzma
 import math
 import os
+import re
 import struct
 import tokenize
 import warnings
@@ -247,7 +248,8 @@ def explain_unreadable(path: Path, error: BaseException) -> str:
 
 def summarize(error: BaseException) -> str:
     """Return an error's message in one line, or its type if it has none."""
-    return " ".join(str(error).split()) or type(error).__name__
+    words = re.sub(r" ?<[^>]* object at 0x[0-9a-f]+>", "", str(error))  # Pillow names the object that it reads
+    return " ".join(words.split()) or type(error).__name__
 
 
 def load_npy(path: Path) -> NDArray[Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from tactile_loc.core.errors import ObjectError, StoreError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
-from tactile_loc.io.meshes import Surface, Units, find_symmetry, load_object, read_surface
+from tactile_loc.io.meshes import GLTF_SUFFIXES, Surface, Units, find_symmetry, load_object, read_surface
 from tactile_loc.io.step_files import STEP_SUFFIXES, describe_step_reader, is_step
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.files import list_files
@@ -25,6 +25,7 @@ from tactile_loc.store.workspace import Workspace
 logger = logging.getLogger(__name__)
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".off", *STEP_SUFFIXES)  # files that contain the whole surface
+PART_SUFFIXES = (*SELF_CONTAINED, *GLTF_SUFFIXES)  # of files in folders of parts
 SURFACE_VERSION, SYMMETRY_VERSION = 2, 2  # increase if the same file gives another surface or symmetry
 
 Kept = TypeVar("Kept")
@@ -32,9 +33,9 @@ Kept = TypeVar("Kept")
 
 def list_mesh_files(folder: Path) -> list[Path]:
     """Return the visible mesh files in a folder, in order. Raises ObjectError if there are none."""
-    files = list_files(folder, SELF_CONTAINED)
+    files = list_files(folder, PART_SUFFIXES)
     if not files:
-        raise ObjectError(f"{folder} holds no mesh; give a folder with files of type {', '.join(SELF_CONTAINED)}")
+        raise ObjectError(f"{folder} holds no mesh; give a folder with files of type {', '.join(PART_SUFFIXES)}")
     return files
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import io
 import logging
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,6 +111,12 @@ def find_touches(folder: Path) -> list[Path]:
     if not files:
         raise TouchError(f"{folder} holds no touch; give files of type {', '.join(sorted(TOUCH_SUFFIXES))}")
     return files
+
+
+def name_folders(files: Sequence[Path]) -> dict[Path, str]:
+    """Return the name of the folder for each file's result: without the suffix, if no other file has this name."""
+    used = Counter(name for path in files for name in {path.stem, path.name})
+    return {path: path.stem if used[path.stem] == 1 else path.name for path in files}
 
 
 def localize_files(

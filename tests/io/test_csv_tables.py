@@ -22,6 +22,7 @@ def test_cells_and_names_lose_their_spaces_and_missing_cells_are_empty(tmp_path)
     assert table.rows == [{"a": "1", "b": "x", "c": ""}, {"a": "2", "b": "y", "c": "3"}]
     assert table.lines == [3, 4]
     assert read_number(table.rows[1], "c", TouchError) == 3.0
+    assert read(tmp_path / "noted.csv", "# note\n\na,b\n\n#1.png,x\n").lines == [5]
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
@@ -33,6 +34,7 @@ def test_cells_and_names_lose_their_spaces_and_missing_cells_are_empty(tmp_path)
         ("n;x;y", "ü;1,5;-2,0e-3"),
         ("n\tx\ty", "ü\t1.5\t-2e-3"),
         ("sep=;", "n;x;y", "ü;1,5;-2e-3"),
+        ("", "# poses, in mm", "n;x;y", "# first part", "ü;1,5;-2e-3", ";;"),
     ],
 )
 def test_tables_of_spreadsheets_are_read(tmp_path, lines, end, encoding):
@@ -47,6 +49,7 @@ def test_tables_of_spreadsheets_are_read(tmp_path, lines, end, encoding):
         ("a,b\n1,5,2\n", ("row 1", "3 cells")),
         ("a;b\n1,5;2.5\n", ("decimal comma",)),
         ("a;b\n1.234,5;2\n", ("1.234,5",)),
+        ("a,b,a\n1,2,3\n", ("'a'",)),
     ],
 )
 def test_ambiguous_numbers_are_refused(tmp_path, text, words):

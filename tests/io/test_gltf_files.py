@@ -174,6 +174,9 @@ def test_an_optional_extension_needs_its_fallback(write):
     del tree["buffers"][0]["uri"]
     with pytest.raises(ObjectError, match=naming("part.gltf", EXTENSIONS[1])):
         read_surface(write(tree))
+    for buffers in ([], [{"uri": "data:,", "byteLength": 0}]):
+        with pytest.raises(ObjectError, match=naming("part.gltf", "lacks data")):
+            read_surface(write(tree | {"buffers": buffers}))
 
 
 @pytest.mark.parametrize(("key", "value"), [

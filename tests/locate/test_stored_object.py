@@ -92,3 +92,9 @@ def test_a_wrong_symmetry_is_refused_each_time(tmp_path):
     for _ in range(2):
         with pytest.raises(SymmetryError):
             module.load_stored_object(path, "m", "z4", store)
+
+
+def test_each_readable_mesh_of_a_folder_is_a_part(tmp_path):
+    for name in ("b.glb", "a.STL", "c.gltf", "._a.stl", "c.bin"):
+        (tmp_path / name).touch()
+    assert [path.name for path in module.list_mesh_files(tmp_path)] == ["a.STL", "b.glb", "c.gltf"]

@@ -24,6 +24,7 @@ from tactile_loc.locate.touch_files import (
     is_list,
     localize_files,
     match_localizers,
+    name_folders,
     name_listed_sensor,
     read_observations,
     write_table,
@@ -52,6 +53,11 @@ def test_touches_are_found_by_suffix_in_the_order_of_names(folder):
     assert [path.name for path in find_touches(folder / "*.npz")] == ["b.npz", "b9.npz", "b10.npz"]
     with pytest.raises(TouchError, match=naming("*.txt", ".npz")):
         find_touches(folder / "*.txt")
+
+
+def test_each_touch_has_a_folder_of_its_own():
+    names = name_folders([Path("in", name) for name in ("a.npz", "a.png", "a.png.npy", "b.png", "c.tar.npz")])
+    assert list(names.values()) == ["a.npz", "a.png", "a.png.npy", "b", "c.tar"]
 
 
 def test_the_overview_of_simulated_touches_is_no_touch(tmp_path):

@@ -25,7 +25,7 @@ NONE_OF_THESE = 1
 
 Objects = Annotated[
     Path,
-    options.declare("--objects", "FOLDER", "Folder of mesh files (stl, obj, ply, off, step), or a library of parts."),
+    options.declare("--objects", "FOLDER", "Folder of mesh files (stl, obj, step, glb, ...), or a library of parts."),
 ]
 Touches = Annotated[
     str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")

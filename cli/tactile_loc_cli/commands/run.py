@@ -232,17 +232,18 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
     """
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.results.located_frame import count_frames
-    from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
+    from tactile_loc.locate.touch_files import find_touches, localize_files, name_folders, write_table
     from tactile_loc_cli.results import say_located
 
     files = find_touches(folder)
+    folders = {path: out / name for path, name in name_folders(files).items()}
     found: list[LocatedFile] = []
     doubtful: list[str] = []
     shown: dict[str, Touch] = {}
     with make_progress().task(f"locating the touches of {folder}", len(files)) as advance:
         for one, localization in localize_files(localizer, files, localizer.config.touch.press_depth_m):
             if localization is not None:
-                record = _write(localizer, localization, out / one.path.stem, pictures)
+                record = _write(localizer, localization, folders[one.path], pictures)
                 doubtful += [one.name] if list_doubts(record) else []
                 shown |= {one.name: localization.touch} if page and len(shown) < MOST_SHOWN else {}
             found.append(one)
@@ -262,7 +263,7 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
         raise TouchError(f"no touch of {folder} can be located; first reason: {problems[0]}")
     return {
         "located": counts["located"],
-        "touches": [_make_json(one, out) for one in found],
+        "touches": [_make_json(one, folders[one.path]) for one in found],
         "written": [str(path) for path in written],
     }
 
@@ -306,12 +307,12 @@ def _write(localizer: Localizer, localization: Localization, folder: Path, pictu
     return record
 
 
-def _make_json(located: LocatedFile, out: Path) -> dict[str, Any]:
-    """Return the result of one touch as JSON values, in SI units."""
+def _make_json(located: LocatedFile, folder: Path) -> dict[str, Any]:
+    """Return the result of one touch, which is written to `folder`, as JSON values, in SI units."""
     if (best := located.best) is None:
         return {"touch": located.name, "verdict": located.verdict, "error": located.problem}
     return {
-        "touch": located.name, "result": str(out / located.path.stem / "result.json"),
+        "touch": located.name, "result": str(folder / "result.json"),
         "verdict": located.verdict, "probability": best.probability,
         "probability_within": located.probability_within, "imprint_iou": best.imprint_iou,
         "T_sensor_object": best.T_sensor_object.tolist(),

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 ROUNDED = 1e-3  # largest difference from a rotation that rounding to three decimals explains
-UNIT_TOLERANCE = 0.01  # largest difference of a unit vector's length from 1
+UNIT_TOLERANCE = 0.005  # largest difference of a unit vector's length from 1, as in tf2
 
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
@@ -197,8 +197,8 @@ def _find_fault(T: Array, nearest: Array, stretches: Array) -> str:
 
     `nearest` (3, 3) is the nearest orthogonal matrix, and `stretches` (3,) are the singular values of its rotation.
     """
-    if not _are_near(T[3], LAST_ROW, ROUNDED):
-        if _are_near(T[:, 3], LAST_ROW, ROUNDED):
+    if not _are_near(T[3], LAST_ROW, 1e-6):  # rounding does not change it
+        if _are_near(T[:, 3], LAST_ROW, 1e-6):
             return "its translation is in its last row, so transpose it"
         return f"its last row is {' '.join(f'{v:g}' for v in T[3])}, but must be 0 0 0 1"
     scale = float(stretches.mean())
@@ -224,7 +224,10 @@ def require_unit(v: ArrayLike, what: str, error: type[TactileLocError] = ConfigE
     found = np.asarray(v, float)
     length = float(np.linalg.norm(found))
     if not abs(length - 1) <= UNIT_TOLERANCE:
-        raise error(f"{what} has the length {length:.4g}; it must have the length 1")
+        raise error(
+            f"{what} has the length {length:.4g}; it must have the length 1, so if its numbers are rounded, give at "
+            "least three decimals"
+        )
     return found / length
 
 

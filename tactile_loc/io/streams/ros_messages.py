@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, rotation_to_quaternion_xyzw
+from tactile_loc.core.geometry.rigid import (
+    make_transform,
+    quaternion_to_rotation,
+    require_unit,
+    rotation_to_quaternion_xyzw,
+)
 from tactile_loc.io.images import UNREADABLE, find_colours, load_image, name_kind, require_opaque
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -122,13 +127,12 @@ def add_transforms(tree: FrameTree, message: Any, fixed: bool) -> None:
 def read_transform(t_m: NDArray[np.float64], q_xyzw: NDArray[np.float64], name: str = "it") -> NDArray[np.float64]:
     """Return the transform (4, 4) of a translation (3,), metres, and a quaternion (4,), scalar last, as in ROS.
 
-    Raises FrameError, which names the frame `name`, for infinite numbers or a quaternion of length zero.
+    Raises FrameError, which names the frame `name`, for infinite numbers or a quaternion that is not a unit quaternion.
     """
-    length = float(np.linalg.norm(q_xyzw))
-    if not (np.isfinite(t_m).all() and np.isfinite(length) and length > 1e-6):
-        numbers = f"translation {t_m.tolist()} and quaternion {q_xyzw.tolist()}"
-        raise FrameError(f"the transform of {name!r} is not rigid: {numbers}; check the node that publishes it")
-    return make_transform(quaternion_to_rotation(np.roll(q_xyzw / length, 1)), t_m)
+    if not np.isfinite(t_m).all():
+        raise FrameError(f"the translation of {name!r} is {t_m.tolist()}; check the node that publishes it")
+    q = require_unit(q_xyzw, f"the quaternion of {name!r}", FrameError)
+    return make_transform(quaternion_to_rotation(np.roll(q, 1)), t_m)
 
 
 def _name_frame(name: str) -> str:

@@ -216,6 +216,7 @@ TURNED = make_transform(rotation_about([1, 2, 3], 1.0), [0.4, -0.1, 0.2])
         (TURNED @ np.diag([1.0, 1.2, 1, 1]), "orthogonal"),
         (np.zeros((4, 4)) + np.diag([0, 0, 0, 1.0]), "orthogonal"),
         (TURNED.T, "transpose"),
+        (make_transform(TURNED[:3, :3], [8e-4, 0, -5e-4]).T, "transpose"),
         (TURNED * 1000, "last row"),
     ],
 )
@@ -229,7 +230,7 @@ def test_a_rounded_quaternion_gets_the_length_one():
     found = require_unit(np.round(q, 3), "the quaternion")
     assert np.linalg.norm(found) == pytest.approx(1, abs=1e-15)
     np.testing.assert_allclose(found, q, atol=1e-3)
-    for wrong in (2 * q, 0 * q, np.nan * q):
+    for wrong in (2 * q, 0.99 * q, 0 * q, np.nan * q):
         with pytest.raises(TouchError, match=naming("the quaternion", "length")):
             require_unit(wrong, "the quaternion", TouchError)
 

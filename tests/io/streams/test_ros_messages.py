@@ -112,9 +112,14 @@ def test_the_covariance_in_the_base_equals_that_of_samples_about_fixed_axes():
 
 def test_invalid_transforms_are_refused():
     np.testing.assert_allclose(
-        read_transform(np.zeros(3), np.array([0, 0, 3.0, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12
+        read_transform(np.zeros(3), np.array([0, 0, 1.004, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12
     )
-    for t, q in (([0, 0, 0], [0, 0, 0, 0]), ([np.nan, 0, 0], [0, 0, 0, 1]), ([0, 0, 0], [np.nan, 0, 0, 1])):
+    for t, q in (
+        ([0, 0, 0], [0, 0, 0, 0]),
+        ([0, 0, 0], [0, 0, 3.0, 0]),
+        ([np.nan, 0, 0], [0, 0, 0, 1]),
+        ([0, 0, 0], [np.nan, 0, 0, 1]),
+    ):
         with pytest.raises(FrameError, match="'gel'"):
             read_transform(np.array(t, float), np.array(q, float), "gel")
 
