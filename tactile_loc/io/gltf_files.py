@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import unquote
@@ -139,15 +140,18 @@ class _File:
 
     def _read_view(self, place: dict[str, Any], kind: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
         """Read numbers of a shape from the buffer view and the byte offset that `place` states."""
-        try:
+        values = None
+        with suppress(LookupError, TypeError, ValueError):  # a buffer is missing or too short
             view = self.tree["bufferViews"][place["bufferView"]]
             row = kind.itemsize * (shape[1] if len(shape) > 1 else 1)
             strides = (view.get("byteStride", row), kind.itemsize)[: len(shape)]
             start = view.get("byteOffset", 0)
             part = memoryview(self._load_buffer(view))[start : start + view["byteLength"]]
-            return np.ndarray(shape, kind, part, place.get("byteOffset", 0), strides)
-        except (LookupError, TypeError, ValueError):  # a buffer is missing, empty or too short
+            if part:  # numpy returns any memory for an empty buffer
+                values = np.ndarray(shape, kind, part, place.get("byteOffset", 0), strides)
+        if values is None:
             self._refuse()
+        return values
 
     def _load_buffer(self, view: dict[str, Any]) -> bytes:
         number = view["buffer"]
