@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
+
+_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 def show_name(name: object) -> str:
@@ -14,9 +17,14 @@ def show_name(name: object) -> str:
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape(c) for c in str(name))
 
 
+def show_bytes(text: str) -> str:
+    r"""Return a text in which each byte that is not UTF-8, a lone surrogate, is an escape such as `\xe4`."""
+    return _SURROGATE.sub(lambda found: _escape(found[0]), text)
+
+
 def is_unicode(name: object) -> bool:
     """Return whether a name can be written as Unicode: it has no lone surrogate."""
-    return not any("\ud800" <= c <= "\udfff" for c in str(name))
+    return _SURROGATE.search(str(name)) is None
 
 
 def _escape(character: str) -> str:

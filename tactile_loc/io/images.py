@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
+from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.limits import (
     MOST_BYTES,
     MOST_FILE_BYTES,
@@ -114,8 +115,8 @@ def require_opaque(alpha: NDArray[np.uint8], name: str) -> None:
     clear = float((alpha < OPAQUE).mean())
     if clear > 0:
         raise TouchError(
-            f"{name} has an alpha channel, and {max(clear, 0.01):.0%} of its pixels are transparent, so it is no photo "
-            "of a gel; give the camera's own image"
+            f"{name} has an alpha channel, and {format_percent(clear)} of its pixels are transparent, so it is no "
+            "photo of a gel; give the camera's own image"
         )
 
 

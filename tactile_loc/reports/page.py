@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import ResultError
+from tactile_loc.core.formatting import show_bytes
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -59,7 +60,7 @@ def render(page: Page) -> str:
     scripts = [*drawing, *(read_asset(name) for name in ("page.js", *page.scripts))]
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     template = load_templates().get_template("page.html.j2")
-    return template.render(page=page, style=read_asset("page.css"), scripts=scripts, hashes=hashes)
+    return show_bytes(template.render(page=page, style=read_asset("page.css"), scripts=scripts, hashes=hashes))
 
 
 @cache

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.core.formatting import is_unicode
+from tactile_loc.core.formatting import is_unicode, show_bytes
 
 _TEMPORARY = ".tmp-"
 LONGEST_NAME = 200  # bytes of a name to which letters are added; file systems allow 255
@@ -239,7 +239,7 @@ def write_text(path: Path, text: str) -> Path:
 
     A lone surrogate, which stands for a byte in the name of a file, is escaped.
     """
-    return write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8", "backslashreplace"))
+    return write_atomically(path, lambda temporary: temporary.write_text(show_bytes(text), "utf-8"))
 
 
 @contextmanager

@@ -198,9 +198,10 @@ class FolderReplay:
             missing = [name for name in track.names if name not in known]
             if missing:
                 raise FrameError(f"{track.path} names {missing[0]}, which is not in {self.folder}; correct its row")
-            if others := len(names) - len(track.names):
+            if len(names) > len(track.names):
                 log.warning(
-                    "%s holds %d images that %s does not name; they are left out", self.folder, others, track.path
+                    "%s names %d of the %d images in %s; the others are left out",
+                    *(track.path, len(track.names), len(names), self.folder),
                 )
             return tuple(zip((known[name] for name in track.names), track.times_s.tolist(), strict=True))
         timed = [(name, read_time_s(name)) for name in names]

@@ -31,6 +31,10 @@ def test_nothing_is_loaded_from_elsewhere(html):
     assert "http" not in str(policy)
 
 
+def test_bytes_in_names_become_escapes():
+    assert rb"folder Geh\xe4use" in render(Page("live", "title", "folder Geh\udce4use", [], {}, [])).encode()
+
+
 def test_the_page_contains_plotly_once_and_has_a_moderate_size(html):
     assert len(re.findall(r"plotly\.js v\d", html)) == 1
     assert 4e6 < len(html) < 8e6

@@ -292,7 +292,7 @@ def test_files_may_have_the_longest_names_and_names_that_are_not_unicode(tmp_pat
         path = tmp_path / name
         for text in ("first", "second \udce4"):
             write_text(path, text)
-        assert path.read_text(encoding="utf-8") == r"second \udce4"
+        assert path.read_text(encoding="utf-8") == r"second \xe4"
         with link_plainly(path) as plain:
             assert plain.read_bytes() == path.read_bytes()
             str(plain).encode()
