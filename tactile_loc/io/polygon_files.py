@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ObjectError
 from tactile_loc.io.polygons import EXPORT_AGAIN, Polygons
 
+COMMENT = re.compile(rb"^[ \t]*#[^\r\n]*", re.MULTILINE)  # it may end in a backslash, but does not continue
+CONTINUED = re.compile(rb"\\[ \t]*(\r\n?|\n)")
 FREE_FORM = ("surf", "curv", "curv2", "scrv")
 PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -25,7 +28,8 @@ def read_obj(path: Path) -> Polygons:
     """Read the polygons of a Wavefront OBJ file. Raises ObjectError if it has free-form surfaces."""
     vertices: list[list[str]] = []
     faces: list[list[int]] = []
-    for line in _list_lines(path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")):
+    content = COMMENT.sub(b"", path.read_bytes().removeprefix(codecs.BOM_UTF8))
+    for line in _list_lines(CONTINUED.sub(b" ", content)):
         kind, *words = line.split()
         if kind == "v":
             vertices.append(words[:3])
@@ -61,7 +65,7 @@ def read_stl(path: Path) -> Polygons:
             raise ObjectError(f"{path} does not hold the {count} triangles that it states; {EXPORT_AGAIN}")
         facets = np.frombuffer(content, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("use", "<u2")], count, 84)
         return Polygons.of_triangles(facets["corners"].reshape(-1, 3), np.arange(3 * count))
-    text = content.lower().replace(b"\r", b"\n")
+    text = content.removeprefix(codecs.BOM_UTF8).lower().replace(b"\r", b"\n")
     solids = re.findall(rb"^\s*(end)?solid\b.*$", text, re.MULTILINE)
     if not solids:
         raise ObjectError(f"{path} is not an STL file; {EXPORT_AGAIN}")
@@ -102,7 +106,7 @@ class _Property(NamedTuple):
 
 def read_ply(path: Path) -> Polygons:
     """Read the polygons of a PLY file: text, or binary in either byte order."""
-    head, _, body = re.split(rb"(end_header[^\S\n]*\n)", path.read_bytes(), maxsplit=1)
+    head, _, body = re.split(rb"^(end_header[^\S\n]*\n)", path.read_bytes(), maxsplit=1, flags=re.MULTILINE)
     lines = [line.split() for line in head.decode("utf-8", "replace").splitlines()]
     form = next(words[1] for words in lines if words[:1] == ["format"])
     is_text, order = form == "ascii", ">" if form == "binary_big_endian" else "<"

@@ -19,7 +19,8 @@ VOLUME = 18.0 * 5.0
 
 
 def write_obj(style: str) -> bytes:
-    lines = [*(f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in VERTICES), "# a channel", "vt 0 0", "vn 0 0 1", "l 1 2"]
+    points = [f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in VERTICES]
+    lines = ["# C:\\", *points, "# a channel", "vt 0 0", "vn 0 0 1", "l 1 2"]
     name = {"plain": "{}", "texture": "{}/1", "normal": "{}//1", "both": "{}/1/1", "relative": "{}"}[style]
     shift = -16 if style == "relative" else 1
     corners = [[name.format(i + shift) for i in face] for face in FACES]
@@ -33,7 +34,7 @@ def write_stl(faces: list[list[int]] = FACES) -> bytes:
     half = len(faces) // 2
     solids = [f"solid vertex {name}\n{''.join(some)}endsolid {name}\n" for name, some in
               (("one", facets[:half]), ("two", facets[half:]))]  # fmt: skip
-    return "".join(solids).encode()
+    return "".join(solids).encode("utf-8-sig")
 
 
 def write_binary_stl() -> bytes:
@@ -50,7 +51,7 @@ def write_off(header: str) -> bytes:
 
 
 def write_ply(form: str, faces: list[list[int]] = FACES) -> bytes:
-    head = ["ply", f"format {form} 1.0", "comment a channel", "element vertex 16", "property double x"]
+    head = ["ply", f"format {form} 1.0", "comment no end_header", "element vertex 16", "property double x"]
     head += ["property double y", "property uchar red", "property double z", f"element face {len(faces)}"]
     head += ["property uchar flags", "property list uchar int vertex_indices", "end_header", ""]
     rows = [(x, y, 7, z) for x, y, z in VERTICES], [(1, len(face), *face) for face in faces]
