@@ -255,7 +255,7 @@ class Page:
         self.locate.disabled = True
         self._clear_result()
         touches = name_count(len(self.session.touches))
-        self.status.fill("Locating from {}. The first time for an object takes up to a minute ...", touches)
+        self.status.fill("Locating from {}. The first time for an object takes longer ...", touches)
         try:
             found = self.session.locate()
         finally:

@@ -216,7 +216,7 @@ class Session:
             self.prior = GaussianPrior(T_base_object, translation_std_m, rotation_std_rad, self.object.symmetry)
 
     def locate(self) -> Localization:
-        """Locate the object from all touches and the prior. The model is built at first, which takes up to a minute.
+        """Locate the object from all touches and the prior. The model is built at first, which takes longer.
 
         Touches that are added meanwhile do not count. Raises TactileLocError if there is no touch, or no pose fits.
         """
