@@ -216,29 +216,30 @@ def walk_to_nearest(x, y, z, f, triangles):
     point is on an edge, rounding must not choose between its triangles. So the triangle that faces the point most is
     taken, or else the first one.
     """
-    corners, sides, ends, beside = triangles.corners, triangles.sides, triangles.ends, triangles.beside
-    least, least_off = _measure_squared_distance(x, y, z, f, corners, sides), _measure_off(x, y, z, f, triangles)
+    corners, sides, normals = triangles.corners, triangles.sides, triangles.normals
+    ends, beside = triangles.ends, triangles.beside
+    least = _measure_squared_distance(x, y, z, f, corners, sides)
     while True:
-        best = f
+        best, tie = f, SAME * least + SAME_SQUARED
         for number in range(ends[f], ends[f + 1]):
             other = beside[number]
-            off = _measure_off(x, y, z, other, triangles)
-            tie = SAME * least + SAME_SQUARED
-            if off <= least + tie:  # otherwise even the plane of the triangle is farther
+            off = _measure_off(x, y, z, other, corners, normals)
+            if off < least - tie:  # otherwise even the plane of the triangle is farther
                 d = _measure_squared_distance(x, y, z, other, corners, sides)
-                faces_more = off - least_off
-                same = d <= least + tie
-                if d < least - tie or (same and (faces_more > tie or (faces_more >= -tie and other < best))):
-                    least, least_off, best = d, off, other
+                nearer = d < least - tie
+                if not nearer and d <= least + tie:
+                    faces_more = off - _measure_off(x, y, z, best, corners, normals)
+                    nearer = faces_more > tie or (faces_more >= -tie and other < best)
+                if nearer:
+                    least, best = d, other
         if best == f:
             return f, least
         f = best
 
 
 @njit(fast=True)
-def _measure_off(x, y, z, f, triangles):
+def _measure_off(x, y, z, f, corners, normals):
     """Return the squared distance of the point x, y, z from the plane of triangle f."""
-    corners, normals = triangles.corners, triangles.normals
     off = normals[f, 0] * (x - corners[f, 0]) + normals[f, 1] * (y - corners[f, 1])
     off += normals[f, 2] * (z - corners[f, 2])
     return off * off
