@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.errors import ConfigError, TouchError, name_source
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor
@@ -116,7 +116,8 @@ def _read_mount(path: Path, values: dict[str, Any]) -> Mount | None:
         return None
     if not isinstance(name, str) or not name:
         raise ConfigError(f"{path}: mount = {name!r} is wrong; it must be the path of a mount's file, in quotes")
-    return read_mount(path.parent / name)
+    with name_source(path):
+        return read_mount(path.parent / name)
 
 
 def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange: bool) -> ListedTouch:

@@ -96,6 +96,8 @@ def test_the_sensors_pose_follows_from_the_flanges_pose_and_the_mount(folder):
     (folder / "mount.toml").unlink()
     of_flange = read_touch_list(path, of_flange=True)
     np.testing.assert_array_equal([touch.T_base_flange for touch in of_flange], [T, T])
+    with pytest.raises(ConfigError, match=naming(path.name, "mount.toml")):
+        read_touch_list(path)
 
 
 def test_a_folder_of_touches_may_have_the_name_of_its_sensor(folder):
