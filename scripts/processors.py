@@ -32,7 +32,7 @@ AVX512 = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 
 @dataclass(frozen=True)
 class Variant:
-    """A processor to compute like: its name in LLVM and OpenBLAS, and what the libraries may use of its features.
+    """A processor to imitate, by its names in LLVM and OpenBLAS and by the features that numpy must not use.
 
     `needs` are LLVM's names of features without which this processor cannot compute the variant.
     """
@@ -59,7 +59,7 @@ class Variant:
 
 
 VARIANTS = (
-    Variant("sse2", frozenset(), ("generic", "+sse2"), f"X86_V3 {BEYOND_AVX2}", "Nehalem", "generic"),
+    Variant("sse2", frozenset({"sse2"}), ("generic", "+sse2"), f"X86_V3 {BEYOND_AVX2}", "Nehalem", "generic"),
     Variant("haswell", frozenset({"avx2", "bmi2", "fma"}), ("haswell", ""), BEYOND_AVX2, "Haswell", "avx2"),
     Variant("skylake-avx512", frozenset(AVX512), ("skylake-avx512", ""), "AVX512_ICL AVX512_SPR", "SkylakeX", "avx512"),
     Variant(
@@ -137,7 +137,7 @@ def list_host_features() -> set[str]:
 
 
 def choose_variants(names: list[str], by_commit: bool) -> list[Variant]:
-    """Return the variants to run. Those that this processor cannot compute, or that change nothing, are reported."""
+    """Return the variants to run. Report the variants that this processor cannot compute, or that change nothing."""
     plain, host = read_features({}), list_host_features()
     able = []
     for variant in VARIANTS:
@@ -146,9 +146,11 @@ def choose_variants(names: list[str], by_commit: bool) -> list[Variant]:
         missing = variant.needs - host
         if missing:
             print(f"processors: {variant.name} is skipped, because this processor lacks {', '.join(sorted(missing))}")
-        elif read_features(variant.environment) == plain:
+        elif (features := read_features(variant.environment)) == plain:
             print(f"processors: {variant.name} is skipped, because it changes nothing on this processor")
         else:
+            print(f"processors: {variant.name}: numba {features['numba'][0]}, numpy {', '.join(features['numpy'])}, "
+                  f"{', '.join(features['blas'])}", flush=True)  # fmt: skip
             able.append(variant)
     if not able:
         sys.exit("processors: no variant changes the instruction sets of this processor, so nothing was tested")
@@ -160,22 +162,15 @@ def choose_variants(names: list[str], by_commit: bool) -> list[Variant]:
 
 def run(variant: Variant, expected: dict[str, Any], arguments: list[str]) -> bool:
     """Compare the answers of a variant with those expected, run pytest in it, and return whether all is right."""
-    features = read_features(variant.environment)
-    print(f"processors: {variant.name}: numba {features['numba'][0]}, numpy {features['numpy'][-1]}, "
-          f"{', '.join(features['blas'])}", flush=True)  # fmt: skip
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     different = compare_answers(expected, _read_json("--answers", variant.environment))
-    print(
-        f"processors: {variant.name}: {len(different)} of {len(expected)} answers differ",
-        *different,
-        sep="; ",
-        flush=True,
+    count = f"{len(different)} of {len(expected)} answers differ"
+    print(f"processors: {variant.name}: {'; '.join([count, *different])}", flush=True)
+    command, environment = (
+        [sys.executable, "-m", "pytest", *arguments],
+        {**os.environ, **threads, **variant.environment},
     )
-    command = [sys.executable, "-m", "pytest", *arguments]
-    return (
-        not different
-        and subprocess.run(command, cwd=ROOT, env={**os.environ, **threads, **variant.environment}).returncode == 0
-    )
+    return not different and subprocess.run(command, cwd=ROOT, env=environment).returncode == 0
 
 
 def main() -> None:

@@ -137,22 +137,25 @@ def _find_depth(held: Mapping[str, NDArray[Any]], path: Path) -> str:
 
 def _find_text(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> str | None:
     """Return a text, which may be stored as bytes or as an array of one text; None if there is none."""
-    if name not in arrays:
-        return None
-    value = arrays[name]
-    if value.size != 1 or value.dtype.kind not in "SU":
-        raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be one text")
-    text = value.item()
-    return (text.decode(errors="backslashreplace") if isinstance(text, bytes) else str(text)).strip()
+    text = _find_one(arrays, name, path, "SU", "one text")
+    return (
+        None if text is None else (text.decode(errors="backslashreplace") if isinstance(text, bytes) else text).strip()
+    )
 
 
 def _find_number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float | None:
+    number = _find_one(arrays, name, path, "fiu", "one number")
+    return None if number is None else float(number)
+
+
+def _find_one(arrays: Mapping[str, NDArray[Any]], name: str, path: Path, kinds: str, wanted: str) -> Any:
+    """Return the only element of an array of one of these `kinds` (numpy), or None without the array."""
     if name not in arrays:
         return None
     value = arrays[name]
-    if value.size != 1 or value.dtype.kind not in "fiu":
-        raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be one number")
-    return float(value.item())
+    if value.size != 1 or value.dtype.kind not in kinds:
+        raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be {wanted}")
+    return value.item()
 
 
 def _find_pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:

@@ -159,7 +159,7 @@ def weigh(
     weights = np.exp(worth - worth.max())
     weights = (np.bincount(groups, weights) / np.bincount(groups))[groups]
     weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()
-    order = rank_poses(worth, np.stack([h.T_sensor_object for h in hypotheses]), metric)
+    order = rank_poses(groups, np.stack([h.T_sensor_object for h in hypotheses]), metric)
     return tuple(
         dataclasses.replace(hypotheses[i], probability=float(weights[i]), prior_nats=float(known[i])) for i in order
     )

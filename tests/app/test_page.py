@@ -112,6 +112,14 @@ def test_without_viser_the_message_names_the_extra(monkeypatch):
         require_viser()
 
 
+def require_browser() -> None:
+    """Skip a test, with the reason, unless the page can be opened in a browser."""
+    pytest.importorskip("viser")
+    pytest.importorskip("selenium")
+    if browser.find_browser() is None:
+        pytest.skip("there is no chromium with its chromedriver")
+
+
 def hostile(suffix: str = "") -> str:
     """Return a name that runs scripts, loads a picture, and links, where it is taken for HTML or Markdown."""
     script = '<img src=x onerror=top.ran=1><iframe srcdoc="<img src=x onerror=top.ran=1>">'
@@ -120,10 +128,7 @@ def hostile(suffix: str = "") -> str:
 
 @pytest.mark.slow
 def test_names_in_files_are_shown_literally(tmp_path, store):
-    pytest.importorskip("viser")
-    pytest.importorskip("selenium")
-    if browser.find_browser() is None:
-        pytest.skip("there is no chromium with its chromedriver")
+    require_browser()
     from tactile_loc.app.server import AppServer
 
     mesh, photo = tmp_path / hostile(".stl"), tmp_path / hostile(".png")
@@ -178,10 +183,7 @@ def read_console(visitor: program.Visitor) -> str:
 
 @pytest.mark.slow
 def test_visitors_press_locate_and_export(tmp_path, store):
-    pytest.importorskip("viser")
-    pytest.importorskip("selenium")
-    if browser.find_browser() is None:
-        pytest.skip("there is no chromium with its chromedriver")
+    require_browser()
     from tactile_loc.app.server import AppServer
 
     with AppServer(PIN, MINI, port=0, store=store) as server:

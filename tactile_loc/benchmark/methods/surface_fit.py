@@ -20,7 +20,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.surface_field import SurfaceField
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.ranking import rank_poses
+from tactile_loc.core.poses.ranking import group_ties, rank_poses
 from tactile_loc.core.slots.benchmarking import ScoredPoses
 from tactile_loc.core.slots.component import ComponentOptions
 
@@ -140,7 +140,7 @@ def list_best(T_base_object: Poses, scores: Floats, obj: ObjectModel) -> ScoredP
     Scores that differ by at most TIE are equal, and listed so. The order of equal poses does not depend on rounding.
     """
     metric = PoseMetric(obj)
-    order = rank_poses(scores, T_base_object, metric, TIE)[:MOST_MERGED]
+    order = rank_poses(group_ties(scores, TIE), T_base_object, metric)[:MOST_MERGED]
     merged = merge_modes(T_base_object[order], metric, APART_M, LISTED)
     kept = order[np.unique(merged[merged >= 0])]
     return ScoredPoses(T_base_object[kept], np.minimum.accumulate(scores[kept]))

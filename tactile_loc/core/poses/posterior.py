@@ -84,7 +84,9 @@ class PosePosterior:
     def find_likeliest(self) -> int:
         """Return the grid index of the most probable pose, the same one of equally probable poses on all processors."""
         tied = np.flatnonzero(self.log_p >= self.log_p.max() - TIE_NATS)
-        return int(tied[rank_poses(np.zeros(len(tied)), self.grid.T_sensor_object[tied], self.grid.metric)[0]])
+        return int(
+            tied[rank_poses(np.zeros(len(tied), np.int64), self.grid.T_sensor_object[tied], self.grid.metric)[0]]
+        )
 
     def credible_level(self, index: int, lot: float = 0.0) -> float:
         """Return the total probability of all poses likelier than pose `index` of the grid, 0 to below 1.

@@ -26,12 +26,6 @@ def group_ties(worth: NDArray[np.float64], tie: float) -> NDArray[np.int64]:
     return groups
 
 
-def rank_poses(
-    worth: NDArray[np.float64], T_object: Poses, metric: PoseMetric, tie: float = TIE_NATS
-) -> NDArray[np.int64]:
-    """Return the order (K,) of poses (K, 4, 4), metres, the greatest `worth` (K,) first.
-
-    Poses whose worth differs by at most `tie` are ordered by where they are.
-    """
-    where = metric.embed(T_object) @ GENERIC
-    return np.lexsort((where, group_ties(worth, tie)))
+def rank_poses(groups: NDArray[np.int64], T_object: Poses, metric: PoseMetric) -> NDArray[np.int64]:
+    """Return the order (K,) of poses (K, 4, 4), metres, by their `groups` (K,) of ties, and in a group by place."""
+    return np.lexsort((metric.embed(T_object) @ GENERIC, groups))

@@ -28,12 +28,12 @@ def test_a_group_has_the_values_within_the_tie_of_its_greatest():
 def test_equal_poses_have_one_order_however_they_are_given():
     rng = np.random.default_rng(4)
     poses, worth = draw_poses(8, rng), np.repeat([0.0, 1.0], 4)
-    expected = poses[rank_poses(worth, poses, METRIC)]
-    assert sorted(rank_poses(worth, poses, METRIC)[:4]) == [4, 5, 6, 7]
+    expected = poses[rank_poses(group_ties(worth, TIE_NATS), poses, METRIC)]
+    assert sorted(rank_poses(group_ties(worth, TIE_NATS), poses, METRIC)[:4]) == [4, 5, 6, 7]
     for _ in range(5):
         order = rng.permutation(8)
         noisy = worth[order] + rng.uniform(-1, 1, 8) * TIE_NATS / 3
-        assert np.array_equal(poses[order][rank_poses(noisy, poses[order], METRIC)], expected)
+        assert np.array_equal(poses[order][rank_poses(group_ties(noisy, TIE_NATS), poses[order], METRIC)], expected)
 
 
 def test_the_likeliest_pose_is_one_of_the_greatest_probability():
