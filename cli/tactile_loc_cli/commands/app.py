@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any
 
 from tactile_loc_cli import options
@@ -49,7 +49,9 @@ def app(*, given: Given, host: Host = HOST, port: Port = PORT, store: options.St
     from tactile_loc.store.store import StageStore
 
     settings = options.make_config(given)
-    with _end_like_ctrl_c(), AppServer(settings.object, settings.sensor, host, port, StageStore(store)) as server:
+    chosen = settings.object, settings.sensor, host, port, StageStore(store)
+    # a signal may come as soon as the address is printed
+    with _end_like_ctrl_c(), AppServer(*chosen) as server, suppress(KeyboardInterrupt):
         say(f"page: {server.url} (Ctrl-C ends it)")
         if server.is_open:
             say("on other machines, write the name or the address of this machine instead of 127.0.0.1")
