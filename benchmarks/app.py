@@ -61,7 +61,7 @@ def write_large(name: str, folder: Path) -> Path:
     """Write a demo object as a mesh of at least LARGE triangles with the same surface, and return its path."""
     import trimesh
 
-    from tactile_loc.io.meshes import load_object
+    from tactile_loc.io.meshes.mesh_files import load_object
 
     mesh = load_object(name).mesh
     large = trimesh.Trimesh(1e3 * mesh.vertices_m, mesh.faces, process=False)

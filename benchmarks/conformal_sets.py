@@ -28,15 +28,15 @@ import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from outside import UnseenNoise
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import TouchNoise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
-from tactile_loc.locate.conformal_fit import LISTED
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.probability.conformal_fit import LISTED
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 SENSOR = "gelsight-mini"

@@ -34,18 +34,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import NOISE, TouchNoise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.localization import Agreement, Localization
+from tactile_loc.locate.result.localization import Agreement, Localization
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 WITHIN_MM = (0.5, 1.0)

@@ -20,14 +20,14 @@ from joint import move_near
 from scipy.stats import chi2
 
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.core.sensing.noise import NOISE
+from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.slots.registry import registry
 
 MILD = dataclasses.replace(NOISE["mild"], press_share=(1.0, 1.0))
 CASES = {"mild": {"noise": MILD}, "strong": LEVELS["strong"], "misplaced": LEVELS["misplaced"]}

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.store.store import StageStore
 

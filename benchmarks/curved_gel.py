@@ -18,11 +18,11 @@ import numpy as np
 from contacts import Located, locate
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 CASES = {  # sensor that is touched, sensor whose geometry is used for locating

@@ -26,17 +26,17 @@ from numpy.typing import NDArray
 from tactile_loc.benchmark.sources.elastic import FAR_M, make_shape
 from tactile_loc.benchmark.sources.layer import press_layer
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.metrics import compute_surface_distances
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MM = 1e3

@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 from real_images import PRESSES_MM, _find_tip, _measure_off, _read_image, _write_pose, write_head
 
-from tactile_loc.calibration.folder import Calibration, read_calibration
-from tactile_loc.calibration.pressed_balls import press_balls
-from tactile_loc.calibration.reading import measure_press_m, require_image
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_inverse import recover_contact
 from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
+from tactile_loc.sensors.calibration.pressed_balls import press_balls
+from tactile_loc.sensors.reading.reading import measure_press_m, require_image
 
 MM = 1e3
 MM_PER_PX, BALL_MM = 0.059259, 2.92

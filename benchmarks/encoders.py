@@ -26,18 +26,18 @@ from single_touch import choose_spacing
 
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.drawing.pictures import save_figure
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.figures import draw_violins
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
+from tactile_loc.view.pictures import save_figure
 
 ENCODERS = {"pixel": {"name": "pixel"}, "pixel, depth": {"name": "pixel", "signal": "depth"}, "moco": {"name": "moco"}}
 WHOLE_ENCODERS: dict[str, dict[str, Any]] = {

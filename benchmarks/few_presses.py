@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from real_images import SETS, read, reduce, write_head
 
-from tactile_loc.calibration.calibrate import measure_press, split
-from tactile_loc.calibration.estimator import CalibrationProblem
-from tactile_loc.calibration.labels import Chosen
-from tactile_loc.calibration.photometric import PhotometricEstimator
-from tactile_loc.calibration.presses import PressFolder
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.slots.encoder import Checkpoints
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.sensors.calibration.calibrate import measure_press, split
+from tactile_loc.sensors.calibration.labels import Chosen
+from tactile_loc.sensors.calibration.presses import PressFolder
+from tactile_loc.sensors.reading.estimator import CalibrationProblem
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+from tactile_loc.slots.encoder import Checkpoints
 
 COUNTS = (1, 2, 5, 10, 20)
 

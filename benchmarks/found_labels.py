@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from real_images import SETS, read, write_head
 
-from tactile_loc.calibration.calibrate import measure_press, split
-from tactile_loc.calibration.estimator import CalibrationProblem
-from tactile_loc.calibration.frames import Frame
-from tactile_loc.calibration.labels import STEEPEST, Chosen
-from tactile_loc.calibration.photometric import PhotometricEstimator
-from tactile_loc.calibration.presses import PressFolder
-from tactile_loc.calibration.unlabelled import FoundPresses, find_presses
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.slots.encoder import Checkpoints
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.sensors.calibration.calibrate import measure_press, split
+from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.labels import STEEPEST, Chosen
+from tactile_loc.sensors.calibration.presses import PressFolder
+from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
+from tactile_loc.sensors.reading.estimator import CalibrationProblem
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+from tactile_loc.slots.encoder import Checkpoints
 
 Array = NDArray[np.float64]
 COLUMNS = ("center_x_px", "center_y_px", "radius_px")

@@ -18,9 +18,9 @@ import numpy as np
 from single_touch import choose_spacing
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.io.meshes import load_object
+from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 

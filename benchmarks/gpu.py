@@ -24,12 +24,12 @@ import torch
 from single_touch import choose_spacing
 from torch import nn
 
-from tactile_loc.core.simulation.listed_training import ListedProblem
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.encoders.moco.backbones import make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe
 from tactile_loc.plugins.encoders.moco.training import Trainer
+from tactile_loc.simulate.listed_training import ListedProblem
 from tactile_loc.store.store import StageStore
 
 BATCHES = (1, 256)

@@ -37,15 +37,15 @@ from generated_parts import list_likenesses
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.suite import read_split
+from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import NOISE, TouchNoise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.locate.results.verdict import judge as judge_pose
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.result.verdict import judge as judge_pose
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LOCATED, find_floors, identify
 from tactile_loc.tasks.identify_files import AS_PROBABLE

@@ -17,12 +17,12 @@ import numpy as np
 from contacts import LEVELS
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.slots.registry import registry
 
 TURNED_DEG, MOVED_MM = 8.0, 2.0
 AGAIN = 5  # repetitions of each measurement

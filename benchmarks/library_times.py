@@ -22,7 +22,7 @@ from unittest.mock import patch
 import numpy as np
 from identify import choose_asked, draw_example, open_library
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.tasks.identify import choose_shortlists, identify

@@ -31,9 +31,9 @@ from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.evaluation.sequences import Frame
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.tracked_pose import TrackedPose
+from tactile_loc.tracking.tracked_pose import TrackedPose
 
 BEFORE, AFTER, SOON = 12, 30, 3
 FAR_M = 0.33

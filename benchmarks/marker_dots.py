@@ -29,13 +29,13 @@ import real_images
 from numpy.typing import NDArray
 from real_images import PRESSES_MM, SETS, SpherePress, write_head
 
-from tactile_loc.calibration.calibrate import Calibrated, average_errors, calibrate
-from tactile_loc.calibration.frames import Frame
-from tactile_loc.calibration.markers import UntouchedGel
-from tactile_loc.calibration.presses import PressFolder, choose_size_px, read_presses
-from tactile_loc.calibration.reading import reduce_image
-from tactile_loc.calibration.unlabelled import find_presses
 from tactile_loc.io.images import load_image, write_image
+from tactile_loc.sensors.calibration.calibrate import Calibrated, average_errors, calibrate
+from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
+from tactile_loc.sensors.calibration.unlabelled import find_presses
+from tactile_loc.sensors.reading.markers import UntouchedGel
+from tactile_loc.sensors.reading.reading import reduce_image
 
 SPREAD_M, SHEAR_M = 5e-4, 2e-4  # move of the dots at a slope of 45 degrees, and largest shear
 SMOOTHING_M = 3e-4  # the gel's surface moves more smoothly than the object's shape

@@ -22,13 +22,13 @@ from elastic_gel import SIZES_PX
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from tactile_loc.core.errors import NoContactError, TactileLocError
 from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.runtime.errors import NoContactError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MM = 1e3

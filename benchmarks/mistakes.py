@@ -25,15 +25,15 @@ import trimesh
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 SENSOR, OTHER_SENSOR = {"name": "gelsight-mini", "image_size_px": (160, 120)}, {"name": "digit"}

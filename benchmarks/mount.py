@@ -20,16 +20,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.hand_eye import compute_pose_errors
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, rotation_about
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.simulation.touch_simulation import simulate_touches
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.sensing.noise import NOISE
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.planning.mount import FlangeTouches, find_mount
+from tactile_loc.simulate.touch_simulation import simulate_touches
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.mount import FlangeTouches, find_mount
 
 MOUNT_STD_M, BASE_STD_M = 0.05, 0.3
 MOVED_MM, MOVED_DEG = 5.0, 10.0

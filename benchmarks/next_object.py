@@ -34,11 +34,11 @@ from identify import choose_among, choose_asked, make_source, measure_once, open
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
-from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.tasks.approaches import draw_approaches_to_modes
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.planning.approaches import draw_approaches_to_modes
+from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.tasks.identify import Identification, identify
 from tactile_loc.tasks.library import Library
-from tactile_loc.tasks.next_touch import choose_next_touch
 
 PRESS = 0.6  # share of the sensor's deepest press
 METHODS = ("proposed", "random")

@@ -47,22 +47,22 @@ import numpy as np
 from identify import measure_once
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.recall.evaluation import RIGHT_M, is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.planning.approaches import draw_approaches_to_modes
+from tactile_loc.planning.next_touch import choose_next_touch
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.approaches import draw_approaches_to_modes
-from tactile_loc.tasks.next_touch import choose_next_touch
-from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
+from tactile_loc.tracking.pose_modes import MOST_MODES, PoseModes
 
 PRESS = 0.6  # share of the sensor's deepest press
 METHODS = ("oracle", "chosen", "random", "expected", "information")

@@ -25,19 +25,19 @@ from contacts import Located, locate
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.sensing.noise import Float32, Gel, TouchNoise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.contact_poses import draw_contact_poses
-from tactile_loc.core.simulation.noise import Float32, Gel, TouchNoise
-from tactile_loc.core.simulation.touch_simulation import PressNoise
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes import simplify_mesh
+from tactile_loc.io.meshes.mesh_files import simplify_mesh
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.simulate.contact_poses import draw_contact_poses
+from tactile_loc.simulate.touch_simulation import PressNoise
+from tactile_loc.slots.registry import registry
+from tactile_loc.slots.renderer import Renderer
 from tactile_loc.store.store import StageStore
 
 Float64 = NDArray[np.float64]

@@ -19,7 +19,7 @@ import numpy as np
 from identify import SUFFERING, choose_asked, make_source
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.io.config import RunConfig
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.tasks.library import Library

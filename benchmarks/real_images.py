@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.calibrate import Calibrated, calibrate
-from tactile_loc.calibration.circles import Circle, compare_colours, find_imprint, find_rim
-from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.presses import PressFolder, choose_size_px, convert, read_presses
-from tactile_loc.calibration.reading import Health, measure_health, measure_press_m
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.sensors.calibration.calibrate import Calibrated, calibrate
+from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
+from tactile_loc.sensors.calibration.folder import write_calibration
+from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, convert, read_presses
+from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
 from tactile_loc.store.store import StageStore
 
 # folder or file, format, ball radius and pixel size in mm, image size

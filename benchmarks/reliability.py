@@ -24,14 +24,14 @@ import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE, TouchNoise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MM = 1e3

@@ -29,12 +29,12 @@ import numpy as np
 from contacts import LEVELS, Located, locate
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # limits of the contact area, share of the sensor

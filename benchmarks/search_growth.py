@@ -21,13 +21,13 @@ from matplotlib.ticker import NullFormatter
 
 from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.drawing.pictures import make_figure, save_figure
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
+from tactile_loc.view.pictures import make_figure, save_figure
 
 SCALES, DIRECTIONS = (0.5, 1.0, 2.0, 4.0), (1000, 4000, 16_000)
 MEASURED = {"places_s": ("listing places (s)", [0.3, 1, 3, 10, 30]), "touch_s": ("one touch (s)", [0.1, 0.2, 0.4, 0.8])}

@@ -23,21 +23,21 @@ import numpy as np
 from single_touch import choose_spacing
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.calibration.estimator import GelEstimator
-from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.reading import find_contact_shape, measure_press_m
-from tactile_loc.calibration.simulated import calibrate_simulated, find_sensor
-from tactile_loc.core.errors import TouchError
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.imaging.gel import find_indentation, press_gel
-from tactile_loc.imaging.optics import Optics
-from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.config import RunConfig, parse_overrides
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.sensors.calibration.folder import write_calibration
+from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_sensor
+from tactile_loc.sensors.optics.gel import find_indentation, press_gel
+from tactile_loc.sensors.optics.lamps import Optics
+from tactile_loc.sensors.optics.simulate import render_touches
+from tactile_loc.sensors.reading.estimator import GelEstimator
+from tactile_loc.sensors.reading.reading import find_contact_shape, measure_press_m
 from tactile_loc.store.store import StageStore
 
 BATCH = 10
@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path)
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
-    logging.getLogger("tactile_loc.calibration").setLevel(logging.INFO)
+    logging.getLogger("tactile_loc.sensors").setLevel(logging.INFO)
     geometry, lamps = find_sensor(arguments.sensor)
     options = parse_overrides([f"sensor.{word}" for word in arguments.option]).get("sensor", {})
     start = time.perf_counter()

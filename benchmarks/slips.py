@@ -36,12 +36,12 @@ from track_starts import (
     soften,
 )
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.evaluation.sequences import Frame, Slip
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.tasks.tracker import Tracker
+from tactile_loc.tracking.tracker import Tracker
 
 SHOWN, IN_TIME = 0.1, 3
 MOST_DRAWS = 20  # slides until one has a slip that stays on the gel

@@ -25,13 +25,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import compute_surface_distances
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MS = 1e3

@@ -18,11 +18,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from statistics import median
 
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.stored_places import build_places
+from tactile_loc.locate.sources.stored_places import build_places
 from tactile_loc.store.store import StageStore
 
 LOCATE = "import sys\nfrom tactile_loc import Localizer\nlocalizer = Localizer.create(sys.argv[1])\n"

@@ -33,26 +33,26 @@ from numpy.typing import NDArray
 from tactile_loc.benchmark.sources.calibrating import calibrate_sensor, label_balls
 from tactile_loc.benchmark.sources.taxim_images import TaximGel
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.calibration.folder import Calibration, read_calibration
-from tactile_loc.calibration.frames import read_frames
-from tactile_loc.calibration.presses import TABLE
-from tactile_loc.calibration.reading import (
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import TactileLocError, TouchError
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.images import write_image
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
+from tactile_loc.sensors.calibration.frames import read_frames
+from tactile_loc.sensors.calibration.presses import TABLE
+from tactile_loc.sensors.reading.reading import (
     extrapolate_press_m,
     find_contact_shape,
     find_gel_surface,
     measure_press_m,
     recover_indentation,
 )
-from tactile_loc.calibration.surface import differentiate
-from tactile_loc.core.errors import TactileLocError, TouchError
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.images import write_image
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.sensors.reading.surface import differentiate
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 Float32 = NDArray[np.float32]

@@ -38,22 +38,22 @@ from reliability import add_noise
 from sequences import SENSOR_STD_M, SENSOR_STD_RAD
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError, TouchError
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
-from tactile_loc.locate.results.freedom import explain_as_well
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.freedom import explain_as_well
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.key_touches import choose_key_touches
-from tactile_loc.tasks.tracker import Tracker
+from tactile_loc.tracking.key_touches import choose_key_touches
+from tactile_loc.tracking.tracker import Tracker
 
 MM = 1e3
 RIGHT_MM = 1.0

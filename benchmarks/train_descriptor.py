@@ -33,11 +33,11 @@ from tactile_loc.core.descriptor.descriptor import STEPS
 from tactile_loc.core.descriptor.descriptor import Descriptor as Described
 from tactile_loc.core.descriptor.features import ANGLES, RADII_M, RAMPS_M
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Places
-from tactile_loc.core.simulation.noise import FAINTEST, NOISE
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.io.meshes import load_object
+from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Places
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.noise import FAINTEST, NOISE
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.slots.registry import registry
 
 HELD_OUT = ("gear", "clip", "fitting", "cam")
 TRAINED = [*(name for name in FAMILIES if name not in HELD_OUT), *ROUNDED]

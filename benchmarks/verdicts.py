@@ -27,15 +27,15 @@ from elastic_gel import SIZES_PX
 from reliability import BINS, MM, RIGHT_MM, draw_example
 
 from tactile_loc.benchmark.suite import read_split
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 FITTED = (

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
-from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, Declared
-from tactile_loc.core.slots.registry import BUILT_IN, registry
+from tactile_loc.slots.compatibility import INCOMPATIBILITIES, Declared
+from tactile_loc.slots.registry import BUILT_IN, registry
 
 PAGE = Path(__file__).parent / "plugins.md"
 TABLE = re.compile(r"(?<=<!-- combinations -->\n).*?(?=<!-- /combinations -->)", re.DOTALL)

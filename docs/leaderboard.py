@@ -15,8 +15,8 @@ from pathlib import Path
 from tactile_loc.benchmark.files import HEAD, TABLE_NOTE, list_cells
 from tactile_loc.benchmark.leaderboard import Standing, read_standings
 from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
-from tactile_loc.core.slots.registry import BUILT_IN, registry
 from tactile_loc.evaluation.tabular import format_markdown
+from tactile_loc.slots.registry import BUILT_IN, registry
 
 DOCS = Path(__file__).parent
 PAGE, GUIDE = DOCS / "leaderboard.md", DOCS / "benchmark.md"

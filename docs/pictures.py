@@ -14,15 +14,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_millimetres, format_percent
 from tactile_loc.core.geometry.hand_eye import compute_pose_errors
 from tactile_loc.core.geometry.rigid import Poses, invert, move_covariance, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.formatting import format_millimetres, format_percent
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.drawing.pictures import (
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.sequences import SlidingTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.planning.approaches import draw_approaches
+from tactile_loc.planning.next_touch import choose_next_touch
+from tactile_loc.slots.registry import registry
+from tactile_loc.tracking.pose_modes import MOST_MODES
+from tactile_loc.tracking.tracked_pose import TrackedPose
+from tactile_loc.tracking.tracker import Tracker
+from tactile_loc.view.pictures import (
     compute_extent_mm,
     draw_contact_shape,
     draw_outline,
@@ -30,17 +39,8 @@ from tactile_loc.drawing.pictures import (
     make_figure,
     save_figure,
 )
-from tactile_loc.drawing.pose_panel import draw_pose
-from tactile_loc.drawing.tasks import draw_next_touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import SlidingTouches
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.tasks.approaches import draw_approaches
-from tactile_loc.tasks.next_touch import choose_next_touch
-from tactile_loc.tasks.pose_modes import MOST_MODES
-from tactile_loc.tasks.tracked_pose import TrackedPose
-from tactile_loc.tasks.tracker import Tracker
+from tactile_loc.view.pose_panel import draw_pose
+from tactile_loc.view.tasks import draw_next_touch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,8 +7,8 @@ import numpy as np
 import trimesh
 
 from tactile_loc import Localizer
-from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.simulate import render_touches
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.simulate import render_touches
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--picture", metavar="PATH", help="draw the image and the projected outline as PNG")

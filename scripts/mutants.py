@@ -44,9 +44,9 @@ TARGETS = (
     _mirror("contact", "core/sensing/contact", more=(CURVED, "-k", f"not ({SLOW})")),
     _mirror("poses", "core/poses/metric"),
     _mirror("posterior", "core/poses/posterior"),
-    Target("fusing", ("core/slots/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
-           ("tests/core/slots/test_common_poses.py", "tests/plugins/fusers", NOUNS)),
-    _mirror("covariance", "core/objects/mesh", "core/geometry/hand_eye", "tasks/pose_filter"),
+    Target("fusing", ("bases/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
+           ("tests/bases/test_common_poses.py", "tests/plugins/fusers", NOUNS)),
+    _mirror("covariance", "core/objects/mesh", "core/geometry/hand_eye", "tracking/pose_filter"),
     _mirror("store", *(f"store/{name}" for name in STORE), more=("-k", f"not ({PROCESSES})")),
 )  # fmt: skip
 

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tactile_loc.core.lazy import lazy_names
+from tactile_loc.core.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from tactile_loc.core.errors import NoContactError as NoContactError
-    from tactile_loc.core.errors import TactileLocError as TactileLocError
     from tactile_loc.core.geometry.frame_tree import FrameTree as FrameTree
     from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel
     from tactile_loc.core.objects.mesh import TriangleMesh as TriangleMesh
@@ -23,19 +21,19 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.poses.priors import RegionPrior as RegionPrior
     from tactile_loc.core.poses.tolerance import Tolerance as Tolerance
+    from tactile_loc.core.runtime.errors import NoContactError as NoContactError
+    from tactile_loc.core.runtime.errors import TactileLocError as TactileLocError
+    from tactile_loc.core.sensing.noise import make_noise as make_noise
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
-    from tactile_loc.core.simulation.noise import make_noise as make_noise
-    from tactile_loc.drawing.pictures import draw_result as draw_result
-    from tactile_loc.drawing.pictures import save_figure as save_figure
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
-    from tactile_loc.io.meshes import load_object as load_object
-    from tactile_loc.io.meshes import simplify_mesh as simplify_mesh
+    from tactile_loc.io.meshes.mesh_files import load_object as load_object
+    from tactile_loc.io.meshes.mesh_files import simplify_mesh as simplify_mesh
     from tactile_loc.io.options import HypothesisOptions as HypothesisOptions
     from tactile_loc.io.options import SearchOptions as SearchOptions
     from tactile_loc.io.options import TrackerOptions as TrackerOptions
@@ -50,41 +48,43 @@ if TYPE_CHECKING:
     from tactile_loc.io.touches import write_touch as write_touch
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
-    from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
-    from tactile_loc.locate.results.hypothesis import Hypothesis as Hypothesis
-    from tactile_loc.locate.results.hypothesis import JudgedHypothesis as JudgedHypothesis
-    from tactile_loc.locate.results.localization import Localization as Localization
-    from tactile_loc.locate.results.located_frame import LocatedFrame as LocatedFrame
-    from tactile_loc.locate.results.verdict import Verdict as Verdict
+    from tactile_loc.locate.probability.probabilities import TemperatureScaling as TemperatureScaling
+    from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
+    from tactile_loc.locate.result.hypothesis import JudgedHypothesis as JudgedHypothesis
+    from tactile_loc.locate.result.localization import Localization as Localization
+    from tactile_loc.locate.result.located_frame import LocatedFrame as LocatedFrame
+    from tactile_loc.locate.result.verdict import Verdict as Verdict
+    from tactile_loc.planning.approaches import draw_approaches as draw_approaches
+    from tactile_loc.planning.approaches import draw_approaches_to_modes as draw_approaches_to_modes
+    from tactile_loc.planning.clearance import Clearance as Clearance
+    from tactile_loc.planning.clearance import make_box_finger as make_box_finger
+    from tactile_loc.planning.mount import FlangeTouches as FlangeTouches
+    from tactile_loc.planning.mount import FoundMount as FoundMount
+    from tactile_loc.planning.mount import find_mount as find_mount
+    from tactile_loc.planning.next_step import suggest_next_step as suggest_next_step
+    from tactile_loc.planning.next_touch import NextTouch as NextTouch
+    from tactile_loc.planning.next_touch import RatedApproach as RatedApproach
+    from tactile_loc.planning.next_touch import choose_next_touch as choose_next_touch
     from tactile_loc.store.store import StageStore as StageStore
     from tactile_loc.sweeps.plan import Plan as Plan
     from tactile_loc.sweeps.results import write_sweep as write_sweep
     from tactile_loc.sweeps.sweep import run_sweep as run_sweep
     from tactile_loc.sweeps.workers import LocalWorkers as LocalWorkers
-    from tactile_loc.tasks.approaches import draw_approaches as draw_approaches
-    from tactile_loc.tasks.approaches import draw_approaches_to_modes as draw_approaches_to_modes
-    from tactile_loc.tasks.clearance import Clearance as Clearance
-    from tactile_loc.tasks.clearance import make_box_finger as make_box_finger
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
     from tactile_loc.tasks.identify import identify as identify
     from tactile_loc.tasks.library import Library as Library
-    from tactile_loc.tasks.live import LiveLocator as LiveLocator
-    from tactile_loc.tasks.mount import FlangeTouches as FlangeTouches
-    from tactile_loc.tasks.mount import FoundMount as FoundMount
-    from tactile_loc.tasks.mount import find_mount as find_mount
-    from tactile_loc.tasks.next_step import suggest_next_step as suggest_next_step
-    from tactile_loc.tasks.next_touch import NextTouch as NextTouch
-    from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
-    from tactile_loc.tasks.next_touch import choose_next_touch as choose_next_touch
     from tactile_loc.tasks.null_evidence import NullEvidence as NullEvidence
-    from tactile_loc.tasks.pose_modes import PoseModes as PoseModes
-    from tactile_loc.tasks.replay import FolderReplay as FolderReplay
-    from tactile_loc.tasks.replay import Replay as Replay
-    from tactile_loc.tasks.replay_modes import fuse_frames as fuse_frames
-    from tactile_loc.tasks.tracked_pose import TrackedPose as TrackedPose
-    from tactile_loc.tasks.tracker import Motion as Motion
-    from tactile_loc.tasks.tracker import Tracker as Tracker
+    from tactile_loc.tracking.live import LiveLocator as LiveLocator
+    from tactile_loc.tracking.pose_modes import PoseModes as PoseModes
+    from tactile_loc.tracking.replay import FolderReplay as FolderReplay
+    from tactile_loc.tracking.replay import Replay as Replay
+    from tactile_loc.tracking.replay_modes import fuse_frames as fuse_frames
+    from tactile_loc.tracking.tracked_pose import TrackedPose as TrackedPose
+    from tactile_loc.tracking.tracker import Motion as Motion
+    from tactile_loc.tracking.tracker import Tracker as Tracker
+    from tactile_loc.view.pictures import draw_result as draw_result
+    from tactile_loc.view.pictures import save_figure as save_figure
 
 __version__: str
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_loc.core.slots.registry import ComponentSpec, hookimpl, registry
+from tactile_loc.slots.registry import ComponentSpec, hookimpl, registry
 
 MOVING = """\
 import numpy as np

@@ -16,21 +16,22 @@ import pytest
 import trimesh
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
 
-from tactile_loc.calibration import gel_fit, pressed_balls
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.scene import Scene
-from tactile_loc.drawing import pictures, pose_panel, raytracing, touching_again
-from tactile_loc.locate import conformal_fit, probabilities
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.probability import conformal_fit, probabilities
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.sensors.calibration import gel_fit, pressed_balls
 from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
+from tactile_loc.view import one_versus_several as touching_again
+from tactile_loc.view import pictures, pose_panel, raytracing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tactile_loc.calibration.labels import LabelledPresses, PressLabel, label_ball
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.imaging.gel import press_gel
-from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import render_background, render_images
 from tactile_loc.io.sensor_files import write_sensor_file
+from tactile_loc.sensors.calibration.labels import LabelledPresses, PressLabel, label_ball
+from tactile_loc.sensors.optics.gel import press_gel
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background, render_images
 
 MM = 1e-3
 BALL_M = 3e-3
@@ -156,10 +156,10 @@ def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
 
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
     """Write a calibrated sensor and return its folder; without presses, its estimator is untrained. Needs torch."""
-    from tactile_loc.calibration.calibrate import calibrate
-    from tactile_loc.calibration.estimator import validate_estimator_options
-    from tactile_loc.calibration.folder import write_calibration
-    from tactile_loc.calibration.photometric import PhotometricEstimator
+    from tactile_loc.sensors.calibration.calibrate import calibrate
+    from tactile_loc.sensors.calibration.folder import write_calibration
+    from tactile_loc.sensors.reading.estimator import validate_estimator_options
+    from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 
     chosen = {**TINY, **options}
     if learned_from is None:

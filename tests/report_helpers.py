@@ -24,8 +24,8 @@ from tactile_loc.evaluation.recall.tables import write_recall_tables
 from tactile_loc.evaluation.tables import Run, write_tables
 from tactile_loc.io.streams.records import write_record
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.result_arrays import gather_arrays, write_arrays
-from tactile_loc.locate.results.result_json import make_record
+from tactile_loc.locate.result.result_arrays import gather_arrays, write_arrays
+from tactile_loc.locate.result.result_json import make_record
 from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import make_page

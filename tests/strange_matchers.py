@@ -10,10 +10,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from tactile_loc.core.slots import registry as module
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.matcher import Matcher
-from tactile_loc.core.slots.registry import ComponentSpec, hookimpl, registry
+from tactile_loc.slots import registry as module
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.matcher import Matcher
+from tactile_loc.slots.registry import ComponentSpec, hookimpl, registry
 
 
 class Plain(Matcher):

@@ -11,7 +11,7 @@ import pytest
 from tactile_loc.app.session import Session, place_above
 from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.io.config import ObjectConfig, SlotConfig
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.store.store import StageStore
 
 with pytest.MonkeyPatch.context() as patch:

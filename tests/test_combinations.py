@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import strange_matchers
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.slots import registry as registry_module
-from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, require_compatible
-from tactile_loc.core.slots.registry import PROJECT, registry
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.slots import registry as registry_module
+from tactile_loc.slots.compatibility import INCOMPATIBILITIES, require_compatible
+from tactile_loc.slots.registry import PROJECT, registry
 from tactile_loc.store.store import StageStore
 
 ROOT = Path(__file__).parents[1]

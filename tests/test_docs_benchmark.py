@@ -24,9 +24,9 @@ from typer.testing import CliRunner
 from tactile_loc.benchmark.leaderboard import Standing, read_standings
 from tactile_loc.benchmark.suite import Suite
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.plugin import LocatingProblem, invert, make_contact_cloud, transform_points
+from tactile_loc.slots.registry import registry
 from tactile_loc.testing.problems import ReferenceRenderer
 
 ROOT = Path(__file__).parents[1]

@@ -30,8 +30,8 @@ from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.streams.frame_sources import ImageFolder
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.live import LiveLocator
 from tactile_loc.testing.problems import press_block
+from tactile_loc.tracking.live import LiveLocator
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import combinations as page
 import pytest
 
-from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, Declared
+from tactile_loc.slots.compatibility import INCOMPATIBILITIES, Declared
 
 
 def test_the_table_is_up_to_date():

@@ -9,7 +9,7 @@ from tactile_loc_cli.scaffold.examples import make_examples
 from tactile_loc_cli.scaffold.naming import Naming
 from tactile_loc_cli.scaffold.package import render
 
-from tactile_loc.core.slots.registry import KINDS
+from tactile_loc.slots.registry import KINDS
 
 PAGE = Path(__file__).parents[1] / "docs" / "plugin-examples.md"
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import is_rigid
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.labelled_touches import read_labelled_touches
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.sensors.presets import Preset
+from tactile_loc.slots.registry import registry
 
 PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 

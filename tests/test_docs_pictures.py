@@ -9,9 +9,9 @@ import pytest
 
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotation_about
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.tasks.tracker import TrackedPose
+from tactile_loc.core.sensing.noise import NOISE
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.tracking.tracker import TrackedPose
 
 COUNT = 12
 GEL = np.array([0.0, 0.0, 0.01])

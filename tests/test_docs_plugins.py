@@ -13,11 +13,16 @@ import pytest
 from message_helpers import missing
 
 from tactile_loc import plugin
-from tactile_loc.core.errors import MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.interface import INTERFACE_VERSION
-from tactile_loc.core.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
+from tactile_loc.core.runtime.errors import (
+    MissingLibraryError,
+    PluginConflictError,
+    PluginLoadError,
+    UnknownPluginError,
+)
 from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.interface import INTERFACE_VERSION
+from tactile_loc.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
 from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]

@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.result_arrays import MOST_FACES, MOST_POSES, gather_arrays, pack_arrays
+from tactile_loc.locate.result.result_arrays import MOST_FACES, MOST_POSES, gather_arrays, pack_arrays
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reports.md").read_text()

@@ -11,7 +11,7 @@ import pytest
 from tactile_loc_cli.main import app
 from typer.main import get_command
 
-from tactile_loc.locate.results.verdict import MEANINGS, Verdict
+from tactile_loc.locate.result.verdict import MEANINGS, Verdict
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()

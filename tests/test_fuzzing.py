@@ -14,7 +14,7 @@ from fuzzing import trial
 from fuzzing.readers import READERS, Reader
 from record import Record
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 
 PAGES = ["result", "evaluation", "contacts", "sweep", "touch-png", "artifact"]
 OTHERS = [name for name in READERS if name not in PAGES]

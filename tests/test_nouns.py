@@ -13,7 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tactile_loc import core, store
+from tactile_loc import bases, core, simulate, slots, store
 
 GROWING = {"Edge"}  # part of a frame tree, which grows with each transform
 
@@ -27,7 +27,7 @@ def dataclasses_of(package: ModuleType) -> Iterator[type]:
 
 @pytest.fixture(scope="module")
 def nouns() -> list[type]:
-    return [*dataclasses_of(core), *dataclasses_of(store)]
+    return [kind for package in (bases, core, simulate, slots, store) for kind in dataclasses_of(package)]
 
 
 def holds_arrays(noun: type) -> bool:

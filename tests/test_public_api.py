@@ -39,7 +39,7 @@ def test_importing_the_plugin_hook_imports_at_most_pydantic():
 
 
 def test_listing_plugins_does_not_import_their_libraries():
-    statement = "from tactile_loc.core.slots.registry import registry; assert registry().components"
+    statement = "from tactile_loc.slots.registry import registry; assert registry().components"
     assert imported_by(statement) <= {"pydantic"}
 
 

@@ -60,7 +60,7 @@ def test_links_and_pictures_exist():
 
 
 def test_the_table_of_components_matches_the_registry():
-    from tactile_loc.core.slots.registry import BUILT_IN, SLOTS, registry
+    from tactile_loc.slots.registry import BUILT_IN, SLOTS, registry
 
     for slot in SLOTS:
         (row,) = re.findall(rf"^\| {slot} \| (.*) \|$", README, re.MULTILINE)

@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.models import ParameterInfo
 
-from tactile_loc.core.slots.registry import KINDS, SLOTS, registry
+from tactile_loc.slots.registry import KINDS, SLOTS, registry
 from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
 from tactile_loc_cli.options import RunOptions, Takes

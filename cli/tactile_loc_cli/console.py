@@ -20,8 +20,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from tactile_loc.core.formatting import show_name
-from tactile_loc.core.progress import NOTE, Progress, rank
+from tactile_loc.core.runtime.formatting import show_name
+from tactile_loc.core.runtime.progress import NOTE, Progress, rank
 
 _FLAGS: ContextVar[Mapping[str, str]] = ContextVar("flags", default=MappingProxyType({}))
 PACKAGES = ("tactile_loc", "tactile_loc_cli")

@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 import typer
 from pydantic import ValidationError
 
-from tactile_loc.core.errors import TactileLocError, quote
-from tactile_loc.core.slots.registry import explain_allowed, registry
+from tactile_loc.core.runtime.errors import TactileLocError, quote
+from tactile_loc.slots.registry import explain_allowed, registry
 from tactile_loc_cli.console import complain, is_shown, say_json, write_flags
 
 UNEXPECTED, USAGE_ERROR, NOT_AS_REQUIRED, INTERRUPTED = 1, 2, 3, 130
@@ -105,7 +105,7 @@ def _describe_unexpected(error: Exception, command: str) -> str:
 
 def _find_component(trace: TracebackType | None) -> str | None:
     """Name the innermost component whose method raised the error. Return None if no component's method did."""
-    from tactile_loc.core.slots.component import Component
+    from tactile_loc.slots.component import Component
 
     for frame, _ in reversed(list(traceback.walk_tb(trace))):
         owner = frame.f_locals.get("self")

@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from pydantic import ValidationError
 
-from tactile_loc.core.errors import ConfigError, OutputError, UnknownPluginError, advise_choice, name_source, quote
-from tactile_loc.core.slots.registry import KINDS, SLOTS, registry, validate_options
+from tactile_loc.core.runtime.errors import (
+    ConfigError,
+    OutputError,
+    UnknownPluginError,
+    advise_choice,
+    name_source,
+    quote,
+)
+from tactile_loc.slots.registry import KINDS, SLOTS, registry, validate_options
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
@@ -364,6 +371,6 @@ def require_mcap(flag: str, path: Path) -> None:
 def require_rerun(path: Path | None) -> None:
     """Raise OutputError or MissingLibraryError if a requested Rerun file cannot be written."""
     if path is not None:
-        from tactile_loc.drawing import rerun_log
+        from tactile_loc.view import rerun_log
 
         rerun_log.require_rerun(path)

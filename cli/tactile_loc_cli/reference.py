@@ -114,7 +114,7 @@ def _show_help(arguments: list[str]) -> str:
 
 
 def _describe_schema() -> Iterator[str]:
-    from tactile_loc.locate.results import result_json as results
+    from tactile_loc.locate.result import result_json as results
 
     yield (
         "## result.json\n\nThe results and the settings of a run. Lengths are in metres, times in seconds. "

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm
 from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.core.runtime.formatting import format_duration, format_millimetres, format_mm
 from tactile_loc_cli.console import format_count, say, say_table, write_flags
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
-    from tactile_loc.locate.results.localization import Localization
-    from tactile_loc.locate.results.result_json import HypothesisRecord, ResultRecord
+    from tactile_loc.locate.result.localization import Localization
+    from tactile_loc.locate.result.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
+    from tactile_loc.planning.next_touch_files import NextTouchRecord, RatedRecord
     from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
-    from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
 
 IMPRINT = "imprint IoU %"
 MOST_NAMED = 3  # names of touches that are shown
@@ -30,7 +30,7 @@ POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 def make_title(record: ResultRecord) -> str:
     """Return the picture's title: verdict, object, sensor, stated probability, and error if it is known."""
-    from tactile_loc.locate.results.verdict import name_verdict
+    from tactile_loc.locate.result.verdict import name_verdict
 
     text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}"
     error = "" if record.errors is None else f"error {format_millimetres(record.errors.best_m)}"
@@ -42,7 +42,7 @@ def say_result(record: ResultRecord) -> None:
 
     The poses are in the base frame or, if the sensor's pose is unknown, in the sensor frame.
     """
-    from tactile_loc.locate.results.verdict import Verdict, explain_verdict
+    from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
     if record.verdict is not None:
@@ -121,7 +121,7 @@ def _name_side(record: ResultRecord) -> str:
 
     The name is SIDE if the first pose is not certain.
     """
-    from tactile_loc.locate.results.verdict import Verdict
+    from tactile_loc.locate.result.verdict import Verdict
 
     if record.verdict is not Verdict.CERTAIN:
         return "SIDE"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc_cli.options import declare
 
 if TYPE_CHECKING:

@@ -11,15 +11,12 @@ import numpy as np
 from report_helpers import write_contacts, write_evaluation
 
 from fuzzing import corpora
-from tactile_loc.calibration.frames import read_frames
-from tactile_loc.calibration.presses import convert, read_presses
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.mount_files import read_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -27,13 +24,16 @@ from tactile_loc.io.streams.recordings import Message, Recording
 from tactile_loc.io.streams.ros_messages import IMAGE_TYPES, decode_image, read_stamp_ns
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
+from tactile_loc.planning.next_touch import choose_next_touch
+from tactile_loc.planning.next_touch_files import make_next_touch_record, read_modes
 from tactile_loc.reports import find_source, write_report
+from tactile_loc.sensors.calibration.frames import read_frames
+from tactile_loc.sensors.calibration.presses import convert, read_presses
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.comparison import compare, format_texts
 from tactile_loc.sweeps.plan import Plan, name_choices
 from tactile_loc.sweeps.results import read_sweep
-from tactile_loc.tasks.next_touch import choose_next_touch
-from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
 
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim/pack.npz", "fots": "fots", "circles": "circles"}

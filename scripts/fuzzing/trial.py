@@ -17,7 +17,7 @@ from random import Random
 
 from fuzzing.damage import damage
 from fuzzing.readers import READERS, Reader
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 
 Job = tuple[str, int | None]  # a reader, and the number of its input, or None for its correct files
 Verdict = tuple[str, str]  # READ, REFUSED or the kind of a finding, and details

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from killing.commands import Place
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.library.building import WAITING
 from tactile_loc.library.folder import MANIFEST as LIBRARY

@@ -10,9 +10,9 @@ from tactile_loc.app.markdown import Paragraph, list_numbered
 from tactile_loc.app.notices import Notices
 from tactile_loc.app.pictures import EMPTY
 from tactile_loc.app.uploads import LARGEST_MB, take_upload
-from tactile_loc.core.errors import CalibrationError
-from tactile_loc.drawing.calibration import draw_circle, draw_reading
-from tactile_loc.drawing.pictures import render_figure
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.view.calibration import draw_circle, draw_reading
+from tactile_loc.view.pictures import render_figure
 
 if TYPE_CHECKING:
     from viser import ClientHandle

@@ -10,16 +10,16 @@ from typing import Any
 
 from tactile_loc.app.task_progress import ShowProgress, TaskProgress
 from tactile_loc.app.uploads import read_files, write_upload
-from tactile_loc.calibration.frames import SHEET
-from tactile_loc.calibration.labelling import Labels, label_presses
-from tactile_loc.calibration.outcome import Outcome, calibrate_folder
-from tactile_loc.calibration.presses import SENSOR, TABLE, list_named_files
-from tactile_loc.core.errors import CalibrationError, TactileLocError, UploadError
-from tactile_loc.drawing.calibration import save_held_out, save_labels
+from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
+from tactile_loc.sensors.calibration.frames import SHEET
+from tactile_loc.sensors.calibration.labelling import Labels, label_presses
+from tactile_loc.sensors.calibration.outcome import Outcome, calibrate_folder
+from tactile_loc.sensors.calibration.presses import SENSOR, TABLE, list_named_files
 from tactile_loc.store.files import list_files
 from tactile_loc.store.store import StageStore
+from tactile_loc.view.calibration import save_held_out, save_labels
 
 PHOTOS = "photos"
 SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, PurePath(TABLE).suffix)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
-from tactile_loc.core.errors import SourceError
+from tactile_loc.core.runtime.errors import SourceError
 from tactile_loc.io.streams.frame_sources import SourceFrame, open_source
 from tactile_loc.io.streams.frame_taker import FrameTaker
 

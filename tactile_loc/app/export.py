@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.errors import OutputError
 from tactile_loc.core.poses.priors import GaussianPrior
+from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.reports import find_source
 from tactile_loc.reports.report import write_report
 from tactile_loc.store.files import write_atomically

@@ -10,7 +10,7 @@ from tactile_loc.app.notices import Notices
 from tactile_loc.app.pictures import EMPTY, paint_beside, paint_photo, paint_wide
 from tactile_loc.app.session import Session
 from tactile_loc.app.uploads import LARGEST_MB, take_upload
-from tactile_loc.core.errors import fold_line
+from tactile_loc.core.runtime.errors import fold_line
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
 from tactile_loc.core.sensing.touch import Touch
 

@@ -12,7 +12,7 @@ from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import ConfigError, MissingLibraryError
+from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError
 from tactile_loc.reports.access import Access
 
 if TYPE_CHECKING:

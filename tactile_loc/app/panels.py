@@ -20,12 +20,12 @@ from tactile_loc.app.scene_view import SceneView, choose_magnification, from_vie
 from tactile_loc.app.session import Session
 from tactile_loc.app.uploads import limit_uploads, take_upload
 from tactile_loc.app.virtual_finger import Pose
-from tactile_loc.core.formatting import format_mm, format_percent
-from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.formatting import format_mm, format_percent
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes import Units
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.io.meshes.mesh_files import Units
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.slots.registry import registry
 
 if TYPE_CHECKING:
     from viser import ClientHandle

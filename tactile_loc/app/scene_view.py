@@ -20,11 +20,11 @@ from tactile_loc.core.geometry.rigid import (
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.drawing.pose_panel import build_sensor_mm
-from tactile_loc.io.meshes import simplify_mesh
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.io.meshes.mesh_files import simplify_mesh
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.planning.next_touch import RatedApproach
 from tactile_loc.reports.scene import trace_outlines_mm
-from tactile_loc.tasks.next_touch import RatedApproach
+from tactile_loc.view.pose_panel import build_sensor_mm
 
 if TYPE_CHECKING:
     from viser import ClientHandle, TransformControlsHandle

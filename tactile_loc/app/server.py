@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 from tactile_loc.app.guarded_viser import require_viser, start_viser
 from tactile_loc.app.session import Session
 from tactile_loc.app.shared_localizers import SharedLocalizers
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.reports.access import EVERYWHERE, Access
 from tactile_loc.store.store import StageStore

@@ -19,23 +19,23 @@ from tactile_loc.app.export import write_export
 from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.app.uploads import is_archive, unpack_upload, write_upload
 from tactile_loc.app.virtual_finger import Pose, Press, make_touch, press_finger
-from tactile_loc.core.errors import ConfigError, ResultError, TouchError, UploadError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior
+from tactile_loc.core.runtime.errors import ConfigError, ResultError, TouchError, UploadError
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, choose_sensor
-from tactile_loc.io.meshes import Units
+from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.toml import read_toml
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.touch_files import is_list, read_observations
-from tactile_loc.tasks.approaches import draw_approaches_to_modes
-from tactile_loc.tasks.next_touch import RatedApproach, choose_next_touch
-from tactile_loc.tasks.pose_modes import PoseModes
+from tactile_loc.planning.approaches import draw_approaches_to_modes
+from tactile_loc.planning.next_touch import RatedApproach, choose_next_touch
+from tactile_loc.tracking.pose_modes import PoseModes
 
 APPROACHES = 60  # approaches from which the next touch is chosen
 LIST = "touches.toml"  # list of touches in an archive

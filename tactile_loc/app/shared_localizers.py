@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.stored_object import load_stored_object

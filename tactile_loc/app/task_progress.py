@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.runtime.progress import Progress
 
 EVERY_S = 0.2  # least time between two updates of the page
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import UploadError
+from tactile_loc.core.runtime.errors import UploadError
 from tactile_loc.store.archives import read_member
 from tactile_loc.store.files import write_atomically
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import NoContactError
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.runtime.errors import NoContactError
+from tactile_loc.core.sensing.noise import make_noise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.simulation.touch_simulation import PressNoise
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.config import EXACT
+from tactile_loc.simulate.touch_simulation import PressNoise
+from tactile_loc.slots.registry import registry
 
 PREVIEW_PX = 72  # pixels along the long side of the contact shape that is shown while the finger moves
 

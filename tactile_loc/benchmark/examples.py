@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.benchmark.suite import Entry, Suite, create, hash_component_code
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.benchmarking import Image, RecordedSource, SimulatedSource, TouchSource
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
-from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.evaluation.robot_touches import RobotTouches, touches_enough
 from tactile_loc.io.config import SlotConfig
+from tactile_loc.slots.benchmarking import Image, RecordedSource, SimulatedSource, TouchSource
+from tactile_loc.slots.registry import registry
+from tactile_loc.slots.sensor import SensorModel
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore

@@ -12,9 +12,9 @@ from tactile_loc.benchmark.leaderboard import record_leaderboard
 from tactile_loc.benchmark.results import Results, UsedMethod, UsedSource
 from tactile_loc.benchmark.suite import Entry, Suite
 from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
-from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import format_mm
-from tactile_loc.core.limits import list_values, require_table
+from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.core.runtime.limits import list_values, require_table
 from tactile_loc.evaluation.recall.bop import write_bop
 from tactile_loc.evaluation.recall.tables import format_share
 from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts

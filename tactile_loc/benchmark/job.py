@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from tactile_loc.benchmark.examples import ExampleDrawer
 from tactile_loc.benchmark.suite import OWN, Entry, Suite, create, hash_component_code
-from tactile_loc.core.errors import AnswerError, ConfigError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.errors import AnswerError, ConfigError, TactileLocError
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, RecordedSource, ScoredPoses
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.protocol import sample_surface
 from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M, measure_pose_errors
 from tactile_loc.evaluation.recall.summary import measure_diameter
-from tactile_loc.locate.results.freedom import explain_as_well
+from tactile_loc.locate.result.freedom import explain_as_well
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, RecordedSource, ScoredPoses
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_code
 from tactile_loc.store.store import StageStore
 
@@ -33,7 +33,17 @@ LISTED = 10  # most poses of an answer that are measured
 COVERED = 0.95  # probability of the poses that should include the true pose
 RENDERER = "heightmap"  # draws the poses that are compared with the true pose
 
-LOCATING = ("core", "imaging", "io", "calibration", "plugins", "locate", "evaluation")  # packages that decide rows
+LOCATING = (
+    "core",
+    "slots",
+    "bases",
+    "simulate",
+    "io",
+    "sensors",
+    "plugins",
+    "locate",
+    "evaluation",
+)  # packages that decide rows
 
 Row = dict[str, Any]
 

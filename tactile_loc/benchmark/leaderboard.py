@@ -9,7 +9,7 @@ from typing import Any
 
 from tactile_loc.benchmark.results import Results, describe_used
 from tactile_loc.benchmark.summary import Group
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.io.streams.records import read_document
 
 SCHEMA_VERSION = 1

@@ -11,12 +11,12 @@ from typing import Any
 from tactile_loc.benchmark.examples import describe_libraries, make_sensor
 from tactile_loc.benchmark.results import UsedMethod, UsedSource
 from tactile_loc.benchmark.suite import HERE, Entry, Suite, create, find_in_data, hash_component_code
-from tactile_loc.core.errors import ConfigError, MissingLibraryError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.slots.benchmarking import Method, RecordedSource, TouchSource
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError, TactileLocError
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.locate.stored_object import load_stored_object
+from tactile_loc.slots.benchmarking import Method, RecordedSource, TouchSource
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.files import lock_folder, read_json, write_json
 from tactile_loc.store.keys import hash_shortly
 from tactile_loc.store.store import StageStore

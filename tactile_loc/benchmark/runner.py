@@ -22,9 +22,9 @@ from tactile_loc.benchmark.prepare import (
 )
 from tactile_loc.benchmark.results import Results
 from tactile_loc.benchmark.suite import Suite
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import require_writable
 from tactile_loc.store.keys import hash_shortly

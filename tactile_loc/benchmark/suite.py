@@ -10,12 +10,18 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from tactile_loc.core.errors import ConfigError, MissingLibraryError, UnknownPluginError, did_you_mean, name_source
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import (
+    ConfigError,
+    MissingLibraryError,
+    UnknownPluginError,
+    did_you_mean,
+    name_source,
+)
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.toml import explain, read_toml
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_code
 
 SUITES, SPLITS = "suites", "objects.toml"

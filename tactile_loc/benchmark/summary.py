@@ -13,7 +13,7 @@ from tactile_loc.benchmark.job import Row
 from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M
 from tactile_loc.evaluation.recall.summary import CURVE_M, Outcomes, average_mssd_recall, bin_probabilities
 from tactile_loc.evaluation.recall.tables import format_share
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.verdict import Verdict
 
 WITHIN_M = (0.5e-3, 1e-3, 2e-3, 5e-3)
 RESAMPLED, RANGE = 1000, (2.5, 97.5)  # number of bootstrap samples; percentiles of the interval

@@ -22,19 +22,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, run_in_threads
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.noise import NOISE, Gel, TouchNoise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE, Gel, TouchNoise
-from tactile_loc.core.simulation.touch_simulation import PressNoise
-from tactile_loc.core.slots.refiner import Candidate, Refiner
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.simulate.touch_simulation import PressNoise
+from tactile_loc.slots.refiner import Refiner
+from tactile_loc.slots.registry import registry
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_millimetres
-from tactile_loc.drawing.pictures import add_panels, draw_contact_shape, draw_outline, make_figure
+from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.evaluation.fusion_tables import FusionRun
 from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation
@@ -20,6 +19,7 @@ from tactile_loc.evaluation.tables import Run
 from tactile_loc.evaluation.tabular import EvaluatedObject
 from tactile_loc.io.shape_pictures import OUTLINE
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.view.pictures import add_panels, draw_contact_shape, draw_outline, make_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.slots.fuser import Fuser
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import ConfigError, GridError
 from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.slots.fuser import Fuser
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION, FusionEvaluation
 

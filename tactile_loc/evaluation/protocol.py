@@ -15,14 +15,14 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.runtime.progress import StageTimes
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS, choose_judging_noise, measure_ambiguity
 from tactile_loc.evaluation.metrics import compute_add_s, compute_adds, compute_mssd, measure_posterior
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 

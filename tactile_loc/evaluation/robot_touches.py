@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.noise import Float32, TouchNoise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import Float32, TouchNoise
-from tactile_loc.core.simulation.resting_touches import face_each_other
-from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.simulate.resting_touches import face_each_other
+from tactile_loc.slots.renderer import Renderer
 
 INSIDE = 0.8  # the object's lowest point lies in this share of the sensing rectangle, about its centre
 MOST_DRAWS = 1000

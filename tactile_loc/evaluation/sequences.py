@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.touch_simulation import lower
 from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
+from tactile_loc.simulate.touch_simulation import lower
 
 WAVES = 3  # sine waves whose sum is a smoothly changing number
 SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # frequencies of the waves

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, TouchError, name_source
+from tactile_loc.core.runtime.errors import ConfigError, TouchError, name_source
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.simulation.touch_simulation import draw_touches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.simulate.touch_simulation import draw_touches
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ MOST_DRAWS = 20  # most draws of one touch, in case its image shows no contact
 
 @dataclass(frozen=True)
 class SimulatedTouches:
-    """Touches of a localizer's object with a noise of `tactile_loc.core.simulation.noise`.
+    """Touches of a localizer's object with a noise of `tactile_loc.core.sensing.noise`.
 
     Touch i of a seed is always the same, with any number of touches and any encoder. With `images`, the sensor reads
     each touch from a simulated image made with the lamps of its calibration. The sensor must be calibrated on simulated

@@ -11,17 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.noise import TouchNoise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.simulation.noise import TouchNoise
-from tactile_loc.core.simulation.touch_simulation import lower
-from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.robot_touches import NO_NOISE, measure_noisily
 from tactile_loc.evaluation.simulated_touches import require_true_pose
-from tactile_loc.imaging.optics import Optics
-from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
 from tactile_loc.io.streams.ros_messages import (
     IMAGE,
@@ -33,6 +29,10 @@ from tactile_loc.io.streams.ros_messages import (
     make_transforms,
 )
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.sensors.optics.lamps import Optics
+from tactile_loc.sensors.optics.simulate import render_touches
+from tactile_loc.simulate.touch_simulation import lower
+from tactile_loc.slots.renderer import Renderer
 
 IMAGE_TOPIC, TRUTH_TOPIC = "/gel/image", "/object/truth"
 BASE, FLANGE, GEL = "base", "flange", "gel"
@@ -136,7 +136,7 @@ def draw_random_slide(
 
 
 class Photos:
-    """Draws the camera images of a sensor with `tactile_loc.imaging`; the images' noise is drawn with a `seed`."""
+    """Draws the camera images of a sensor with `sensors.optics`; the images' noise is drawn with a `seed`."""
 
     def __init__(self, geometry: SensorGeometry, optics: Optics, seed: int) -> None:
         self._geometry, self._optics, self._rng = geometry, optics, np.random.default_rng(seed)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation

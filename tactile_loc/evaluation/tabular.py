@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import write_text
 

@@ -10,14 +10,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 from pydantic_core import PydanticCustomError
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.poses.tolerance import EXPECTED, ONE_MILLIMETRE, Tolerance
+from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
+from tactile_loc.core.sensing.noise import NoiseLevel
 from tactile_loc.core.sensing.sensor_geometry import Drawing
-from tactile_loc.core.simulation.noise import NoiseLevel
-from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
 from tactile_loc.io.toml import parse_value, read_toml, scale
+from tactile_loc.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.store.files import recover_folder
 
 COMMAND_LINE = "the command line"  # the source of a configuration without a file

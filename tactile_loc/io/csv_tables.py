@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_loc.core.errors import TactileLocError, did_you_mean, quote
+from tactile_loc.core.runtime.errors import TactileLocError, did_you_mean, quote
 from tactile_loc.store.files import read_text
 
 Row = Mapping[str, str]

@@ -23,9 +23,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
-from tactile_loc.core.formatting import format_percent
-from tactile_loc.core.limits import (
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.core.runtime.limits import (
     MOST_BYTES,
     MOST_FILE_BYTES,
     TooLargeError,

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError, name_source
 from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
@@ -22,6 +21,7 @@ from tactile_loc.core.geometry.rigid import (
     require_unit,
     rotation_about,
 )
+from tactile_loc.core.runtime.errors import TouchError, name_source
 from tactile_loc.io.csv_tables import Row, read_number, read_table, require_columns
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import read_contents

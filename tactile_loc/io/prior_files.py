@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
 from tactile_loc.io.toml import (
     MATRIX,
     POSITIVE_MM,

@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, quote
-from tactile_loc.core.formatting import is_unicode, show_name
 from tactile_loc.core.geometry.rigid import (
     make_transform,
     quaternion_to_rotation,
@@ -24,6 +22,8 @@ from tactile_loc.core.geometry.rigid import (
     require_unit,
     rotation_about,
 )
+from tactile_loc.core.runtime.errors import ConfigError, TactileLocError, did_you_mean, quote
+from tactile_loc.core.runtime.formatting import is_unicode, show_name
 from tactile_loc.store.files import read_text
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import ConfigError, TouchError, name_source
+from tactile_loc.core.runtime.errors import ConfigError, TouchError, name_source
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor

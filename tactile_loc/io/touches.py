@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import OutputError, TouchError, advise_choice, name_source, note_source
 from tactile_loc.core.geometry.rigid import require_rigid
-from tactile_loc.core.limits import require_pixels
+from tactile_loc.core.runtime.errors import OutputError, TouchError, advise_choice, name_source, note_source
+from tactile_loc.core.runtime.limits import require_pixels
 from tactile_loc.core.sensing.depth_maps import KINDS, MASK, METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
 from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -47,7 +47,7 @@ from tactile_loc.io.images import (
 from tactile_loc.store.files import list_files, replace_file
 
 if TYPE_CHECKING:
-    from tactile_loc.core.slots.sensor import SensorModel
+    from tactile_loc.slots.sensor import SensorModel
 
 logger = logging.getLogger(__name__)
 

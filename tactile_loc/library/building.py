@@ -14,13 +14,18 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tactile_loc.core.descriptor.descriptor import load_descriptor
-from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, OutputError, TactileLocError, fold_line
-from tactile_loc.core.formatting import show_name
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.slots.grid import GridSampler
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import (
+    ConfigError,
+    LibraryError,
+    ObjectError,
+    OutputError,
+    TactileLocError,
+    fold_line,
+)
+from tactile_loc.core.runtime.formatting import show_name
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.io.meshes import Units, load_object
+from tactile_loc.io.meshes.mesh_files import Units, load_object
 from tactile_loc.library.folder import MANIFEST, LibraryFolder, add_items, lock_library, write_library
 from tactile_loc.library.record import (
     PLACES_VERSION,
@@ -33,6 +38,8 @@ from tactile_loc.library.record import (
 from tactile_loc.library.shards import FOLDER, Item
 from tactile_loc.library.table import PartRow
 from tactile_loc.locate.stored_object import list_mesh_files
+from tactile_loc.slots.grid import GridSampler
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.files import remove_abandoned, require_writable, write_atomically
 from tactile_loc.store.keys import hash_file, hash_json
 from tactile_loc.store.store import StageStore

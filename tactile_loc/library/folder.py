@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from tactile_loc.core.errors import LibraryError, advise_choice
+from tactile_loc.core.runtime.errors import LibraryError, advise_choice
 from tactile_loc.io.streams.records import Record, write_record
 from tactile_loc.library.record import PartRecord, hash_record
 from tactile_loc.library.shards import (

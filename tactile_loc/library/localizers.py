@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.errors import ConfigError, LibraryError
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import Places
+from tactile_loc.core.places.places import Places
+from tactile_loc.core.runtime.errors import ConfigError, LibraryError
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.config import ObjectConfig, RunConfig
 from tactile_loc.library.record import PLACES_VERSION, PartRecord, choose_grid, describe_grid
 from tactile_loc.locate.localizer import Localizer

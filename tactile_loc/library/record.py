@@ -18,19 +18,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.blas import use_one_blas_thread
 from tactile_loc.core.descriptor.descriptor import load_descriptor
-from tactile_loc.core.errors import LibraryError, MissingLibraryError
-from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.rigid import align_all_to_z, make_transform
-from tactile_loc.core.limits import require_size
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import PATCH_PX, Places
-from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.places.places import PATCH_PX, Places
+from tactile_loc.core.runtime.blas import use_one_blas_thread
+from tactile_loc.core.runtime.errors import LibraryError, MissingLibraryError
+from tactile_loc.core.runtime.formatting import show_name
+from tactile_loc.core.runtime.limits import require_size
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.locate.stored_places import STAGE_VERSION as PLACES_VERSION
+from tactile_loc.locate.sources.stored_places import STAGE_VERSION as PLACES_VERSION
+from tactile_loc.slots.grid import GridSampler
 from tactile_loc.store.keys import write_canonical_json
 
 VERSION = 2  # increase if the same part gives another record
@@ -96,7 +96,7 @@ class PartRecord:
 
     def pack(self) -> bytes:
         """Return the record as bytes. Raises MissingLibraryError without pyarrow."""
-        from tactile_loc.core.sensing.patch_differences import differentiate  # numba takes a while to import
+        from tactile_loc.core.places.patch_differences import differentiate  # numba takes a while to import
 
         values = {
             "version": VERSION, "name": self.name, "units": self.units, "symmetry": self.symmetry,
@@ -115,7 +115,7 @@ class PartRecord:
     @classmethod
     def unpack(cls, packed: bytes) -> PartRecord:
         """Return the record that `pack` wrote. Raises LibraryError if the bytes are no record of this version."""
-        from tactile_loc.core.sensing.patch_differences import integrate  # numba takes a while to import
+        from tactile_loc.core.places.patch_differences import integrate  # numba takes a while to import
 
         values, start, body, *_ = read_header(packed)
         length = 12 * (values["vertices"] + values["faces"]) + PATCH_PX**2 * values["places"]

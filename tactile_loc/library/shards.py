@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import LibraryError, StoreError
+from tactile_loc.core.runtime.errors import LibraryError, StoreError
 from tactile_loc.io.streams.records import Record
 from tactile_loc.library.record import PLACED, read_header
 from tactile_loc.library.table import PartRow

@@ -6,8 +6,8 @@ import io
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 
-from tactile_loc.core.errors import LibraryError
-from tactile_loc.core.limits import list_values, require_table
+from tactile_loc.core.runtime.errors import LibraryError
+from tactile_loc.core.runtime.limits import list_values, require_table
 from tactile_loc.library.record import hash_record, read_header, require_pyarrow
 
 

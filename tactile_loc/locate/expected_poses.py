@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.bases.common_poses import compute_prior_weights
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.pulls import draw_around, fit_pulls
-from tactile_loc.core.slots.common_poses import compute_prior_weights
-from tactile_loc.core.slots.scene import View
-from tactile_loc.locate.gaps import estimate_gaps
+from tactile_loc.core.registration.prior_factors import draw_around, fit_pulls
+from tactile_loc.core.sensing.scene import View
 from tactile_loc.locate.hypotheses import DOUBT, keep_apart
-from tactile_loc.locate.results.nearness import NATS_PER_IOU
+from tactile_loc.locate.probability.nearness import NATS_PER_IOU
+from tactile_loc.locate.probability.point_distances import estimate_gaps
 
 EXPECTED_SHARE = 0.5  # poses of several touches that the prior chooses, per pose that the touches choose
 DRAWN = 64  # poses drawn around the prior's peak

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.poses.ranking import TIE_NATS, group_ties, rank_poses
-from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose
-from tactile_loc.core.slots.scene import IOU_PX, View
-from tactile_loc.core.turns import pause_before
+from tactile_loc.core.runtime.progress import StageTimes
+from tactile_loc.core.runtime.turns import pause_before
+from tactile_loc.core.sensing.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.probabilities import TemperatureScaling
-from tactile_loc.locate.results.localization import Hypothesis
-from tactile_loc.locate.results.nearness import NATS_PER_IOU
+from tactile_loc.locate.probability.nearness import NATS_PER_IOU
+from tactile_loc.locate.probability.probabilities import TemperatureScaling
+from tactile_loc.locate.result.localization import Hypothesis
 
 # A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
 # temperature is 1 / (N SHARPNESS_OF_ONE).
@@ -307,7 +307,7 @@ def keep_apart(
 
     No chosen pose is within `radius_m` metres of a pose with greater worth.
     """
-    from tactile_loc.core.poses.apart import choose_apart  # numba takes a while to import
+    from tactile_loc.core.poses.non_maximum_suppression import choose_apart  # numba takes a while to import
 
     pause_before(len(poses) / A_TURN)
     order = np.argsort(-worth, kind="stable")

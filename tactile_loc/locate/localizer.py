@@ -11,47 +11,47 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.blas import use_one_blas_thread
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
+from tactile_loc.bases.common_poses import NoCommonPoseError, require_sensor_poses
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.places.places import Places
+from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
-from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
-from tactile_loc.core.sensing.places import Places
+from tactile_loc.core.runtime.blas import use_one_blas_thread
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError, quote
+from tactile_loc.core.runtime.progress import Progress, StageTimes
+from tactile_loc.core.sensing.noise import TouchNoise, make_noise
+from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import TouchNoise, make_noise
-from tactile_loc.core.simulation.resting_touches import draw_resting_touches
-from tactile_loc.core.simulation.touch_simulation import simulate_touches
-from tactile_loc.core.slots.common_poses import NoCommonPoseError, require_sensor_poses
-from tactile_loc.core.slots.compatibility import require_compatible
-from tactile_loc.core.slots.matcher import ExactMatcher
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene, View, view_touch
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes import Units
+from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate.agreement import PoseTrials, find_agreement, require_within_reach
-from tactile_loc.locate.conformal import ConformalSets, PoseSet
-from tactile_loc.locate.conformal_fit import LISTED, RIGHT_M, ConformalFit, rank
 from tactile_loc.locate.expected_poses import add_expected_modes, is_unexpected
-from tactile_loc.locate.fitted_probabilities import FittedProbabilities
-from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
-from tactile_loc.locate.place_banks import PlaceBanks
-from tactile_loc.locate.probabilities import Scalings, TemperatureScaling
+from tactile_loc.locate.outliers import PoseTrials, find_agreement, require_within_reach
+from tactile_loc.locate.probability.conformal import ConformalSets, PoseSet
+from tactile_loc.locate.probability.conformal_fit import LISTED, RIGHT_M, ConformalFit, rank
+from tactile_loc.locate.probability.fitted_probabilities import FittedProbabilities
+from tactile_loc.locate.probability.probabilities import Scalings, TemperatureScaling
 from tactile_loc.locate.refinement import Refinement
-from tactile_loc.locate.results.hypothesis import Agreement, Hypothesis, JudgedHypothesis
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import judge
-from tactile_loc.locate.scoring import NewMatcher
-from tactile_loc.locate.search import Matched, PlaceSearch, search_together
-from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
+from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis, JudgedHypothesis
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import judge
+from tactile_loc.locate.sources.listed_model import STAGE_VERSIONS, ObjectPoseModel
+from tactile_loc.locate.sources.place_banks import PlaceBanks
+from tactile_loc.locate.sources.scoring import NewMatcher
+from tactile_loc.locate.sources.source import GridSource, PlaceSource, PoseSource
+from tactile_loc.locate.sources.stored_places import build_places, make_places_key
+from tactile_loc.locate.sources.whole_object import Matched, PlaceSearch, search_together
 from tactile_loc.locate.stored_object import load_stored_object
-from tactile_loc.locate.stored_places import build_places, make_places_key
+from tactile_loc.simulate.resting_touches import draw_resting_touches
+from tactile_loc.simulate.touch_simulation import simulate_touches
+from tactile_loc.slots.compatibility import require_compatible
+from tactile_loc.slots.matcher import ExactMatcher
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 

@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import move_covariance
+from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
-from tactile_loc.core.slots.scene import View
-from tactile_loc.locate.results.localization import Hypothesis
+from tactile_loc.core.sensing.scene import View
+from tactile_loc.locate.result.localization import Hypothesis
+from tactile_loc.slots.refiner import Refiner
 
 
 @dataclass(frozen=True)

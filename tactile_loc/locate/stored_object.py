@@ -11,11 +11,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from tactile_loc.core.errors import ObjectError, StoreError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
-from tactile_loc.io.meshes import GLTF_SUFFIXES, Surface, Units, find_symmetry, load_object, read_surface
-from tactile_loc.io.step_files import STEP_SUFFIXES, describe_step_reader, is_step
+from tactile_loc.core.runtime.errors import ObjectError, StoreError
+from tactile_loc.io.meshes.mesh_files import GLTF_SUFFIXES, Surface, Units, find_symmetry, load_object, read_surface
+from tactile_loc.io.meshes.step_files import STEP_SUFFIXES, describe_step_reader, is_step
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.files import list_files
 from tactile_loc.store.keys import StageKey, hash_file

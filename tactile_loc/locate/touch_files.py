@@ -15,17 +15,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import NoContactError, TactileLocError, TouchError
-from tactile_loc.core.formatting import is_unicode, show_name
 from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.core.runtime.errors import NoContactError, TactileLocError, TouchError
+from tactile_loc.core.runtime.formatting import is_unicode, show_name
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import SlotConfig, choose_sensor, find_sensor_kind
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import TOUCH_SUFFIXES, TRUE_POSES, list_touches
 from tactile_loc.locate.localizer import Localizer, Observation
-from tactile_loc.locate.results.localization import Hypothesis, Localization
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.localization import Hypothesis, Localization
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.store.files import write_text
 
 log = logging.getLogger(__name__)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import fusion_tables, tables
 from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.io.streams.records import read_document

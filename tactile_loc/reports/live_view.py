@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pose_panel import choose_view
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.result_arrays import reduce_mesh
-from tactile_loc.locate.results.verdict import explain_verdict
+from tactile_loc.locate.result.result_arrays import reduce_mesh
+from tactile_loc.locate.result.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
-from tactile_loc.tasks.live import LiveRecord, LiveResult
+from tactile_loc.tracking.live import LiveRecord, LiveResult
+from tactile_loc.view.pose_panel import choose_view
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import show_bytes
+from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc.core.runtime.formatting import show_bytes
 
 if TYPE_CHECKING:
     from jinja2 import Environment

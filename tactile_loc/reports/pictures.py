@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import compute_extent_mm
-from tactile_loc.drawing.pose_panel import list_round_values
 from tactile_loc.io.images import UNREADABLE, load_image
 from tactile_loc.reports.scene import trace_outlines_mm, write_number
+from tactile_loc.view.pictures import compute_extent_mm
+from tactile_loc.view.pose_panel import list_round_values
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_loc.core.errors import OutputError, ResultError
+from tactile_loc.core.runtime.errors import OutputError, ResultError
 from tactile_loc.reports.page import JSON_OPTIONS, Page, name_damage, render
 from tactile_loc.store.files import write_atomically
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_millimetres, format_percent
 from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.core.runtime.formatting import format_millimetres, format_percent
 from tactile_loc.io.toml import format_toml
-from tactile_loc.locate.doubts import list_doubts
-from tactile_loc.locate.results.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
-from tactile_loc.locate.results.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
-from tactile_loc.locate.results.verdict import Verdict, explain_verdict, name_verdict
+from tactile_loc.locate.result.doubts import list_doubts
+from tactile_loc.locate.result.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
+from tactile_loc.locate.result.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
+from tactile_loc.locate.result.verdict import Verdict, explain_verdict, name_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section

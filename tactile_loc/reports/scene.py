@@ -17,11 +17,11 @@ from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, cut_to_touching
-from tactile_loc.drawing.pictures import compute_extent_mm, group_nearby
-from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
-from tactile_loc.drawing.raytracing import CREASE_DEG, View, compute_normals
-from tactile_loc.locate.results.result_arrays import ResultArrays, TouchArrays
+from tactile_loc.locate.result.result_arrays import ResultArrays, TouchArrays
 from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex_normals, find_touched_vertices
+from tactile_loc.view.pictures import compute_extent_mm, group_nearby
+from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
+from tactile_loc.view.raytracing import CREASE_DEG, View, compute_normals
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
+from tactile_loc.slots.registry import SLOTS
 
 FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # every column "slot.option" is a factor, too
 NOT_COMPONENTS = ("object", "noise", "seed", "count")

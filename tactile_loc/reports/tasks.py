@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
-from tactile_loc.locate.results.verdict import explain_verdict, name_verdict
+from tactile_loc.locate.result.verdict import explain_verdict, name_verdict
 from tactile_loc.locate.touch_files import LocatedFile
+from tactile_loc.planning.next_touch_files import NextTouchRecord, RatedRecord
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_gallery
 from tactile_loc.tasks.identify_files import NONE_OF_THESE, IdentificationRecord, KnownObjectRecord
-from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
 
 POSE = ("x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
 DEPTHS = "Dark: pressed deepest. Touches are drawn as the sensor sees them, x right and y down."

@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable
 
-from tactile_loc.core.limits import MOST_BYTES, read_unpacked
+from tactile_loc.core.runtime.limits import MOST_BYTES, read_unpacked
 
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 

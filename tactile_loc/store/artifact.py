@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import StoreError
-from tactile_loc.core.limits import require_size
+from tactile_loc.core.runtime.errors import StoreError
+from tactile_loc.core.runtime.limits import require_size
 from tactile_loc.store.archives import require_packing
 from tactile_loc.store.files import read_json
 from tactile_loc.store.keys import StageKey, hash_file, hash_json

@@ -17,8 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.errors import OutputError
-from tactile_loc.core.formatting import is_unicode, show_bytes
+from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.core.runtime.formatting import is_unicode, show_bytes
 
 _TEMPORARY = ".tmp-"
 LONGEST_NAME = 200  # bytes of a name to which letters are added; file systems allow 255

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 
 JsonValue = str | int | float | bool | None | list[Any] | tuple[Any, ...] | Mapping[str, Any]
 

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from tactile_loc.core.errors import OutputError
+from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.store.files import guard_output
 
 LONGEST = 1_000_000  # largest length of a line, bytes

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import StoreError
-from tactile_loc.core.slots.encoder import Checkpoints
+from tactile_loc.core.runtime.errors import StoreError
+from tactile_loc.slots.encoder import Checkpoints
 from tactile_loc.store.artifact import (
     MANIFEST,
     DamagedError,

@@ -9,18 +9,18 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.slots.compatibility import require_compatible
-from tactile_loc.core.slots.component import Component
-from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.model import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
+from tactile_loc.locate.sources.listed_model import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
+from tactile_loc.slots.compatibility import require_compatible
+from tactile_loc.slots.component import Component
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.keys import StageKey, hash_shortly, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan

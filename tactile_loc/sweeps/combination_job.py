@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation.metrics import LEVELS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_mm
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.tabular import format_markdown, write_texts
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc.sweeps.plan import SETTINGS
 from tactile_loc.sweeps.sweep import IDENTITY
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import show_name
-from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.drawing.pictures import group_nearby, make_figure
+from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.evaluation.figures import COLOURS
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc.sweeps.plan import find_varying_slots, name_choices
 from tactile_loc.sweeps.sweep import Sweep, average_all
+from tactile_loc.view.pictures import group_nearby, make_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from tactile_loc.core.errors import ConfigError, did_you_mean, name_source, quote
-from tactile_loc.core.formatting import show_name
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.core.runtime.errors import ConfigError, did_you_mean, name_source, quote
+from tactile_loc.core.runtime.formatting import show_name
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import (
     COMMAND_LINE,
@@ -27,6 +26,7 @@ from tactile_loc.io.config import (
     parse_overrides,
 )
 from tactile_loc.io.toml import read_toml
+from tactile_loc.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.store.keys import write_canonical_json
 
 SETTINGS = ("shape_px", "temperature", "drawing")  # the same for all combinations of a sweep

@@ -12,10 +12,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.runtime.errors import MissingLibraryError
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import require_writable
 from tactile_loc.sweeps.combination import Combination, combine, order_for_running
 from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob

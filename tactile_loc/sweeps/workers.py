@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError, fold_line
+from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError, TactileLocError, fold_line
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import detached

@@ -24,21 +24,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import map_in_threads
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
+from tactile_loc.bases.common_poses import require_sensor_poses
 from tactile_loc.core.poses.ranking import TIE_NATS, group_ties
+from tactile_loc.core.runtime.compiled import map_in_threads
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.common_poses import require_sensor_poses
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
-from tactile_loc.locate.probabilities import FusedScaling, Scalings, TemperatureScaling
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import MOSTLY_ELSEWHERE, Verdict, judge
+from tactile_loc.locate.probability.probabilities import FusedScaling, Scalings, TemperatureScaling
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import MOSTLY_ELSEWHERE, Verdict, judge
 from tactile_loc.tasks.library import Comparison, Examined, Library, RoughFit, compute_full_evidence
 from tactile_loc.tasks.null_evidence import NullEvidence
-from tactile_loc.tasks.pose_modes import PoseModes, join_modes
 from tactile_loc.tasks.shortlist import Shortlist
+from tactile_loc.tracking.pose_modes import PoseModes, join_modes
 
 Float64 = NDArray[np.float64]
 

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 from pydantic import AliasChoices, Field
 
-from tactile_loc.core.errors import ConfigError, ObjectError
-from tactile_loc.core.formatting import format_percent
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.errors import ConfigError, ObjectError
+from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.config import ObjectConfig, RunConfig
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
 from tactile_loc.library.folder import MANIFEST, LibraryFolder
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.stored_object import list_mesh_files, load_stored_object
+from tactile_loc.planning.next_touch import NextTouch
+from tactile_loc.planning.next_touch_files import NextTouchRecord, make_next_touch_record
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification
 from tactile_loc.tasks.library import Library
 from tactile_loc.tasks.library_parts import StoredParts
-from tactile_loc.tasks.next_touch import NextTouch
-from tactile_loc.tasks.next_touch_files import NextTouchRecord, make_next_touch_record
 
 SCHEMA_VERSION = 1
 NONE_OF_THESE = "none of these"

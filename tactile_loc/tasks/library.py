@@ -20,14 +20,14 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.byte_cache import ByteCache
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.sensing.imprints import compare_imprints
+from tactile_loc.core.places.imprints import compare_imprints
+from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.sensing.scene import IOU_PX
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.scene import IOU_PX
 from tactile_loc.locate.localizer import Localizer, make_view
-from tactile_loc.locate.search import PlaceSearch, TouchBounds, bound_touch, fit_roughly
+from tactile_loc.locate.sources.whole_object import PlaceSearch, TouchBounds, bound_touch, fit_roughly
 from tactile_loc.tasks.library_parts import GivenParts, Parts, open_search
 from tactile_loc.tasks.shortlist import Shortlist
 from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_alone, rate_object

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.descriptor.similarity import find_most_similar
-from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, quote
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import Places
+from tactile_loc.core.places.places import Places
+from tactile_loc.core.runtime.errors import ConfigError, LibraryError, ObjectError, quote
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import WHOLE, RunConfig
 from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.library.localizers import make_localizer
 from tactile_loc.library.record import PartRecord
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.search import PlaceSearch
-from tactile_loc.locate.stored_places import make_places_key
+from tactile_loc.locate.sources.stored_places import make_places_key
+from tactile_loc.locate.sources.whole_object import PlaceSearch
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace

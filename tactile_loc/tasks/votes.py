@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit
 from tactile_loc.core.descriptor.descriptor import Descriptor
 from tactile_loc.core.descriptor.similarity import UNIT, compare_vectors, round_touches
-from tactile_loc.core.sensing.places import Places
-from tactile_loc.core.sensing.rotated_patches import find_anchor
+from tactile_loc.core.places.places import Places
+from tactile_loc.core.places.rotated_patches import find_anchor
+from tactile_loc.core.runtime.compiled import njit
 from tactile_loc.core.sensing.touch import Touch
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"

@@ -26,9 +26,9 @@ import importlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from tactile_loc.core.deprecation import make_getattr
-from tactile_loc.core.slots.component import Component
-from tactile_loc.core.slots.registry import KINDS
+from tactile_loc.core.runtime.deprecation import make_getattr
+from tactile_loc.slots.component import Component
+from tactile_loc.slots.registry import KINDS
 from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.slots.component import Capabilities, Component, ComponentOptions
-from tactile_loc.core.slots.registry import KINDS
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.slots.component import Capabilities, Component
+from tactile_loc.slots.registry import KINDS
 
 Check = Callable[[Any], None]
 

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.geometry.rigid import Float32, make_translation
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.places import CAMERA as PATCH_CAMERA
-from tactile_loc.core.sensing.places import PATCH_PX, cut_patches
+from tactile_loc.core.places.places import CAMERA as PATCH_CAMERA
+from tactile_loc.core.places.places import PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
-from tactile_loc.core.slots.component import Capabilities, Float32
-from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.encoder import Encoder
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,

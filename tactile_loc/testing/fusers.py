@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.fuser import Fuser
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.core.runtime.errors import ConfigError, TactileLocError
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.fuser import Fuser
 from tactile_loc.testing.contract import Check, Untouched, require, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,

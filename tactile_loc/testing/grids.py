@@ -9,13 +9,13 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import Poses, is_rigid, make_translation
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.places.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, measure_distances
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.sensing.touch import compute_contact_depth
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.grid import GridSampler
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.slots.component import Capabilities, Float32
-from tactile_loc.core.slots.interface import WEIGHTS_CHANGE, takes_weights
-from tactile_loc.core.slots.matcher import Matcher
+from tactile_loc.core.geometry.rigid import Float32
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.interface import WEIGHTS_CHANGE, takes_weights
+from tactile_loc.slots.matcher import Matcher
 from tactile_loc.testing.contract import (
     Check,
     ContractError,

@@ -10,14 +10,14 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import invert, is_rigid, make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.registry import registry
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require
 from tactile_loc.testing.problems import ReferenceRenderer, make_block, make_planar_pose, make_touch, replace_depth
 

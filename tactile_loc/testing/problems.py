@@ -12,22 +12,21 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import keep_old_names, make_getattr
-from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about, transform_points
+from tactile_loc.core.geometry.rigid import Float32, Poses, make_transform, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.deprecation import keep_old_names, make_getattr
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.listed_training import ListedProblem
-from tactile_loc.core.simulation.place_training import PlaceProblem
-from tactile_loc.core.slots.component import Float32
-from tactile_loc.core.slots.encoder import TrainingProblem
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.simulate.listed_training import ListedProblem
+from tactile_loc.simulate.place_training import PlaceProblem
+from tactile_loc.slots.encoder import TrainingProblem
+from tactile_loc.slots.registry import registry
+from tactile_loc.slots.renderer import Renderer
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.testing.contract import ContractError
 
 EXAMPLES = 5  # number of cases for each property; the first case is the simplest

@@ -8,10 +8,11 @@ from itertools import product
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import Poses, invert, is_rigid, make_transform, rotation_about
+from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.refiner import Refiner
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,

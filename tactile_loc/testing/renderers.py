@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Float32, Poses, invert, make_transform, rotation_about
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
-from tactile_loc.core.slots.component import Capabilities, Float32
-from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from tactile_loc.core.slots.component import Capabilities, Component
-from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.slots.component import Capabilities, Component
+from tactile_loc.slots.encoder import Encoder
 from tactile_loc.testing import contract, list_checks, list_properties
 from tactile_loc.testing.contract import Check, ContractError
 from tactile_loc.testing.properties import require_hypothesis

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.core.slots.sensor import SensorModel
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.sensor import SensorModel
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close, require_equal
 from tactile_loc.testing.properties import hold, whole
 

@@ -15,10 +15,10 @@ from tactile_loc.app.calibrator import Calibrator
 from tactile_loc.app.session import Session
 from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.app.task_progress import TaskProgress
-from tactile_loc.calibration.folder import read_calibration
-from tactile_loc.core.errors import CalibrationError, TactileLocError, UploadError
+from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.images import encode_png
+from tactile_loc.sensors.calibration.folder import read_calibration
 from tactile_loc.store.store import StageStore
 
 BALLS = ball_set(7, px=80)

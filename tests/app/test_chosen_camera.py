@@ -10,7 +10,7 @@ from PIL import Image
 
 from tactile_loc.app import chosen_camera
 from tactile_loc.app.chosen_camera import ChosenCamera
-from tactile_loc.core.errors import SourceError, TactileLocError
+from tactile_loc.core.runtime.errors import SourceError, TactileLocError
 from tactile_loc.io.streams import frame_taker
 from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, Video
 

@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from tactile_loc.app.notices import Notices, hide_folder, name_controls
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 
 library = logging.getLogger("tactile_loc.some.module")
 

@@ -20,13 +20,13 @@ from test_uploads import pack
 from tactile_loc.app.follower import Follower
 from tactile_loc.app.pictures import colour_probability, paint_beside, paint_photo, paint_wide
 from tactile_loc.app.scene_view import choose_magnification, from_view, measure_height, to_view
-from tactile_loc.core.errors import ConfigError, MissingLibraryError, ObjectError
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
+from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError, ObjectError
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.io.images import encode_png
 from tactile_loc.io.touches import write_touch
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 if TYPE_CHECKING:

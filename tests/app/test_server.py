@@ -20,7 +20,7 @@ from web_visitor import CAMERA, ask, idle_sockets, open_socket, send, visit
 from tactile_loc.app.guarded_viser import MOST_CONNECTIONS
 from tactile_loc.app.server import AppServer
 from tactile_loc.app.uploads import LARGEST_MB, MB, MOST_RUNNING
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 
 PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")

@@ -14,7 +14,9 @@ from test_uploads import pack
 from tactile_loc.app.export import _copy, _copy_object, _name_copies
 from tactile_loc.app.session import Session, list_poses, place_above
 from tactile_loc.app.shared_localizers import SharedLocalizers
-from tactile_loc.core.errors import (
+from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import (
     ConfigError,
     NoContactError,
     ObjectError,
@@ -23,12 +25,10 @@ from tactile_loc.core.errors import (
     TouchError,
     UploadError,
 )
-from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.io.images import encode_png
 from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.store.store import StageStore
 
 SENSOR = SlotConfig(name="gelsight-mini")

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_loc.app import uploads
 from tactile_loc.app.uploads import read_files, unpack_upload, write_upload
-from tactile_loc.core.errors import UploadError
+from tactile_loc.core.runtime.errors import UploadError
 
 
 def pack(files: dict[str, bytes]) -> bytes:

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_loc.benchmark.files import HEAD, tabulate, write_benchmark
 from tactile_loc.benchmark.leaderboard import read_standings
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from tactile_loc.benchmark.files import (
     write_benchmark,
 )
 from tactile_loc.benchmark.page import make_benchmark_page, show_sources
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.reports.page import Page, render
 from tactile_loc.store.store import StageStore
 

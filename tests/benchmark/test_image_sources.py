@@ -14,10 +14,10 @@ from tactile_loc.benchmark.sources.calibrating import BallPresses, press_ball
 from tactile_loc.benchmark.sources.gelslim_shapes import GelslimShapes, make_camera, place_prism
 from tactile_loc.benchmark.sources.simulated import SimulatedTouches
 from tactile_loc.benchmark.suite import Entry
-from tactile_loc.core.errors import CalibrationError, ConfigError, MissingLibraryError
 from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, MissingLibraryError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.slots.registry import registry
 from tactile_loc.testing import list_checks
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "tactile"

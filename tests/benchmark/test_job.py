@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import AnswerError
-from tactile_loc.core.slots.benchmarking import ScoredPoses
+from tactile_loc.core.runtime.errors import AnswerError
+from tactile_loc.slots.benchmarking import ScoredPoses
 
 
 def rows_of(found, method):

@@ -14,8 +14,8 @@ from message_helpers import missing, naming
 from tactile_loc.benchmark import job, suite
 from tactile_loc.benchmark.prepare import load_objects, prepare_source
 from tactile_loc.benchmark.runner import run_benchmark
-from tactile_loc.core.errors import ConfigError, OutputError
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import ConfigError, OutputError
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_code
 from tactile_loc.sweeps.workers import evaluate_job
 

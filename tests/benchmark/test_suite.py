@@ -8,7 +8,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.benchmark.suite import Suite, list_suites, read_split
-from tactile_loc.core.errors import ConfigError, UnknownPluginError
+from tactile_loc.core.runtime.errors import ConfigError, UnknownPluginError
 from tactile_loc.data import DEMO_OBJECTS
 
 SMALL = """\

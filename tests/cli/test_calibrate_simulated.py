@@ -10,13 +10,13 @@ import pytest
 from cli_helpers import assert_refused
 from PIL import Image
 
-from tactile_loc.calibration.folder import read_calibration
-from tactile_loc.calibration.reading import reduce_image
-from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import render_background
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor
 from tactile_loc.plugins.sensors.presets import GelSlim
+from tactile_loc.sensors.calibration.folder import read_calibration
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.reading.reading import reduce_image
 
 SENSOR = """\
 camera = "orthographic"

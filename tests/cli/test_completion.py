@@ -16,8 +16,8 @@ from tactile_loc_cli.main import app
 from test_startup import HEAVY, PROBE
 from typer.testing import CliRunner
 
-from tactile_loc.core.slots.registry import KINDS, registry
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.slots.registry import KINDS, registry
 
 WITH_CHOSEN_SHELL = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
 

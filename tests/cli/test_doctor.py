@@ -15,8 +15,8 @@ from tactile_loc_cli.doctor import checks
 from tactile_loc_cli.doctor.checks import LIBRARIES, Check, Library, Probe, State, attempt, examine
 
 from tactile_loc import __version__
-from tactile_loc.core.slots import registry as registry_module
-from tactile_loc.core.slots.registry import LoadFailure, Registry
+from tactile_loc.slots import registry as registry_module
+from tactile_loc.slots.registry import LoadFailure, Registry
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "system-packages.sh"
 FEW = tuple(library for library in LIBRARIES if library.module in ("numpy", "numba", "open3d", "pyrender"))

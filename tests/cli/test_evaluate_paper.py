@@ -113,8 +113,8 @@ def test_the_default_is_all_demo_objects():
 
 
 def test_an_encoder_option_goes_only_to_encoders_that_have_it(monkeypatch):
-    from tactile_loc.core.slots.component import ComponentOptions
-    from tactile_loc.core.slots.registry import Registry
+    from tactile_loc.core.runtime.options import ComponentOptions
+    from tactile_loc.slots.registry import Registry
 
     class Learned:
         class Options(ComponentOptions):

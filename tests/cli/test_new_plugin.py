@@ -16,8 +16,8 @@ from tactile_loc_cli.scaffold import package
 from tactile_loc_cli.scaffold.command import new_plugin
 from tactile_loc_cli.scaffold.naming import LONGEST, Naming
 
-from tactile_loc.core.errors import OutputError
-from tactile_loc.core.slots.registry import KINDS, SLOTS
+from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.slots.registry import KINDS, SLOTS
 
 OUR_RULES = Path(__file__).parents[2] / "pyproject.toml"
 

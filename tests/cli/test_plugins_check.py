@@ -14,9 +14,9 @@ from message_helpers import missing
 from strange_matchers import installed
 from tactile_loc_cli.commands.plugins import plugins
 
-from tactile_loc.core.slots import registry
-from tactile_loc.core.slots.interface import WEIGHTS_CHANGE
-from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
+from tactile_loc.slots import registry
+from tactile_loc.slots.interface import WEIGHTS_CHANGE
+from tactile_loc.slots.registry import ComponentSpec, hookimpl
 from tactile_loc.testing import list_checks, list_properties
 
 PARTS = """

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.io.meshes import load_object
-from tactile_loc.locate.results import result_arrays
-from tactile_loc.locate.results.result_json import read_record
-from tactile_loc.locate.results.verdict import Verdict, explain_verdict
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.locate.result import result_arrays
+from tactile_loc.locate.result.result_json import read_record
+from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 from tactile_loc.plugins.grids.face import find_resting_normal
 
 ROOT = Path(__file__).parents[2]

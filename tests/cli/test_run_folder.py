@@ -63,7 +63,7 @@ def test_a_touch_in_a_folder_is_located_as_alone(cli, folder):
 
 
 def test_poorly_explained_touches_are_named(cli, folder, monkeypatch):
-    for module in ("doubts", "results.verdict"):
+    for module in ("result.doubts", "result.verdict"):
         monkeypatch.setattr(f"tactile_loc.locate.{module}.LEAST_IOU", 1.01)
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert not missing(done.stderr, 2, "101 %", "touch-0000.npz", "touch-0001.npz")

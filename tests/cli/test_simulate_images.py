@@ -11,9 +11,9 @@ from message_helpers import missing
 from PIL import Image
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import render_background
 from tactile_loc.plugins.sensors.presets import Digit, GelSlim
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background
 
 SENSOR = """\
 camera = "orthographic"

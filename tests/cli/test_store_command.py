@@ -17,7 +17,7 @@ from tactile_loc_cli.commands.store import parse_age, write_age
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 

@@ -9,7 +9,7 @@ from cli_helpers import TINY, assert_one_error
 from message_helpers import missing
 
 HOOK = """
-from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
+from tactile_loc.slots.registry import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components():

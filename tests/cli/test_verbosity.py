@@ -12,7 +12,7 @@ from cli_helpers import TINY
 from message_helpers import missing
 from tactile_loc_cli.console import Bars, Lines, make_progress, show_log
 
-from tactile_loc.core.progress import NOTE, Progress
+from tactile_loc.core.runtime.progress import NOTE, Progress
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.store.keys import MEANINGS
 

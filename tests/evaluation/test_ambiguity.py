@@ -9,10 +9,10 @@ import pytest
 import trimesh
 from scipy.special import ndtr
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.ambiguity import (
     DISTANT_M,
     RIVALS,

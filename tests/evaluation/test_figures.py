@@ -9,12 +9,12 @@ import pytest
 from test_fusion_tables import CONTACTS, make_contact_run
 from test_tables import make_run
 
-from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_fusion, draw_gallery, draw_reliability, draw_violins
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.view.pictures import save_figure
 
 pytestmark = pytest.mark.usefixtures("arranged_pictures")
 

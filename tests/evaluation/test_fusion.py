@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.runtime.errors import ConfigError, GridError
 from tactile_loc.evaluation import fusion
 from tactile_loc.evaluation.fusion import (
     FUSED_LINES,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.protocol import (
     LINES,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import invert, rotation_angle
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.testing.problems import ReferenceRenderer
 

@@ -7,8 +7,8 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert, rotation_angle
 from tactile_loc.core.sensing.contact import find_lowest_points
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, Slip, draw_correlated, draw_smooth
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer

@@ -12,14 +12,14 @@ import pytest
 import torch
 from message_helpers import missing, naming
 
-from tactile_loc.calibration.folder import read_calibration, write_calibration
-from tactile_loc.calibration.simulated import calibrate_simulated
-from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError
+from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.protocol import evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
+from tactile_loc.sensors.calibration.simulated import calibrate_simulated
+from tactile_loc.sensors.optics.lamps import OPTICS
 
 IMAGES = SimulatedTouches(seed=3, images=True)
 SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01, 2e-3)

@@ -10,8 +10,8 @@ import json
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import OutputError
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.approach_files import Approach, read_approaches, write_approaches
 
 START = make_transform(rotation_about([0, 0, 1], 0.3), [0.1, 0.2, 0.3])

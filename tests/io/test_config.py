@@ -4,11 +4,11 @@ import pytest
 from message_helpers import naming
 from pydantic import ValidationError
 
-from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
 from tactile_loc.io.options import TUNABLE
 from tactile_loc.io.toml import read_toml
+from tactile_loc.slots.registry import SLOTS
 
 
 def test_an_empty_table_gives_a_complete_configuration():

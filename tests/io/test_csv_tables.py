@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import FrameError, TouchError
+from tactile_loc.core.runtime.errors import FrameError, TouchError
 from tactile_loc.io.csv_tables import read_number, read_table, require_columns
 
 

@@ -11,8 +11,8 @@ import pytest
 from message_helpers import naming
 from PIL import Image
 
-from tactile_loc.core.errors import TouchError
-from tactile_loc.core.limits import MOST_SIDE_PX
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.runtime.limits import MOST_SIDE_PX
 from tactile_loc.io import images
 from tactile_loc.io.images import load_image, load_npy, load_npz, measure_image, read_colour_image, read_photo
 

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
-from tactile_loc.calibration.folder import read_calibration
-from tactile_loc.calibration.frames import read_frames
-from tactile_loc.core.errors import (
+from tactile_loc.core.runtime.errors import (
     CalibrationError,
     ConfigError,
     ObjectError,
@@ -20,13 +18,15 @@ from tactile_loc.core.errors import (
     TouchError,
     UnknownPluginError,
 )
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import find_sensor_kind
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.toml import read_toml
 from tactile_loc.io.touches import read_contents
 from tactile_loc.reports import find_source
+from tactile_loc.sensors.calibration.folder import read_calibration
+from tactile_loc.sensors.calibration.frames import read_frames
+from tactile_loc.slots.registry import registry
 
 NAMES = ["x" * 5000, "/nowhere/" + "x" * 300, "a\x00b", "x" * 5000 + ".toml"]
 READERS = {

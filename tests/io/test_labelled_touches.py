@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.labelled_touches import read_labelled_touches
 from tactile_loc.io.touches import write_touch

@@ -28,11 +28,11 @@ import json, os, resource, sys, zipfile
 from pathlib import Path
 import mcap.stream_reader, pyarrow.parquet, safetensors.numpy, scipy.spatial, trimesh
 from PIL import Image
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.store.archives import read_member
 from tactile_loc.io.images import load_npz, read_photo
-from tactile_loc.io.meshes import read_surface
+from tactile_loc.io.meshes.mesh_files import read_surface
 from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.touches import read_contents, read_mask
 from tactile_loc.library.record import PartRecord

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord, read_mount, write_mount
 
 X = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.01, -0.02, 0.1])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.priors import GaussianPrior, RegionPrior
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.prior_files import read_prior
 
 GAUSSIAN = 'kind = "gaussian"\nframe = "sensor"\ntranslation_std_mm = 4\n'

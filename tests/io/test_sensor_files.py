@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import SensorError
+from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file, write_sensor_file
 from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim

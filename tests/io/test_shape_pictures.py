@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.shape_pictures import DEPTHS, NO_CONTACT, UNSEEN, paint_shape, read_colour
+from tactile_loc.slots.registry import registry
 
 
 def test_a_colour_is_read_as_numbers():

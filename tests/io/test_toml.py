@@ -11,8 +11,8 @@ import pytest
 from message_helpers import naming
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import PoseKeys, format_toml, parse_value, read_pose, read_toml
 from tactile_loc.store.files import write_text

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from library_helpers import FEW, NAMES, flip, read_files
 
-from tactile_loc.core.errors import ConfigError, LibraryError, ObjectError, OutputError
+from tactile_loc.core.runtime.errors import ConfigError, LibraryError, ObjectError, OutputError
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.library import building
 from tactile_loc.library.building import WAITING, PartJob, add_parts, build_library, list_meshes, run_here

@@ -12,7 +12,7 @@ import pytest
 from kill_steps import killed_at_every_step
 from library_helpers import FEW, NAMES, flip, read_files
 
-from tactile_loc.core.errors import LibraryError, MissingLibraryError
+from tactile_loc.core.runtime.errors import LibraryError, MissingLibraryError
 from tactile_loc.library import folder, shards
 from tactile_loc.library.building import build_library, list_meshes
 from tactile_loc.library.folder import LibraryFolder

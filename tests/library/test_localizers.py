@@ -7,8 +7,8 @@ import pickle
 
 import pytest
 
-from tactile_loc.core.errors import ConfigError, LibraryError
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import ConfigError, LibraryError
 from tactile_loc.library.localizers import open_localizer
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.grids.whole import WholeGrid

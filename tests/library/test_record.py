@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.descriptor.descriptor import load_descriptor
-from tactile_loc.core.errors import LibraryError
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import FAR
+from tactile_loc.core.places.places import FAR
+from tactile_loc.core.runtime.errors import LibraryError
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.library.record import PartRecord, make_record
 from tactile_loc.plugins.grids.whole import WholeGrid
 

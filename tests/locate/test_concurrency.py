@@ -12,7 +12,7 @@ import pytest
 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.store.store import StageStore
 
 WHOLE = {"sensor": "gelsight-mini", "grid": {"name": "whole", "directions": 300}, "temperature": 0.05}

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.registry import registry
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,10 @@ from tactile_loc.core.geometry.rigid import invert, make_transform, make_transla
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.runtime.progress import StageTimes
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.doubts import list_doubts
 from tactile_loc.locate.expected_poses import (
     EXPECTED_MODES,
     FIRST,
@@ -28,11 +26,13 @@ from tactile_loc.locate.expected_poses import (
 )
 from tactile_loc.locate.hypotheses import DOUBT
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.result_json import make_record
-from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.locate.search import search_together
+from tactile_loc.locate.result.doubts import list_doubts
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.result_json import make_record
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.sources.whole_object import search_together
 from tactile_loc.plugin import bring_to_contact
+from tactile_loc.slots.registry import registry
 
 SEEDS = (0, 2, 5)
 OPENING_M = 6.6e-3

@@ -8,13 +8,13 @@ import pytest
 from tactile_loc.core.geometry.rigid import make_translation, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.ranking import TIE_NATS
-from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.runtime.progress import StageTimes
+from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose
-from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.hypotheses import (
     choose_best_apart,
     compare_where_seen,
@@ -24,8 +24,8 @@ from tactile_loc.locate.hypotheses import (
     split_modes,
     weigh,
 )
-from tactile_loc.locate.results.localization import Hypothesis
-from tactile_loc.locate.results.nearness import NATS_PER_IOU
+from tactile_loc.locate.probability.nearness import NATS_PER_IOU
+from tactile_loc.locate.result.localization import Hypothesis
 from tactile_loc.testing.problems import make_box
 
 

@@ -7,20 +7,20 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, GridError, NoContactError, TouchError
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.runtime.errors import ConfigError, GridError, NoContactError, TouchError
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.evaluation.metrics import compute_nees
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.touches import write_touch
-from tactile_loc.locate import scoring
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.localization import Localization
-from tactile_loc.locate.results.verdict import Verdict, judge
-from tactile_loc.locate.scoring import FEWEST_MATCHERS
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import Verdict, judge
+from tactile_loc.locate.sources import scoring
+from tactile_loc.locate.sources.scoring import FEWEST_MATCHERS
+from tactile_loc.slots.component import Capabilities
 from tactile_loc.store.store import StageStore
 
 SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100], "gel": "rigid"}}

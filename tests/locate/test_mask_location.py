@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.results.verdict import Verdict, judge
-from tactile_loc.locate.search import list_presses, spread_anchors
+from tactile_loc.locate.result.verdict import Verdict, judge
+from tactile_loc.locate.sources.whole_object import list_presses, spread_anchors
+from tactile_loc.slots.registry import registry
 
 SENSOR = {"name": "gelsight-mini", "gel": "rigid", "image_size_px": [160, 120]}
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from message_helpers import missing
 
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.locate.refinement import Refinement
+from tactile_loc.slots.registry import registry
 
 
 def explain(refiner: str, searched: bool, together: Any = "joint") -> str:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.locate.agreement import require_within_reach
+from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.outliers import require_within_reach
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import ObjectError, StoreError, SymmetryError
-from tactile_loc.io import meshes
+from tactile_loc.core.runtime.errors import ObjectError, StoreError, SymmetryError
+from tactile_loc.io.meshes import mesh_files as meshes
 from tactile_loc.locate import stored_object as module
 from tactile_loc.store.store import StageStore
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import ListedTouch

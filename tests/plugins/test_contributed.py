@@ -18,7 +18,7 @@ from tactile_loc_cli.scaffold.naming import Naming
 from tactile_loc_cli.scaffold.package import render
 
 import tactile_loc
-from tactile_loc.core.slots.registry import KINDS
+from tactile_loc.slots.registry import KINDS
 
 CONTRIBUTED = Path(__file__).parents[2] / "plugins_contrib"
 DISTRIBUTIONS = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
@@ -103,7 +103,7 @@ def test_only_the_public_api_is_imported(name):
         "from tactile_loc import plugins",
         "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
         "from tactile_loc.evaluation.metrics import compute_add_s",
-        "from tactile_loc.core.slots.scene import Scene",
+        "from tactile_loc.core.sensing.scene import Scene",
     ],
 )
 def test_a_private_import_is_noticed(text):

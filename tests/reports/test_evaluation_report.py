@@ -9,8 +9,8 @@ import shutil
 import pytest
 from report_helpers import Elements, html_of, page_in, write_evaluation
 
-from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.tables import SHOWN
 
 

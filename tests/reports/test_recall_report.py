@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from report_helpers import Elements, html_of, page_in
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.evaluation.recall import tables
 from tactile_loc.reports import find_source
 from tactile_loc.reports.report import make_page

@@ -20,14 +20,14 @@ from report_helpers import UNFRIENDLY, write_sweep
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.located_frame import LocatedFrame
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.live_server import LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import render
 from tactile_loc.reports.scene import list_rows_mm
-from tactile_loc.tasks.live import LiveResult
+from tactile_loc.tracking.live import LiveResult
 
 CHANGED_PX = 300
 

@@ -9,7 +9,7 @@ import pytest
 from message_helpers import naming
 from report_helpers import UNFRIENDLY, Elements, html_of, write_evaluation, write_sweep
 
-from tactile_loc.core.errors import OutputError
+from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.page import Page, Section, load_templates, render
 

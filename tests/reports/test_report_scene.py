@@ -7,9 +7,9 @@ import pytest
 from report_helpers import floats
 
 from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.drawing.pose_panel import list_round_values
-from tactile_loc.drawing.raytracing import View
 from tactile_loc.reports import scene
+from tactile_loc.view.pose_panel import list_round_values
+from tactile_loc.view.raytracing import View
 
 
 def test_a_box_has_twelve_creases(box):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.reports import find_source
 
 

@@ -11,11 +11,11 @@ import pytest
 from message_helpers import missing
 from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
-from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.locate.results.result_arrays import read_arrays
-from tactile_loc.locate.results.result_json import read_record
-from tactile_loc.locate.results.verdict import MEANINGS
+from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc.locate.result.result_arrays import read_arrays
+from tactile_loc.locate.result.result_json import read_record
+from tactile_loc.locate.result.verdict import MEANINGS
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import find_surface, make_result_page
 
@@ -118,7 +118,7 @@ def test_a_result_without_a_true_pose_shows_no_error(run_folder, tmp_path, monke
     for h in document["hypotheses"]:
         h["error_m"] = None
     (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.locate.results.result_arrays.hash_record", lambda record, read=False: "same")
+    monkeypatch.setattr("tactile_loc.locate.result.result_arrays.hash_record", lambda record, read=False: "same")
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
     np.savez(folder / "result.npz", **arrays)

@@ -8,7 +8,7 @@ import pytest
 from message_helpers import missing, naming
 from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.sweep import find_components, find_measured_lines, find_varying, is_factor, read_rows
 

@@ -13,8 +13,9 @@ from PIL import Image
 from report_helpers import UNFRIENDLY, Elements
 
 from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import LocatedFile
+from tactile_loc.planning.next_touch_files import ModeRecord, NextTouchRecord, OutOfReachRecord, RatedRecord
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.tasks import (
     make_folder_page,
@@ -23,7 +24,6 @@ from tactile_loc.reports.tasks import (
     make_next_touch_page,
 )
 from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord, PoseRecord
-from tactile_loc.tasks.next_touch_files import ModeRecord, NextTouchRecord, OutOfReachRecord, RatedRecord
 
 EYE = np.eye(4).tolist()
 

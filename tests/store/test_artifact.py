@@ -11,7 +11,7 @@ import pytest
 from message_helpers import naming
 from store_helpers import KEY, Five, contents, flip, folder_of, forbidden
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.keys import StageKey, hash_json

@@ -9,7 +9,7 @@ import pytest
 from kill_steps import killed_at_every_step
 from message_helpers import naming
 
-from tactile_loc.core.errors import OutputError
+from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.store import files
 from tactile_loc.store.files import (
     link_plainly,

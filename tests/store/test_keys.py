@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.keys import (
     MEANINGS,
     StageKey,

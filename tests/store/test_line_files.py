@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import OutputError
+from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.store.line_files import open_json_lines
 
 

@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.artifact import read_packed, write_packed
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore

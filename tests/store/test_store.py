@@ -10,7 +10,7 @@ import pytest
 from message_helpers import missing, naming
 from store_helpers import KEY, Five, folder_of, forbidden, run_python
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore, find_root
 from tactile_loc.store.workspace import Workspace

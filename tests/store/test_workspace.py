@@ -12,7 +12,7 @@ from kill_steps import killed_at_every_step
 from message_helpers import missing, naming
 from store_helpers import KEY, Five, contents, flip, folder_of, reference, run_python
 
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.artifact import MANIFEST, Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -249,7 +249,7 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from tactile_loc.core.errors import StoreError
+from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 

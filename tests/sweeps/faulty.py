@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 HOOK = """
-from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
+from tactile_loc.slots.registry import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components():
@@ -17,7 +17,7 @@ PARTS = '''
 import os, signal, time
 from pathlib import Path
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.plugin import ComponentOptions, RefinedPose, Refiner
 
 class Raising(Refiner):

@@ -7,9 +7,9 @@ from collections import Counter
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import ConfigError, ObjectError, SensorError, UnknownPluginError
-from tactile_loc.core.slots import compatibility
+from tactile_loc.core.runtime.errors import ConfigError, ObjectError, SensorError, UnknownPluginError
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.slots import compatibility
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import combination as module
 from tactile_loc.sweeps.combination import STAGES, combine, find_missing_stages, list_model_keys, order_for_running

@@ -9,7 +9,7 @@ import json
 import pytest
 from message_helpers import missing, naming
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
 from tactile_loc.sweeps.results import read_sweep, record_sweep
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, UnknownPluginError
+from tactile_loc.core.runtime.errors import ConfigError, UnknownPluginError
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.sweeps.plan import (

@@ -7,7 +7,7 @@ import json
 import pytest
 from message_helpers import missing, naming
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.sweeps.results import format_summary, read_sweep
 
 MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}

@@ -15,11 +15,11 @@ import pytest
 from message_helpers import naming
 from pandas.testing import assert_frame_equal
 
-from tactile_loc.core.errors import MissingLibraryError, OutputError
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combination import combine

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import MissingLibraryError
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc.sweeps.results import format_csv, write_parquet
 from tactile_loc.sweeps.sweep import MOMENTARY, list_columns, make_table, require_tables
 

@@ -16,11 +16,11 @@ import pytest
 from faulty import install
 from message_helpers import naming
 
-from tactile_loc.core.errors import UnknownPluginError
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import UnknownPluginError
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.io.config import RunConfig
+from tactile_loc.slots.registry import registry
 from tactile_loc.sweeps import workers
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob, summarise

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.bases.all_rotations import find_centroid_range
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.all_rotations import find_centroid_range
-from tactile_loc.core.slots.benchmarking import Method, ScoredPoses
-from tactile_loc.core.slots.component import Capabilities, ComponentOptions
-from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
@@ -28,6 +27,8 @@ from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
+from tactile_loc.slots.benchmarking import Method, ScoredPoses
+from tactile_loc.slots.component import Capabilities
 from tactile_loc.testing import contract, encoders, fusers, grids, matchers, methods, refiners, renderers, sensors
 from tactile_loc.testing.problems import ReferenceRenderer
 

@@ -6,7 +6,7 @@ import numpy as np
 from broken_components import drifting, made, then
 
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.benchmarking import RecordedSource, RecordedTouch, SimulatedSource, TouchSource
+from tactile_loc.slots.benchmarking import RecordedSource, RecordedTouch, SimulatedSource, TouchSource
 from tactile_loc.testing import touch_sources
 from tactile_loc.testing.problems import make_block
 

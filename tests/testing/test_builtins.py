@@ -16,15 +16,15 @@ from tactile_loc.benchmark.methods.ours import TactileLoc
 from tactile_loc.benchmark.methods.particle_filter import ParticleFilter
 from tactile_loc.benchmark.methods.pixel_matching import PixelMatching
 from tactile_loc.benchmark.methods.transform_consensus import TransformConsensus
-from tactile_loc.core.errors import RenderError
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.slots.component import Component
-from tactile_loc.core.slots.encoder import Encoder
-from tactile_loc.core.slots.registry import BUILT_IN, KINDS, registry
-from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.runtime.errors import RenderError
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
+from tactile_loc.slots.component import Component
+from tactile_loc.slots.encoder import Encoder
+from tactile_loc.slots.registry import BUILT_IN, KINDS, registry
+from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing import Check, list_checks, parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, make_training_problem
 

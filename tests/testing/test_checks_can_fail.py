@@ -47,7 +47,7 @@ def test_every_check_has_a_broken_component():
 
 
 def test_every_check_is_chosen_for_some_capabilities():
-    from tactile_loc.core.slots.component import Capabilities
+    from tactile_loc.slots.component import Capabilities
 
     capabilities = [Capabilities(), Capabilities(contact_only=True), Capabilities(places=True),
                     Capabilities(needs_training=True)]  # fmt: skip

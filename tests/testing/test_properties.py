@@ -13,11 +13,11 @@ import pytest
 from broken_properties import BROKEN
 from hypothesis import Phase
 
-from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.geometry.rigid import is_rigid
-from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.slots.component import Capabilities
 from tactile_loc.testing import (
     ContractError,
     encoders,

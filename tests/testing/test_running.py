@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from broken_components import made
 
-from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.slots.component import Capabilities
 from tactile_loc.testing import list_checks
 from tactile_loc.testing.running import CheckResult, iter_checks, run_checks
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say
 from tactile_loc_cli.options import RunOptions

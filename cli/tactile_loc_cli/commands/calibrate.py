@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli.console import make_progress, say
 from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
-    from tactile_loc.calibration.labelling import LabelledFolder
-    from tactile_loc.calibration.outcome import Outcome
+    from tactile_loc.sensors.calibration.labelling import LabelledFolder
+    from tactile_loc.sensors.calibration.outcome import Outcome
 
 DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"
@@ -117,9 +117,9 @@ def calibrate(
     simulated presses. Without a table, it detects the ball in the images: check labels.png. A fifth of the presses is
     held out to measure the errors. Use the result with: run --object FILE --sensor FOLDER --touch photo.png
     """
-    from tactile_loc.calibration.folder import require_replaceable
-    from tactile_loc.calibration.labelling import label_presses
-    from tactile_loc.calibration.outcome import calibrate_folder
+    from tactile_loc.sensors.calibration.folder import require_replaceable
+    from tactile_loc.sensors.calibration.labelling import label_presses
+    from tactile_loc.sensors.calibration.outcome import calibrate_folder
     from tactile_loc.store.store import StageStore
 
     require_writable(out)
@@ -160,7 +160,7 @@ def _require_one_source(
 
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
-    from tactile_loc.calibration.presses import convert, write_sensor
+    from tactile_loc.sensors.calibration.presses import convert, write_sensor
 
     if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
         raise ConfigError(f"--format {format} needs --ball-radius and --mm-per-px, positive numbers in mm")
@@ -180,8 +180,8 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
 
 def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[str, Any]:
     """Print where the labels come from, draw new ones, and return those for the command's result."""
-    from tactile_loc.calibration.presses import TABLE
-    from tactile_loc.drawing.calibration import save_labels
+    from tactile_loc.sensors.calibration.presses import TABLE
+    from tactile_loc.view.calibration import save_labels
 
     table = labelled.folder / TABLE
     if labelled.labels is None:
@@ -202,8 +202,8 @@ def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
     seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
-    from tactile_loc.calibration.outcome import Outcome
-    from tactile_loc.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
+    from tactile_loc.sensors.calibration.outcome import Outcome
+    from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
     from tactile_loc.store.store import StageStore
 
     sensor = sensor or DEFAULT_SENSOR
@@ -219,7 +219,7 @@ def _calibrate_simulated(
 
 def _finish(outcome: Outcome, out: Path) -> dict[str, Any]:
     """Write the calibration folder, and print the gel's properties and the errors."""
-    from tactile_loc.drawing.calibration import save_held_out
+    from tactile_loc.view.calibration import save_held_out
 
     outcome.write(out.absolute())
     picture = save_held_out(out, outcome)

@@ -17,8 +17,8 @@ from tactile_loc_cli.options import RunOptions
 if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.approach_files import Approach
+    from tactile_loc.planning.next_touch import NextTouch
     from tactile_loc.tasks.identify import Identification
-    from tactile_loc.tasks.next_touch import NextTouch
 
 DEFAULT_OUT = Path("tactile-loc-identify")
 NONE_OF_THESE = 1
@@ -114,7 +114,7 @@ def _rate_approaches(
     found: Identification, touches: Sequence[Touch], candidates: Path | None, around: int | None
 ) -> tuple[Sequence[Approach], NextTouch | None]:
     """Return the approaches and their ratings; none if none were asked for, or if no object is probable."""
-    from tactile_loc.tasks.next_touch import choose_next_touch
+    from tactile_loc.planning.next_touch import choose_next_touch
 
     if (candidates is None and around is None) or (modes := found.modes) is None:
         return [], None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.formatting import format_bytes
+from tactile_loc.core.runtime.formatting import format_bytes
 from tactile_loc_cli import options
 from tactile_loc_cli.console import complain, format_count, make_progress, say, say_table
 from tactile_loc_cli.failures import UNEXPECTED, USAGE_ERROR, Finding

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, OutputError, TouchError
+from tactile_loc.core.runtime.errors import ConfigError, OutputError, TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_written
 from tactile_loc_cli.options import RunOptions
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.streams.frame_sources import FrameSource
     from tactile_loc.io.streams.sensor_tracks import SensorTrack
     from tactile_loc.locate.localizer import Localizer
-    from tactile_loc.tasks.live import LiveLocator, LiveResult, LiveSummary
+    from tactile_loc.tracking.live import LiveLocator, LiveResult, LiveSummary
 
     Show = Callable[[LiveResult], object]
     Output = AbstractContextManager[Show]
@@ -95,8 +95,8 @@ def live(
     with Ctrl-C.
     """
     from tactile_loc.io.streams.frame_sources import open_source
-    from tactile_loc.tasks.live import LiveLocator, LiveSummary
-    from tactile_loc.tasks.tracker import Tracker
+    from tactile_loc.tracking.live import LiveLocator, LiveSummary
+    from tactile_loc.tracking.tracker import Tracker
 
     settings = options.make_config(given)
     opened = open_source(source, camera, once)
@@ -168,7 +168,7 @@ def _write_results(out: Path) -> Iterator[Show]:
 @contextmanager
 def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
     """Write results to a Rerun file."""
-    from tactile_loc.drawing.rerun_log import Logged, RerunLog
+    from tactile_loc.view.rerun_log import Logged, RerunLog
 
     start_s: list[float] = []
     with RerunLog(path, localizer.scene) as log:

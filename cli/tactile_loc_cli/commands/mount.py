@@ -50,10 +50,10 @@ def mount(
     the others are left out and named. To use the result in a list of touches, write mount = "mount.toml" and give
     T_base_flange for each touch.
     """
-    from tactile_loc.drawing.pictures import save_figure
-    from tactile_loc.drawing.tasks import draw_mount
     from tactile_loc.io.mount_files import read_mount, write_mount
-    from tactile_loc.tasks.mount import find_mount, make_mount_record, read_flange_touches
+    from tactile_loc.planning.mount import find_mount, make_mount_record, read_flange_touches
+    from tactile_loc.view.pictures import save_figure
+    from tactile_loc.view.tasks import draw_mount
     from tactile_loc_cli.results import say_mount
 
     settings = options.make_config(replace(given, touch=touch))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, ResultError
+from tactile_loc.core.runtime.errors import ConfigError, ResultError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say_written
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import TriangleMesh
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
     from tactile_loc.io.approach_files import Approach
-    from tactile_loc.io.meshes import Units
-    from tactile_loc.tasks.clearance import Clearance
-    from tactile_loc.tasks.pose_modes import PoseModes
+    from tactile_loc.io.meshes.mesh_files import Units
+    from tactile_loc.planning.clearance import Clearance
+    from tactile_loc.tracking.pose_modes import PoseModes
 
 DEFAULT_OUT = Path("tactile-loc-next-touch")
 BOX = re.compile(r"(\d*\.?\d+)x(\d*\.?\d+)x(\d*\.?\d+)mm")
@@ -93,12 +93,12 @@ def next_touch(
     the sensor's travel until contact and the contact shape. Approaches are ranked by their expected information per
     cost. The output also names the poses that no approach distinguishes, and says when to stop.
     """
-    from tactile_loc.drawing.pictures import save_figure
-    from tactile_loc.drawing.tasks import draw_next_touch
     from tactile_loc.io.approach_files import write_approaches
     from tactile_loc.io.streams.records import write_record
-    from tactile_loc.tasks.next_touch import choose_next_touch as choose
-    from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
+    from tactile_loc.planning.next_touch import choose_next_touch as choose
+    from tactile_loc.planning.next_touch_files import make_next_touch_record, read_modes
+    from tactile_loc.view.pictures import save_figure
+    from tactile_loc.view.tasks import draw_next_touch
     from tactile_loc_cli.results import say_next_touch
 
     modes, T_base_sensor = read_modes(_find_result(result))
@@ -137,7 +137,7 @@ def find_approaches(
     import numpy as np
 
     from tactile_loc.io.approach_files import read_approaches
-    from tactile_loc.tasks.approaches import draw_approaches_to_modes
+    from tactile_loc.planning.approaches import draw_approaches_to_modes
 
     if candidates is not None and around is None:
         return read_approaches(candidates, T_base_sensor)
@@ -155,8 +155,8 @@ def _find_clearance(
     in_base: bool,
 ) -> Clearance | None:
     """Read what must not be hit. Raises ConfigError for a fixture or floor without a finger or a base frame."""
-    from tactile_loc.io.meshes import load_object
-    from tactile_loc.tasks.clearance import Clearance, make_box_finger
+    from tactile_loc.io.meshes.mesh_files import load_object
+    from tactile_loc.planning.clearance import Clearance, make_box_finger
 
     if finger is None:
         if fixture is None and floor_mm is None:

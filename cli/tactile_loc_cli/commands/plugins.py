@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.slots.registry import KINDS
+from tactile_loc.slots.registry import KINDS
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import Finding
 from tactile_loc_cli.options import require_slot, set_option
 
 if TYPE_CHECKING:
-    from tactile_loc.core.slots.component import Component
-    from tactile_loc.core.slots.registry import Registered, Registry
+    from tactile_loc.slots.component import Component
+    from tactile_loc.slots.registry import Registered, Registry
 
 BROKEN_CONTRACT = 1
 
@@ -56,8 +56,8 @@ def plugins(
     --check runs the contract checks of one component and reports each failure. --properties also tests general
     properties on random inputs: frames, orders, symmetric copies, image sizes, mirror images.
     """
-    from tactile_loc.core.errors import ConfigError
-    from tactile_loc.core.slots.registry import registry
+    from tactile_loc.core.runtime.errors import ConfigError
+    from tactile_loc.slots.registry import registry
 
     found = registry()
     if check:
@@ -102,7 +102,7 @@ def _say_interface(component: dict[str, Any], outdated: str = "") -> None:
 
     `outdated` describes the change that the component needs. It is known only after the class is imported.
     """
-    from tactile_loc.core.slots.interface import INTERFACE_VERSION
+    from tactile_loc.slots.interface import INTERFACE_VERSION
 
     written, named = component["interface"], "the {slot} {name!r} of {distribution}".format(**component)
     if written > INTERFACE_VERSION:
@@ -194,7 +194,7 @@ def _make(found: Registry, slot: str, name: str, words: list[str]) -> Component:
 
     Raises ConfigError for options of another slot, and PluginLoadError if the component's class raises an error.
     """
-    from tactile_loc.core.errors import ConfigError, PluginLoadError, TactileLocError
+    from tactile_loc.core.runtime.errors import ConfigError, PluginLoadError, TactileLocError
     from tactile_loc.io.config import parse_overrides
 
     overrides = parse_overrides(words)

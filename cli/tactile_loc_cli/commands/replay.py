@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, OutputError, RecordingError
-from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.runtime.errors import ConfigError, OutputError, RecordingError
+from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.store.files import require_writable, shorten_name
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_written
@@ -22,9 +22,9 @@ from tactile_loc_cli.verdict_counts import list_verdicts, warn_of_uncertain
 if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
     from tactile_loc.io.streams.recordings import Contents
-    from tactile_loc.tasks.replay import ReplaySource
-    from tactile_loc.tasks.replay_files import Replayed, ReplayOutput
-    from tactile_loc.tasks.replay_modes import RestPose
+    from tactile_loc.tracking.replay import ReplaySource
+    from tactile_loc.tracking.replay_files import Replayed, ReplayOutput
+    from tactile_loc.tracking.replay_modes import RestPose
 
 logger = logging.getLogger(__name__)
 
@@ -107,8 +107,8 @@ def replay(
     image's verdict. The poses are also written as a table (.csv) and as JSON. After an interruption, the same command
     resumes; a track or a fused pose starts again.
     """
-    from tactile_loc.locate.results.verdict import Verdict
-    from tactile_loc.tasks.replay_files import ReplayOutput
+    from tactile_loc.locate.result.verdict import Verdict
+    from tactile_loc.tracking.replay_files import ReplayOutput
 
     settings = options.make_config(given)
     options.require_object(settings, str(recording))
@@ -127,7 +127,7 @@ def replay(
     )
     found = _locate(opened, written, track, fuse)
     if rerun is not None:
-        from tactile_loc.drawing.rerun_log import write_replay
+        from tactile_loc.view.rerun_log import write_replay
 
         found = replace(found, written=(*found.written, write_replay(rerun, opened.source, found.records)))
     _report(found, opened)
@@ -182,7 +182,7 @@ def _open_recording(
     """Open the images of a recording. Raises TactileLocError for bad input."""
     from tactile_loc.io.streams.recordings import Recording
     from tactile_loc.io.streams.recordings import choose_image_topic as chosen
-    from tactile_loc.tasks.replay import Replay
+    from tactile_loc.tracking.replay import Replay
 
     recorded = Recording(recording)
     contents = recorded.read_contents()
@@ -206,7 +206,7 @@ def _open_folder(
 ) -> _Opened:
     """Open the images of a folder. Raises TactileLocError for bad input."""
     from tactile_loc.io.streams.sensor_tracks import read_sensor_track
-    from tactile_loc.tasks.replay import FolderReplay
+    from tactile_loc.tracking.replay import FolderReplay
 
     flags = ("--image-topic", "--frame", "--base-frame")
     _refuse("for a recording", dict(zip(flags, of_recording, strict=True)))
@@ -224,7 +224,7 @@ def _refuse(use: str, given: dict[str, Any]) -> None:
 
 
 def _locate(opened: _Opened, out: ReplayOutput, track: bool, fuse: bool) -> Replayed:
-    from tactile_loc.tasks.replay_files import fuse_to, locate_each_to, track_to
+    from tactile_loc.tracking.replay_files import fuse_to, locate_each_to, track_to
 
     if fuse:
         return fuse_to(out, opened.source)
@@ -243,7 +243,7 @@ def _require_free(contents: Contents, recording: Path, out: ReplayOutput) -> Non
 
 def _report(found: Replayed, opened: _Opened) -> None:
     """Write the number of images by outcome, the fused pose, and the reasons of refusals; warn of doubtful results."""
-    from tactile_loc.tasks.replay_modes import measure_scatter_m
+    from tactile_loc.tracking.replay_modes import measure_scatter_m
 
     summary, about = found.summary, opened.source.about
     finished = f"; {found.resumed} of them were already finished" if found.resumed else ""
@@ -267,7 +267,7 @@ def _report(found: Replayed, opened: _Opened) -> None:
 def _say_rest(rest: RestPose) -> None:
     """Write the pose of an object at rest: verdict, pose, probability, and share of the touches that it explains."""
     from tactile_loc.core.geometry.pose_words import format_pose_words
-    from tactile_loc.locate.results.verdict import explain_verdict
+    from tactile_loc.locate.result.verdict import explain_verdict
 
     words = format_pose_words(rest.T_base_object, rest.std)
     say(f"{rest.verdict}: {explain_verdict(rest.verdict)}")

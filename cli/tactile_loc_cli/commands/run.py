@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.lazy import import_ahead
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
+from tactile_loc.core.runtime.lazy import import_ahead
 from tactile_loc.store.files import lock_folder, require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
@@ -20,12 +20,12 @@ from tactile_loc_cli.options import RunOptions
 from tactile_loc_cli.verdict_counts import list_verdicts
 
 if TYPE_CHECKING:
+    from tactile_loc.core.sensing.scene import Scene
     from tactile_loc.core.sensing.touch import Touch
-    from tactile_loc.core.slots.scene import Scene
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
-    from tactile_loc.locate.results.localization import Localization
-    from tactile_loc.locate.results.result_json import ResultRecord
+    from tactile_loc.locate.result.localization import Localization
+    from tactile_loc.locate.result.result_json import ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
 
 logger = logging.getLogger(__name__)
@@ -171,9 +171,9 @@ def _report(
     `alone` is the result of the first simulated touch alone. The files come first, because the reader of the output may
     close it early.
     """
-    from tactile_loc.locate.doubts import list_doubts
-    from tactile_loc.locate.results.result_json import make_record
-    from tactile_loc.tasks.next_step import suggest_next_step
+    from tactile_loc.locate.result.doubts import list_doubts
+    from tactile_loc.locate.result.result_json import make_record
+    from tactile_loc.planning.next_step import suggest_next_step
     from tactile_loc_cli.results import say_alone, say_result
 
     localizer = observations[0][0]
@@ -181,7 +181,7 @@ def _report(
     record = record.model_copy(update={"next_step": suggest_next_step(localization)})
     written = _write_result(record, localization, localizer.scene, out, page, alone)
     if rerun is not None:
-        from tactile_loc.drawing.rerun_log import write_localization
+        from tactile_loc.view.rerun_log import write_localization
 
         written.append(write_localization(rerun, localization, localizer.scene))
     say_result(record)
@@ -198,10 +198,10 @@ def _write_result(
     record: ResultRecord, localization: Localization, scene: Scene, out: Path, page: bool, alone: Localization | None
 ) -> list[Path]:
     """Write the record, the arrays and the picture of a result and, with `page`, its report. Return their paths."""
-    from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.drawing.touching_again import draw_touching_again
     from tactile_loc.io.streams.records import write_record
-    from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
+    from tactile_loc.locate.result.result_arrays import NAME, gather_arrays, write_arrays
+    from tactile_loc.view.one_versus_several import draw_touching_again
+    from tactile_loc.view.pictures import draw_result, save_figure
     from tactile_loc_cli.results import make_title
 
     if alone is None:
@@ -230,8 +230,8 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
     writes report.html. Returns the result of each touch, and the paths. Raises TouchError if the folder has no touch,
     or no touch can be located.
     """
-    from tactile_loc.locate.doubts import list_doubts
-    from tactile_loc.locate.results.located_frame import count_frames
+    from tactile_loc.locate.result.doubts import list_doubts
+    from tactile_loc.locate.result.located_frame import count_frames
     from tactile_loc.locate.touch_files import find_touches, localize_files, name_folders, write_table
     from tactile_loc_cli.results import say_located
 
@@ -281,7 +281,7 @@ def _write_folder_page(
 
 def _warn_of_doubtful(names: list[str]) -> None:
     """Name the touches whose best pose is probably wrong."""
-    from tactile_loc.locate.results.verdict import LEAST_IOU
+    from tactile_loc.locate.result.verdict import LEAST_IOU
 
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
@@ -293,9 +293,9 @@ def _warn_of_doubtful(names: list[str]) -> None:
 
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
     """Write one touch's result, and return the result."""
-    from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.io.streams.records import write_record
-    from tactile_loc.locate.results.result_json import make_record
+    from tactile_loc.locate.result.result_json import make_record
+    from tactile_loc.view.pictures import draw_result, save_figure
     from tactile_loc_cli.results import make_title
 
     record = make_record(localizer, localization)

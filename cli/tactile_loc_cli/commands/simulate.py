@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, OutputError
+from tactile_loc.core.runtime.errors import ConfigError, OutputError
 from tactile_loc.store.files import require_writable, write_atomically, write_json
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
     from tactile_loc.core.sensing.touch import Touch
-    from tactile_loc.imaging.optics import Optics
     from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.sensors.optics.lamps import Optics
 
 logger = logging.getLogger(__name__)
 
@@ -129,7 +129,7 @@ def _require_one_kind(count: int | None, together: int | None, opposed: bool, re
 
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
     """Write a slide over the object as a recording."""
-    from tactile_loc.core.simulation.noise import make_noise
+    from tactile_loc.core.sensing.noise import make_noise
     from tactile_loc.evaluation import slides
 
     options.require_mcap("--recording", path)
@@ -146,10 +146,10 @@ def _write_recording(path: Path, localizer: Localizer, images: int, optics: Opti
 
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
     """Write the touches, their poses and their picture; return the contents of poses.json."""
-    from tactile_loc.drawing.pictures import draw_touches, save_figure
     from tactile_loc.io.touch_lists import write_touch_list
     from tactile_loc.io.touches import OVERVIEW, TRUE_POSES, write_touch
     from tactile_loc.locate.touch_files import name_listed_sensor
+    from tactile_loc.view.pictures import draw_touches, save_figure
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -203,7 +203,7 @@ def _warn_of_others(out: Path, names: list[str], listed: bool) -> None:
 
 def _find_optics(asked: str | None, sensor: str) -> Optics:
     """Return the optics of this name, or without a name the optics that suit the sensor."""
-    from tactile_loc.imaging.optics import choose_optics, find_optics
+    from tactile_loc.sensors.optics.lamps import choose_optics, find_optics
 
     return choose_optics(sensor) if asked is None else find_optics(asked)
 
@@ -211,8 +211,8 @@ def _find_optics(asked: str | None, sensor: str) -> Optics:
 def _write_images(touches: list[Touch], geometry: SensorGeometry, optics: Optics, seed: int, out: Path) -> None:
     import numpy as np
 
-    from tactile_loc.imaging.shading import render_background
-    from tactile_loc.imaging.simulate import render_touches
+    from tactile_loc.sensors.optics.shading import render_background
+    from tactile_loc.sensors.optics.simulate import render_touches
 
     _write_png(out / "background.png", render_background(geometry, optics))
     rng = np.random.default_rng(seed)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError, StoreError, advise_choice
-from tactile_loc.core.formatting import format_bytes
-from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.core.runtime.errors import ConfigError, StoreError, advise_choice
+from tactile_loc.core.runtime.formatting import format_bytes
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import format_count, say, say_table
 from tactile_loc_cli.options import Store
 

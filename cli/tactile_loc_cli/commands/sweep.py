@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc_cli import options
 from tactile_loc_cli.console import complain, format_count, make_progress, say, say_table, say_written
 from tactile_loc_cli.failures import UNEXPECTED, Finding

@@ -19,7 +19,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc_cli.console import format_count
 
 
@@ -309,7 +309,7 @@ def _find_version(distributions: Sequence[str]) -> str | None:
 
 
 def _check_plugins() -> Iterator[Check]:
-    from tactile_loc.core.slots.registry import BUILT_IN, registry
+    from tactile_loc.slots.registry import BUILT_IN, registry
 
     found = registry()
     distributions = list(dict.fromkeys(component.distribution for component in found.components))
@@ -326,7 +326,7 @@ def _check_plugins() -> Iterator[Check]:
 
 
 def _check_store(folder: Path | None) -> Check:
-    from tactile_loc.core.formatting import format_bytes
+    from tactile_loc.core.runtime.formatting import format_bytes
     from tactile_loc.store.store import StageStore
 
     root = StageStore(folder).root

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError
 
 Facts = dict[str, Any]
 
@@ -110,9 +110,9 @@ def compile_kernels() -> Facts:
 
     import numpy as np
 
-    from tactile_loc.core.slots.registry import registry
     from tactile_loc.evaluation.robot_touches import RobotTouches
     from tactile_loc.locate.localizer import Localizer, localize_together
+    from tactile_loc.slots.registry import registry
     from tactile_loc.store.store import StageStore
 
     start = time.perf_counter()

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.evaluate.jobs import Asked

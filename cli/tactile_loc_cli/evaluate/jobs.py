@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc_cli import options
 from tactile_loc_cli.options import RunOptions
 
@@ -46,7 +46,7 @@ def list_jobs(
     Bad input raises its error here, before the first evaluation.
     """
     from tactile_loc.io.config import parse_overrides, parse_settings
-    from tactile_loc.io.meshes import load_object
+    from tactile_loc.io.meshes.mesh_files import load_object
 
     in_file = read_setting(given.config, "object", "path")
     paths = objects or ([in_file] if in_file else list(DEMO_OBJECTS))

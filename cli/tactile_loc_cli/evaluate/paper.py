@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import shorten_name
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_table, say_written
@@ -69,10 +69,10 @@ class _Plan:
 
     def work(self, settings: RunConfig, obj: ObjectModel) -> Run:
         """Evaluate an object with an encoder, draw its gallery, and return the results."""
-        from tactile_loc.drawing.pictures import save_figure
         from tactile_loc.evaluation.figures import draw_gallery
         from tactile_loc.evaluation.protocol import evaluate as run_protocol
         from tactile_loc.evaluation.tables import Run
+        from tactile_loc.view.pictures import save_figure
 
         localizer = options.open_localizer(settings, self.store, obj)
         encoder = settings.encoder.name
@@ -93,7 +93,6 @@ def _name_gallery(name: str, encoder: str) -> str:
 
 
 def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
-    from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.figures import draw_reliability, draw_violins
     from tactile_loc.evaluation.tables import (
         record_runs,
@@ -103,6 +102,7 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
         tabulate_posteriors,
         write_tables,
     )
+    from tactile_loc.view.pictures import save_figure
 
     heading = f"Localisation from one touch: {plan.describe('touch')} for each object, seed {plan.touches.seed}"
     protocol = {"touches": plan.count, **dataclasses.asdict(plan.touches)}
@@ -158,9 +158,9 @@ def _evaluate_fusion(jobs: Sequence[Job], contacts: Sequence[int], plan: _Plan) 
 
 
 def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
-    from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.figures import draw_fusion
     from tactile_loc.evaluation.fusion_tables import record_runs, tabulate_medians, write_fusion_tables
+    from tactile_loc.view.pictures import save_figure
 
     heading = (
         f"Localisation from several contacts: {plan.describe('example')} for each object, seed {plan.touches.seed}"

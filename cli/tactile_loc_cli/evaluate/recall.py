@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons, say_table, say_written
 from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
@@ -80,7 +80,7 @@ def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[RecallRun], dic
 
 def _require_one_object(jobs: Sequence[Job], asked: Asked) -> None:
     """Raise ConfigError unless the touched object is given, and only one object."""
-    from tactile_loc.core.errors import ConfigError
+    from tactile_loc.core.runtime.errors import ConfigError
 
     options.require_object(jobs[0][0], f"--touches {asked.touches[0]}")
     if len({obj.name for _, obj in jobs}) > 1:
@@ -113,10 +113,10 @@ def _require_located(runs: Sequence[RecallRun]) -> None:
 
 def _report(runs: Sequence[RecallRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
     """Write the results and their pictures, print the tables, and return the results as JSON values."""
-    from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.recall import tables
     from tactile_loc.evaluation.recall.bop import make_scenes, write_bop
     from tactile_loc.evaluation.recall.figure import draw_recall
+    from tactile_loc.view.pictures import save_figure
 
     heading = _write_heading(about)
     written = tables.write_recall_tables(asked.out, runs, about, heading)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tactile_loc.core.slots.registry import KINDS
+from tactile_loc.slots.registry import KINDS
 from tactile_loc_cli.scaffold.naming import Naming
 from tactile_loc_cli.scaffold.package import SUMMARIES, render
 

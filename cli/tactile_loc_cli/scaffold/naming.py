@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from tactile_loc.core.errors import ConfigError, PluginConflictError
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.runtime.errors import ConfigError, PluginConflictError
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc_cli.options import require_slot
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -64,7 +64,7 @@ class Naming:
 
     def require_free(self) -> None:
         """Raise PluginConflictError if a component of the slot or an installed package already has this name."""
-        from tactile_loc.core.slots.registry import registry
+        from tactile_loc.slots.registry import registry
 
         for found in registry().components:
             if (found.spec.slot, found.spec.name) == (self.slot, self.name):

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from tactile_loc.core.errors import OutputError
+from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.store.files import replace_folder
 from tactile_loc_cli.scaffold.naming import Naming
 

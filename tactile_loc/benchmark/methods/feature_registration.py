@@ -16,8 +16,8 @@ from tactile_loc.benchmark.methods.surface_fit import FitOptions, SurfaceFit
 from tactile_loc.benchmark.methods.touched_points import TouchedPoints
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
-from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.slots.component import Capabilities
 
 MM = 1e3  # open3d gets millimetres
 NORMALS_FROM, FEATURES_FROM = 2.0, 5.0  # radii, in spacings, as in open3d's tutorial on global registration

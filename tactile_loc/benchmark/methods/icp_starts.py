@@ -13,7 +13,7 @@ from tactile_loc.benchmark.methods.touched_points import TouchedPoints, find_dee
 from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
 
 
 class IcpFromStarts(Method):

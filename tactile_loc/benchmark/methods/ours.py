@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
-from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
 from tactile_loc.store.store import StageStore
 
 

@@ -17,12 +17,12 @@ from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, trans
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch, require_depths
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
-from tactile_loc.core.slots.component import ComponentOptions
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.core.slots.scene import Scene, View, view_touch
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.slots.registry import registry
+from tactile_loc.slots.renderer import Renderer
 
 RENDERER = "heightmap"
 MOST_CLUSTERS = 50  # clusters that are counted

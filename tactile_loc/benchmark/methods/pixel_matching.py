@@ -11,15 +11,15 @@ from pydantic import Field
 
 from tactile_loc.benchmark.methods.surface_fit import list_best
 from tactile_loc.benchmark.methods.touched_points import find_sensor_pose
-from tactile_loc.core.geometry.rigid import Poses, align_to_z, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Float32, Poses, align_to_z, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.sensing.places import CAMERA
-from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
+from tactile_loc.core.places.places import CAMERA
+from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.scene import Scene, view_touch
 from tactile_loc.core.sensing.touch import Touch, require_depths
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
-from tactile_loc.core.slots.component import ComponentOptions, Float32
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene, view_touch
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.slots.registry import registry
 
 RENDERER = "heightmap"
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))  # the turn from one point of a spiral on the sphere to the next

@@ -14,15 +14,15 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.benchmark.methods.touched_points import TouchedPoints
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.surface_field import SurfaceField
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.ranking import group_ties, rank_poses
-from tactile_loc.core.slots.benchmarking import ScoredPoses
-from tactile_loc.core.slots.component import ComponentOptions
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.slots.benchmarking import ScoredPoses
 
 REACH_M, CELL_M = 15e-3, 1e-3  # distance from the surface at which nearest points are known, and size of its cells
 LEAST_COSINE = 0.5  # normals of corresponding points differ by at most 60 degrees

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.touch import Touch, require_depths
 

@@ -14,7 +14,7 @@ from tactile_loc.benchmark.methods.surface_fit import FitOptions, SurfaceFit
 from tactile_loc.benchmark.methods.touched_points import TouchedPoints, spread_indices
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method, ScoredPoses
+from tactile_loc.slots.benchmarking import LocatingProblem, Method, ScoredPoses
 
 ANGLES = 15  # classes of an angle from 0 to 180 degrees, as in Drost et al.
 TURNS = 30  # classes of the rotation about a normal

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.calibration.frames import Frame, read_frames
-from tactile_loc.calibration.outcome import calibrate_folder
-from tactile_loc.calibration.unlabelled import find_presses, write_labels
-from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.benchmarking import Image, SimulatedSource
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.images import write_image
+from tactile_loc.sensors.calibration.frames import Frame, read_frames
+from tactile_loc.sensors.calibration.outcome import calibrate_folder
+from tactile_loc.sensors.calibration.unlabelled import find_presses, write_labels
+from tactile_loc.slots.benchmarking import Image, SimulatedSource
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 RENDERER = "raycast"

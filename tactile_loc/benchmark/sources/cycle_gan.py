@@ -23,10 +23,10 @@ from tactile_mnist.tactile_renderer import mk_tactile_renderer
 
 from tactile_loc.benchmark.sources.calibrating import BallPresses, calibrate_on_balls
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.benchmarking import Image, SimulatedSource
-from tactile_loc.core.slots.component import ComponentOptions
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.slots.benchmarking import Image, SimulatedSource
 
 THICKNESS_M, NOMINAL_M = 1e-3 * GELSIGHT_MINI_GEL_THICKNESS_MM, 1e-3 * GEL_PENETRATION_DEPTH_MM
 SIZE_PX = tuple(int(n) for n in GELSIGHT_MINI_IMAGE_SIZE_PX)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.component import ComponentOptions
-from tactile_loc.core.slots.scene import Scene
 
 MM = 1e3
 FAR_M = 50e-3  # distance of an object that is nowhere near a pixel

@@ -16,15 +16,15 @@ import numpy as np
 from pydantic import Field
 
 from tactile_loc.benchmark.sources.calibrating import calibrate_sensor
-from tactile_loc.calibration.presses import convert
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.benchmarking import RecordedSource, RecordedTouch
-from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.io.images import load_image
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.sensors.calibration.presses import convert
+from tactile_loc.slots.benchmarking import RecordedSource, RecordedTouch
 
 BALLS, SHAPES, POSES, MESH = "gelslim_balls", "gelslim_shapes", "poses.json", "prism.stl"
 BALL_MM, MM_PER_PX = 2.92, 0.059259

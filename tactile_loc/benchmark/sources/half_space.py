@@ -19,12 +19,12 @@ from tactile_loc.benchmark.sources.elastic import (
     make_shape,
     measure_sides_m,
 )
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.benchmarking import SimulatedSource
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.slots.benchmarking import SimulatedSource
 
 THICK_MM = 1e3  # a layer of this thickness acts as a half-space
 TOLERANCE = 1e-4  # of the solver

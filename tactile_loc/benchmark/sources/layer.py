@@ -22,13 +22,13 @@ from tactile_loc.benchmark.sources.elastic import (
     make_shape,
     measure_sides_m,
 )
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.benchmarking import SimulatedSource
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.slots.benchmarking import SimulatedSource
 
 MOST_ITERATIONS, PENETRATION_MM = 500, 1e-4
 

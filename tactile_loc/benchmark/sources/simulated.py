@@ -10,14 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.gel import GelKind
+from tactile_loc.core.sensing.noise import NoiseLevel, make_noise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.simulation.noise import NoiseLevel, make_noise
-from tactile_loc.core.slots.benchmarking import SimulatedSource
-from tactile_loc.core.slots.component import ComponentOptions
-from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.robot_touches import measure_noisily
+from tactile_loc.slots.benchmarking import SimulatedSource
+from tactile_loc.slots.registry import registry
 
 
 class SimulatedTouches(SimulatedSource):

@@ -19,10 +19,10 @@ from pydantic import Field
 
 from tactile_loc.benchmark.sources.calibrating import BallPresses, calibrate_on_balls
 from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.benchmarking import Image, SimulatedSource
-from tactile_loc.core.slots.component import ComponentOptions
-from tactile_loc.core.slots.scene import Scene
+from tactile_loc.slots.benchmarking import Image, SimulatedSource
 
 # with several threads, sums are rounded differently from call to call; jax reads this when it is imported
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")

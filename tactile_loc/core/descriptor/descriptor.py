@@ -62,7 +62,7 @@ class Descriptor:
     def describe_touch(self, touch: Touch) -> Float32:
         """Return the unit vector (D,) of a touch with depths."""
         # numba takes a while to import
-        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
+        from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
 
         press_m = touch.press_depth_m
         depth_m, seen = rotate_patches(touch, *find_anchor(touch), np.zeros(1), touch.find_known(press_m))

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing.places import PATCH_PX, PITCH_M, cut_patches
+from tactile_loc.core.places.places import PATCH_PX, PITCH_M, cut_patches
 
 Float32 = NDArray[np.float32]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.descriptor.descriptor import STEPS
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import FrameError, advise_choice
 from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import FrameError, advise_choice
 
 Transform = NDArray[np.float64]
 

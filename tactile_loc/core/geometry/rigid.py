@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.deprecation import make_getattr
-from tactile_loc.core.errors import ConfigError, TactileLocError
+from tactile_loc.core.runtime.deprecation import make_getattr
+from tactile_loc.core.runtime.errors import ConfigError, TactileLocError
 
 Array = NDArray[np.float64]
 Poses = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 ROUNDED = 1e-3  # largest difference from a rotation that rounding to three decimals explains
 UNIT_TOLERANCE = 0.005  # largest difference of a unit vector's length from 1, as in tf2

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ObjectError
-from tactile_loc.core.formatting import show_name
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.runtime.errors import ObjectError
+from tactile_loc.core.runtime.formatting import show_name
 
 SMALLEST_M, LARGEST_M = 1e-3, 1.0
 

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.byte_cache import ByteCache
-from tactile_loc.core.compiled import njit, run_in_threads
-from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
+from tactile_loc.core.runtime.deprecation import keep_old_names
 
 CELL_M = 5e-4  # side of a cell of a field by default
 MOST_CELLS = 6_000_000

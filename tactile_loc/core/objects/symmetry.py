@@ -11,9 +11,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import SymmetryError
 
 MAX_ORDER = 120
 """Largest order of a finite group: that of a 60-sided prism, and twice that of the icosahedron's rotations."""

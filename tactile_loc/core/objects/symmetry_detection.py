@@ -8,10 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, close_rotations, name_axis
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
+from tactile_loc.core.runtime.errors import SymmetryError
 
 RESOLUTION_M = 5e-5
 """The smallest deviation that a tactile sensor sees, on a patch about half a millimetre wide."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.runtime.errors import ObjectError
 
 _DENSE_COUNT = 40_000
 _POINT_COUNT = 3_000

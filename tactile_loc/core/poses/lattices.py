@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import make_getattr
-from tactile_loc.core.errors import GridError
+from tactile_loc.core.runtime.deprecation import make_getattr
+from tactile_loc.core.runtime.errors import GridError
 
 Float = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import Poses, make_transform, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import GridError
 
 SPACING_SAMPLE = 1000
 LEAF = 32  # points in a leaf of a search tree; a tenth faster than 16

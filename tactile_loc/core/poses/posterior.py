@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.ranking import TIE_NATS, rank_poses
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import GridError
 
 MOST_CLUSTERED = 2000
 

@@ -14,12 +14,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.deprecation import keep_old_names, make_getattr
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, require_rigid
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.runtime.deprecation import keep_old_names, make_getattr
+from tactile_loc.core.runtime.errors import ConfigError
 
 Array = NDArray[np.float64]
 

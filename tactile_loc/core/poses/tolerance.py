@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, quote
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.runtime.errors import ConfigError, quote
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.twists import adjoint, exponential, logarithm
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
-from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
-from tactile_loc.core.turns import split_into_turns
+from tactile_loc.core.runtime.turns import split_into_turns
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
 A_TURN = 600  # steps of single poses with single touches in one turn; a step with all points counts as `stride` steps
@@ -72,8 +72,8 @@ class Registration:
         The other steps use one point out of `stride`. A prior pulls the poses to its `peaks` (K, 4, 4) with the
         information `pulls` (K, 6, 6) about twists of the object from a peak.
         """
-        from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
         from tactile_loc.core.registration.steps import register_poses
+        from tactile_loc.core.runtime.compiled import run_in_threads  # numba takes a while to import
 
         T, count = np.array(T), len(T)
         T_each = self.T_sensor_first @ T[:, None]

@@ -18,17 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.geometry.rigid import Poses, move_covariance
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
 from tactile_loc.core.registration.observations import MILLI, observe
-from tactile_loc.core.registration.pulls import Pulls, fit_pulls
-from tactile_loc.core.slots.component import ComponentOptions
-from tactile_loc.core.slots.refiner import RefinedPose
-from tactile_loc.core.slots.scene import View
+from tactile_loc.core.registration.prior_factors import Pulls, fit_pulls
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.scene import View
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.surface_field import SurfaceField

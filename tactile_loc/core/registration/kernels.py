@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit
 from tactile_loc.core.objects.surface_field import find_cell_triangle, find_closest_point, walk_to_nearest
+from tactile_loc.core.runtime.compiled import njit
 
 # mypy: ignore-errors
 

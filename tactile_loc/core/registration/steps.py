@@ -9,9 +9,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit
-from tactile_loc.core.registration.kernels import build_equations
-from tactile_loc.core.registration.small_matrices import (
+from tactile_loc.core.geometry.small_matrices import (
     add_transformed,
     fill_adjoint,
     fill_difference,
@@ -19,6 +17,8 @@ from tactile_loc.core.registration.small_matrices import (
     multiply_transforms,
     solve,
 )
+from tactile_loc.core.registration.kernels import build_equations
+from tactile_loc.core.runtime.compiled import njit
 
 # mypy: ignore-errors
 

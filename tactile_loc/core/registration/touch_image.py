@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit
+from tactile_loc.core.runtime.compiled import njit
 
 # mypy: ignore-errors
 

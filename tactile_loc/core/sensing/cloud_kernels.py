@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit
+from tactile_loc.core.runtime.compiled import njit
 
 # mypy: ignore-errors
 

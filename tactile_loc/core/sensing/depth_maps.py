@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError, advise_choice
+from tactile_loc.core.runtime.errors import TouchError, advise_choice
 from tactile_loc.core.sensing.gel import Gel
 
 DepthKind = Literal["distance", "indentation", "height"]

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import SensorError
+from tactile_loc.core.runtime.errors import SensorError
 
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.gel import Gel
 
 ASSUMED_PRESS, ASSUMED_STD = 0.6, 0.2  # an unknown press and its standard deviation, as shares of the maximal depth

@@ -17,8 +17,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import SensorError
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.gel import RIGID, SOLVER_VERSION, Gel
 
 Depth = NDArray[np.float32]

@@ -11,10 +11,10 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.deprecation import keep_old_names
-from tactile_loc.core.errors import NoContactError, TouchError
-from tactile_loc.core.formatting import show_name
 from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
+from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.sensing.depth_maps import (
     METRES_PER_UNIT,
     OPPOSITE,

@@ -19,10 +19,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.blocks import make_blocks, make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 EDGE = 1e-9  # tolerance of a weight, so that no ray passes between two adjacent triangles

@@ -12,20 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.evaluation.metrics import compute_adds, compute_mssd, compute_surface_distances
 from tactile_loc.evaluation.protocol import sample_surface, save_in_shards
 from tactile_loc.evaluation.recall.examples import Example, Examples
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.locate.localizer import Localizer, Observation, localize_together
-from tactile_loc.locate.model import STAGE_VERSIONS
-from tactile_loc.locate.results.freedom import explain_as_well
-from tactile_loc.locate.results.localization import Hypothesis, Localization
-from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.locate.results.verdict import REFUSED, Verdict
+from tactile_loc.locate.result.freedom import explain_as_well
+from tactile_loc.locate.result.localization import Hypothesis, Localization
+from tactile_loc.locate.result.located_frame import LocatedFrame
+from tactile_loc.locate.result.verdict import REFUSED, Verdict
+from tactile_loc.locate.sources.listed_model import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 

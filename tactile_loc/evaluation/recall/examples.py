@@ -9,13 +9,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import make_noise
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, read_image
 from tactile_loc.locate.localizer import Localizer, Observation
+from tactile_loc.slots.registry import registry
 
 MOST_DRAWS = 100  # most presses for one touch, in case their images show no contact
 RENDERER = "raycast"

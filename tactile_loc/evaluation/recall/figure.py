@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_loc.drawing.pictures import make_figure
 from tactile_loc.evaluation.figures import COLOURS, draw_grid
 from tactile_loc.evaluation.recall.summary import WITHIN_M, Outcomes, RecallRun, bin_probabilities
 from tactile_loc.evaluation.recall.tables import ALL, Group, group_runs, name_noise
+from tactile_loc.view.pictures import make_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

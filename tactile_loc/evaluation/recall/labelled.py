@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.recall.examples import Example
 from tactile_loc.io.labelled_touches import LabelledTouch, read_labelled_touches

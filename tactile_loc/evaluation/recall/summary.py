@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.evaluation.recall.evaluation import ABSENT, METRICS, RIGHT_M, VERDICTS, RecallEvaluation
-from tactile_loc.locate.results.verdict import Verdict
+from tactile_loc.locate.result.verdict import Verdict
 
 WITHIN_M = (0.5e-3, 1e-3, 5e-3)
 CURVE_M = tuple(

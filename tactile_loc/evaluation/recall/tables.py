@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import format_mm
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.recall.evaluation import METRICS, RECALL_VERSION, RIGHT_M, VERDICTS
 from tactile_loc.evaluation.recall.summary import (

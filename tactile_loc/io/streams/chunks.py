@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-from tactile_loc.core.limits import MOST_PART_BYTES, read_unpacked, require_size
+from tactile_loc.core.runtime.limits import MOST_PART_BYTES, read_unpacked, require_size
 
 
 def read_records(file: IO[bytes], size: int) -> Iterator[Any]:

@@ -17,12 +17,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import MissingLibraryError, SourceError, TactileLocError
+from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.images import read_colour_image
 from tactile_loc.io.streams.videos import TO_READ, read_video, read_video_facts
 from tactile_loc.io.touches import list_touches, read_contents, read_touch, touch_from_image
+from tactile_loc.slots.sensor import SensorModel
 
 POLL_S = 0.05
 SETTLED_S = 1.0  # an unreadable file that has not grown for this time is damaged, not incomplete

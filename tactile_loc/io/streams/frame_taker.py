@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from tactile_loc.core.errors import SourceError
+from tactile_loc.core.runtime.errors import SourceError
 from tactile_loc.io.streams.frame_sources import POLL_S, Camera, Frames, FrameSource, ImageFolder, SourceFrame
 
 SETTLES_S = 0.5  # a camera's first images are too dark or too bright

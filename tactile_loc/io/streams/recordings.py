@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from tactile_loc.core.errors import RecordingError, did_you_mean
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.core.limits import MOST_PART_BYTES
+from tactile_loc.core.runtime.errors import RecordingError, did_you_mean
+from tactile_loc.core.runtime.limits import MOST_PART_BYTES
 from tactile_loc.io.images import summarize
 from tactile_loc.io.streams.chunks import limit_unpacking, read_records, require_chunks
 from tactile_loc.io.streams.ros_messages import (

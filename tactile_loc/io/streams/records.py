@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticSerializationError
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.store.files import read_json, write_text
 
 LIBRARIES = (

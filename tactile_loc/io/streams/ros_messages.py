@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.deprecation import make_getattr
-from tactile_loc.core.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.rigid import (
     make_transform,
@@ -24,6 +22,8 @@ from tactile_loc.core.geometry.rigid import (
     require_unit,
     rotation_to_quaternion_xyzw,
 )
+from tactile_loc.core.runtime.deprecation import make_getattr
+from tactile_loc.core.runtime.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.io.images import UNREADABLE, find_colours, load_image, name_kind, require_opaque
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.limits import TooLargeError, require_pixels
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.runtime.limits import TooLargeError, require_pixels
 from tactile_loc.io.images import summarize
 from tactile_loc.store.files import link_plainly
 

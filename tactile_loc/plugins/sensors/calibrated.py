@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.calibration.folder import Calibration, read_calibration
-from tactile_loc.calibration.reading import find_contact_shape, find_gel_surface
 from tactile_loc.plugin import ContactShape, DepthSensor, GelOptions, SensorGeometry
+from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
+from tactile_loc.sensors.reading.reading import find_contact_shape, find_gel_surface
 
 
 class CalibratedSensor(DepthSensor):
@@ -48,7 +48,7 @@ class CalibratedSensor(DepthSensor):
 
         Raises CalibrationError when the sensor was not calibrated on simulated images.
         """
-        from tactile_loc.imaging.simulate import render_touches
+        from tactile_loc.sensors.optics.simulate import render_touches
 
         press_m, background = np.array([shape.press_depth_m]), self.calibration.background
         optics = self.calibration.optics

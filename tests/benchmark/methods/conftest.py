@@ -11,11 +11,11 @@ from tactile_loc.benchmark.methods.surface_fit import TIE
 from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.benchmarking import LocatingProblem, Method
 from tactile_loc.evaluation.metrics import compute_surface_distances
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.sensors.presets import GelSightMini
+from tactile_loc.slots.benchmarking import LocatingProblem, Method
 from tactile_loc.testing.problems import make_block
 
 T_BASE_OBJECT = make_transform(rotation_about([1.0, -2.0, 0.5], 2.1), [0.2, -0.1, 0.05])

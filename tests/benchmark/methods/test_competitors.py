@@ -12,8 +12,8 @@ from tactile_loc.benchmark.methods.icp_starts import IcpFromStarts
 from tactile_loc.benchmark.methods.particle_filter import ParticleFilter, resample
 from tactile_loc.benchmark.methods.pixel_matching import PixelMatching
 from tactile_loc.benchmark.methods.transform_consensus import TransformConsensus
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.touch import Touch
 
 # ICP and the consensus ignore that the object does not touch beside the contact. So four poses of the block fit equally

@@ -9,8 +9,8 @@ from tactile_loc.benchmark.methods.pixel_matching import measure_differences, st
 from tactile_loc.benchmark.methods.surface_fit import FitOptions, SurfaceFit, shrink
 from tactile_loc.benchmark.methods.touched_points import TouchedPoints, find_deepest_point, spread_indices
 from tactile_loc.benchmark.methods.transform_consensus import PairTable
-from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about, transform_points
+from tactile_loc.core.runtime.errors import TouchError
 
 REACH_M = shrink(2e-3, 5e-4, 20)
 MOTION = make_transform(rotation_about([1, 2, 3], np.radians(4)), [4e-4, -3e-4, 5e-4])

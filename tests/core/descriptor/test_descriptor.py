@@ -11,13 +11,13 @@ from safetensors.numpy import load, save
 from tactile_loc.core.descriptor.descriptor import WEIGHTS, Descriptor, load_descriptor
 from tactile_loc.core.descriptor.features import ANGLES, RAMPS_M, encode_places, encode_touch
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import BELOW, FAR, PATCH_PX, STEP_M, Places
-from tactile_loc.core.sensing.rotated_patches import find_anchor
+from tactile_loc.core.places.places import BELOW, FAR, PATCH_PX, STEP_M, Places
+from tactile_loc.core.places.rotated_patches import find_anchor
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.slots.registry import registry
 
 DIRECTIONS = 400
 

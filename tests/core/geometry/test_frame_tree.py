@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import FrameError
 from tactile_loc.core.geometry.frame_tree import FrameTree, interpolate
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, rotation_about
+from tactile_loc.core.runtime.errors import FrameError
 
 S = 1_000_000_000
 A = make_transform(rotation_about([1, 2, 3], 0.5), [0.1, 0.2, 0.3])

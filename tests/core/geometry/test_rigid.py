@@ -5,7 +5,6 @@ import pytest
 from message_helpers import naming
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import (
     align_all_to_z,
@@ -30,6 +29,7 @@ from tactile_loc.core.geometry.rigid import (
     rotation_to_quaternion,
     transform_points,
 )
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from message_helpers import naming
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import rotation_about, rotation_angle
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.runtime.errors import SymmetryError
 
 CENTRE_M = (0.01, -0.02, 0.03)
 ORDERS = {

@@ -12,7 +12,6 @@ from message_helpers import missing, naming
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.errors import ObjectError, SymmetryError
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.objects.symmetry_detection import (
     RESOLUTION_M,
@@ -21,6 +20,7 @@ from tactile_loc.core.objects.symmetry_detection import (
     require_symmetry,
 )
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
+from tactile_loc.core.runtime.errors import ObjectError, SymmetryError
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 BOLT = Path(__file__).parents[4] / "shared/data/meshes/factory/factory_bolt_m16_loose.obj"

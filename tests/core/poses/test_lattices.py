@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses.lattices import (
     compute_lattice_shape,
     find_reachable_translations,
     make_plane_lattice,
     make_shifted_lattice,
 )
+from tactile_loc.core.runtime.errors import GridError
 
 LOW, HIGH = np.array([-0.010, 0.004]), np.array([0.013, 0.009])
 

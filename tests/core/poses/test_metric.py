@@ -5,7 +5,6 @@ import pytest
 import trimesh
 from scipy.spatial.distance import cdist
 
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import (
     draw_rotations,
     make_transform,
@@ -16,7 +15,8 @@ from tactile_loc.core.geometry.rigid import (
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, measure_distances, remove_equivalent
-from tactile_loc.io.meshes import load_object
+from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.io.meshes.mesh_files import load_object
 
 
 def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.runtime.errors import GridError
 
 
 def line(obj: ObjectModel, x_m: np.ndarray) -> PoseGrid:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import (
     draw_rotations,
     invert,
@@ -28,6 +27,7 @@ from tactile_loc.core.poses.priors import (
     count_touches,
     temper,
 )
+from tactile_loc.core.runtime.errors import ConfigError
 
 
 def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.tolerance import Tolerance, measure_surface_distances
+from tactile_loc.core.runtime.errors import ConfigError
 
 SIZE_M = (0.04, 0.03, 0.02)
 

@@ -7,8 +7,8 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotate_covariance, rotation_about
 from tactile_loc.core.registration.joint_registration import JointRegistration
+from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.scene import View
 
 PRESS_M = 1e-3
 TURNS = [rotation_about([1, 0, 0], 0.4) @ rotation_about([0, 0, 1], 0.3), rotation_about([0, 1, 0], np.pi / 2 + 0.3)]

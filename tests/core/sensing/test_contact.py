@@ -18,7 +18,7 @@ from tactile_loc.core.geometry.rigid import (
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact, find_lowest_points, group_rotations
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 
 PROJECT = Path(__file__).parents[3]
 RECTANGLE = (-0.006, 0.010, -0.004, 0.007)

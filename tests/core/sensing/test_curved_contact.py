@@ -19,7 +19,7 @@ from tactile_loc.core.sensing.contact import (
 )
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.slots.registry import registry
 
 GEL_M, BALL_M, PRESS_M = 35e-3, 4e-3, 5e-4
 FACET_M = 2e-6  # of the ball

@@ -10,7 +10,7 @@ import pytest
 from message_helpers import naming
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, OPPOSITE, DepthKind, DepthUnit
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel

@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from tactile_loc.calibration.surface import differentiate
-from tactile_loc.core.errors import SensorError
+from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.gel import Gel, compute_compliance, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.gel_inverse import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.reading.surface import differentiate
 
 PITCH_M, PX, PRESS_M = 1.5e-4, 128, 5e-4
 COATED = Gel(5e-3, 0.48, 3e-4)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import SensorError
+from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.gel import RIGID, Gel, GelSolver, compute_compliance, make_solver
 
 PX, PITCH_M, PRESS_M = 64, 2e-4, 5e-4

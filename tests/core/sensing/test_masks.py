@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.clouds import make_interior_cloud, make_outline_cloud
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.masks import ASSUMED_PRESS, ASSUMED_STD, KNOWN_STD

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import SensorError
+from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 

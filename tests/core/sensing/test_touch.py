@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth, contact_shape_from_array
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.evaluation.recall.labelled import LabelledExamples
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer

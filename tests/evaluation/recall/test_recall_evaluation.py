@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import ConfigError, NoContactError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import ConfigError, NoContactError
 from tactile_loc.evaluation.recall import evaluation as module
 from tactile_loc.evaluation.recall.evaluation import (
     METRICS,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import rotation_angle
-from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.recall.examples import DrawnExamples
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer

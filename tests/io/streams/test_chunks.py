@@ -10,7 +10,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2.reader import zstd
 
-from tactile_loc.core.limits import TooLargeError
+from tactile_loc.core.runtime.limits import TooLargeError
 from tactile_loc.io.streams.chunks import limit_unpacking, read_records, require_chunks
 
 DATA = np.random.default_rng(0).bytes(5000)

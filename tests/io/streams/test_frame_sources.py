@@ -16,7 +16,7 @@ import pytest
 from message_helpers import missing, naming
 from PIL import Image
 
-from tactile_loc.core.errors import MissingLibraryError, SourceError, TouchError
+from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TouchError
 from tactile_loc.io.streams import frame_sources
 from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, SourceFrame, Video, open_source
 from tactile_loc.io.streams.videos import VideoFacts

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tactile_loc.core.errors import SourceError
+from tactile_loc.core.runtime.errors import SourceError
 from tactile_loc.io.streams import frame_sources, frame_taker
 from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, Video
 from tactile_loc.io.streams.frame_taker import FrameTaker

@@ -18,8 +18,8 @@ from recording_helpers import S, write_bag
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from tactile_loc.core.errors import MissingLibraryError, OutputError, RecordingError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError, RecordingError
 from tactile_loc.io.streams.recordings import Message, Recording, RecordingWriter, choose_image_topic, write_recording
 from tactile_loc.io.streams.ros_messages import (
     IMAGE,

@@ -11,10 +11,10 @@ from message_helpers import naming
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.errors import FrameError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotate_covariance
+from tactile_loc.core.runtime.errors import FrameError, RecordingError, TouchError
 from tactile_loc.io.streams.ros_messages import RosPose, add_transforms, decode_image, read_transform
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 4, 3), np.uint8)

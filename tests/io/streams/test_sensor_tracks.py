@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import FrameError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import FrameError
 from tactile_loc.io.streams.sensor_tracks import read_sensor_track, read_time_s
 
 HALF = 0.5**0.5

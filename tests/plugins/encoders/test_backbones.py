@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, TactileLocError, WeightsError
+from tactile_loc.core.runtime.errors import ConfigError, TactileLocError, WeightsError
 
 torch = pytest.importorskip("torch")
 safetensors = pytest.importorskip("safetensors.torch")

@@ -14,14 +14,14 @@ from message_helpers import missing, naming
 
 torch = pytest.importorskip("torch")
 
-from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
-from tactile_loc.core.simulation.listed_training import ListedProblem  # noqa: E402
-from tactile_loc.core.simulation.noise import make_noise  # noqa: E402
-from tactile_loc.core.slots.encoder import Checkpoints  # noqa: E402
+from tactile_loc.core.runtime.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
+from tactile_loc.core.sensing.noise import make_noise  # noqa: E402
 from tactile_loc.locate.localizer import Localizer  # noqa: E402
 from tactile_loc.plugins.encoders.moco import encoder as module  # noqa: E402
 from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
 from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder  # noqa: E402
+from tactile_loc.simulate.listed_training import ListedProblem  # noqa: E402
+from tactile_loc.slots.encoder import Checkpoints  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
 from tactile_loc.testing.problems import make_place_training_problem  # noqa: E402
 
@@ -115,7 +115,7 @@ def test_the_encoder_learns_to_distinguish_poses(problem):
 
 
 def encoder_touches(problem, rng):
-    from tactile_loc.core.simulation.contact_poses import draw_contact_poses
+    from tactile_loc.simulate.contact_poses import draw_contact_poses
 
     poses = draw_contact_poses(problem.sampler, problem.scene, 60, rng)
     return problem.scene.render_contact_depths(poses), problem.grid.nearest(poses)[1]

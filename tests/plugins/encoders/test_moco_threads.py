@@ -18,7 +18,7 @@ from pathlib import Path
 import numba
 import torch
 
-from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import hash_arrays
 from tactile_loc.store.store import StageStore

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, PATCH_PX, cut_patches
+from tactile_loc.core.places.places import CAMERA, HIGHEST_M, PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 

@@ -5,12 +5,12 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import is_rigid, rotation_about, rotation_angle
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.io.meshes import load_object
+from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.plugins.grids.face import SIDES, FaceGrid, count_turns_alike, find_resting_normal
 
 

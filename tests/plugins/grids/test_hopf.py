@@ -8,7 +8,7 @@ import trimesh
 from message_helpers import naming
 from scipy.spatial import cKDTree
 
-from tactile_loc.core.errors import GridError
+from tactile_loc.bases.all_rotations import find_centroid_range
 from tactile_loc.core.geometry.rigid import (
     draw_rotations,
     is_rigid,
@@ -20,9 +20,9 @@ from tactile_loc.core.geometry.rigid import (
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.all_rotations import find_centroid_range
 from tactile_loc.plugins.grids.hopf import (
     HopfGrid,
     compute_pixel_angles,

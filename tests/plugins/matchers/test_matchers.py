@@ -3,19 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import CAMERA
-from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
-from tactile_loc.core.simulation.touch_simulation import simulate_touches
-from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.meshes import load_object
+from tactile_loc.core.places.places import CAMERA
+from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.model import build_bank, build_model
+from tactile_loc.locate.sources.listed_model import build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.simulate.touch_simulation import simulate_touches
 
 
 def brute_force(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:

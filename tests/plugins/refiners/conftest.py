@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.touch_simulation import simulate_touches
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
+from tactile_loc.simulate.touch_simulation import simulate_touches
 
 OffBy = Callable[[Touch, float, float, float], Candidate]
 ErrorMm = Callable[[Touch, np.ndarray], float]

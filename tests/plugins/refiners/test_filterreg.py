@@ -7,11 +7,11 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial import cKDTree
 
+from tactile_loc.bases.cloud_refiner import Cloud
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about, transform_points
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.registration.cloud_refiner import Cloud
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.plugins.refiners.filterreg import kernels
 from tactile_loc.plugins.refiners.filterreg.refiner import REACH, FilterRegRefiner, Mixtures, exponential, solve
 

@@ -9,19 +9,19 @@ import trimesh
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.touch_simulation import simulate_touches
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
+from tactile_loc.simulate.touch_simulation import simulate_touches
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from tactile_loc.core.geometry.rigid import (
     make_translation,
     rotation_about,
 )
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.plugins.refiners.joint import JointRefiner
 from tactile_loc.testing.problems import ReferenceRenderer, make_stepped_block
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import MissingLibraryError
+from tactile_loc.bases.cloud_refiner import Cloud
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about, transform_points
-from tactile_loc.core.registration.cloud_refiner import Cloud
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import MissingLibraryError
+from tactile_loc.slots.registry import registry
 
 pytest.importorskip("kiss_icp")
 
@@ -93,7 +93,7 @@ DEGENERATE = """
 import numpy as np
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.plugins.refiners.kiss import KissIcpRefiner
-from tactile_loc.core.registration.cloud_refiner import Cloud
+from tactile_loc.bases.cloud_refiner import Cloud
 rng = np.random.default_rng(0)
 for along in (np.diag([1.0, 0, 0]), np.ones((3, 3)), np.diag([1.0, 1, 0]), np.zeros((3, 3))):
     for count in (3, 50):

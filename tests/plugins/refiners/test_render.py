@@ -8,11 +8,11 @@ import trimesh
 from pydantic import ValidationError
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.refiner import Candidate
-from tactile_loc.core.slots.scene import Scene
 from tactile_loc.plugins.refiners.render.pictures import Pictures, keep_within_reach
 from tactile_loc.plugins.refiners.render.refiner import RenderRefiner
 from tactile_loc.testing.problems import (

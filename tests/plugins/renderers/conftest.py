@@ -9,14 +9,14 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import RenderError
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.errors import RenderError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 SPHERE_RADIUS_M = 0.008

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import RenderError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.errors import RenderError
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 
 CODE_IMPORT_ONLY = """

@@ -9,9 +9,9 @@ import pytest
 from message_helpers import naming
 from pydantic import ValidationError
 
-from tactile_loc.core.errors import RenderError
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.runtime.errors import RenderError
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.renderers import raycast

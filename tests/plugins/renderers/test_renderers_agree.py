@@ -11,11 +11,11 @@ from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes import load_object
+from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.slots.renderer import Renderer
 
 MESHES = Path(__file__).parents[4] / "shared" / "data" / "meshes"
 

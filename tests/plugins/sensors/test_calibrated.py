@@ -23,14 +23,14 @@ from press_sets import (  # noqa: E402
     write_image,
 )
 
-from tactile_loc.calibration.reading import SKIRT  # noqa: E402
-from tactile_loc.core.errors import CalibrationError, ConfigError, NoContactError, TouchError, WeightsError  # noqa: E402
+from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, NoContactError, TouchError, WeightsError  # noqa: E402
 from tactile_loc.core.sensing.touch import ContactShape, Touch  # noqa: E402
-from tactile_loc.core.slots.registry import registry  # noqa: E402
-from tactile_loc.imaging.optics import OPTICS  # noqa: E402
-from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.touches import read_touch  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
+from tactile_loc.sensors.optics.lamps import OPTICS  # noqa: E402
+from tactile_loc.sensors.optics.shading import render_background  # noqa: E402
+from tactile_loc.sensors.reading.reading import SKIRT  # noqa: E402
+from tactile_loc.slots.registry import registry  # noqa: E402
 from tactile_loc.testing import list_checks  # noqa: E402
 
 BALLS = ball_set(12)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, SensorError, TouchError
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.runtime.errors import ConfigError, SensorError, TouchError
 from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim, Preset
+from tactile_loc.slots.registry import registry
 
 MM = 1e-3
 NAMES = {"gelslim": GelSlim, "gelsight-mini": GelSightMini, "digit": Digit, "digit-curved": CurvedDigit}

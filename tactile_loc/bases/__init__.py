@@ -1,0 +1,1 @@
+"""Base classes that components share: they fill most of an interface."""

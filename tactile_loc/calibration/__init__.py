@@ -1,1 +1,0 @@
-"""Sensor calibration: from presses of known shape to a network that estimates the indentation from images."""

@@ -1,0 +1,1 @@
+"""What all code runs on: errors, progress, compiled code and its cache."""

@@ -1,0 +1,58 @@
+"""Modules whose names are imported at their first use, and modules that are imported ahead of it."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from threading import Thread
+from typing import Any
+
+from tactile_loc.core.runtime.deprecation import find_renamed
+
+
+def lazy_names(
+    module: str, **made: Callable[[], Any]
+) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a module, from the names under its `if TYPE_CHECKING:`.
+
+    Type checkers read the same block, so each name and its module are written only once. `made` are other names, with
+    functions that make their values. `__getattr__` also finds the old names of renamed functions, and warns.
+    """
+    loader: Any = vars(sys.modules[module])["__spec__"].loader
+    homes = _imports_for_type_checkers(loader.get_source(module))
+
+    def attribute(name: str) -> Any:
+        if name in homes:
+            return getattr(importlib.import_module(homes[name]), name)
+        if name in made:
+            return made[name]()
+        return find_renamed(module, name)
+
+    return sorted(homes), attribute, lambda: sorted(homes)
+
+
+def _imports_for_type_checkers(source: str) -> dict[str, str]:
+    """Map the names that are imported under `if TYPE_CHECKING:` to the modules from which they are imported."""
+    blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+    body = next(block.body for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING")
+    statements = (node for node in body if isinstance(node, ast.ImportFrom))
+    return {alias.name: str(node.module) for node in statements for alias in node.names}
+
+
+def import_ahead(*modules: str) -> Thread:
+    """Start a thread that imports modules while other threads compute. Join it before the modules are used.
+
+    An import that fails is tried again where the module is used, which raises the error.
+    """
+
+    def import_all() -> None:
+        with suppress(Exception):
+            for module in modules:
+                importlib.import_module(module)
+
+    thread = Thread(target=import_all, name="tactile-loc-import", daemon=True)
+    thread.start()
+    return thread

@@ -1,0 +1,279 @@
+"""A scene is an object in front of a sensor, with a renderer. A view is one of several touches, with its scene."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import Float32, Poses, invert
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.places.imprints import Explained, compare_imprints
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.turns import split_into_turns
+from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
+from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
+from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
+
+IOU_PX = 100
+A_TURN = 120  # poses that are compared with a touch of IOU_PX pixels in one turn
+
+# The error of a measured indentation is a share of the indentation plus a constant. It limits how far a pose may move
+# along z.
+PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
+
+
+class DepthRenderer(Protocol):
+    """The methods of a renderer that a scene and its keys need: see `slots.renderer.Renderer`."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies the renderer's output, as JSON values."""
+
+    def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return camera depths (N, H, W), metres, for poses (N, 4, 4)."""
+
+    def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return camera depths (N, H, W), metres, for poses (N, 4, 4) with different rotations."""
+
+
+@keep_old_names(
+    as_seen="use_pressed_drawing",
+    in_contact="bring_to_contact",
+    nearly_in_contact="bring_near_contact",
+    pressed="press",
+    of_touch="match_touch",
+    contact_depths="render_contact_depths",
+    grid_depths="render_grid_depths",
+    depths_explaining="render_depths_to_compare",
+    explained="compare_imprints",
+)
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """An object, the sensor's geometry and a renderer. `drawing` is "pressed" or "paper": see `find_drawing`.
+
+    With both drawings, poses are those of the pressed object.
+    """
+
+    object: ObjectModel
+    geometry: SensorGeometry
+    renderer: DepthRenderer
+    drawing: Drawing = "pressed"
+
+    def use_pressed_drawing(self) -> Scene:
+        """Return the scene with the drawing "pressed": the pressed object, as real sensors see it."""
+        return dataclasses.replace(self, drawing="pressed")
+
+    def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
+        """Move poses (N, 4, 4), metres, along z to contact. Also return which (N,) touch the sensing rectangle."""
+        from tactile_loc.core.sensing.contact import bring_to_contact
+
+        return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
+
+    def bring_near_contact(self, T_sensor_object: Poses, most_m: float, slack_m: float = 0.0) -> Poses:
+        """Move poses (N, 4, 4) along z towards contact, by at most `most_m` metres, if `slack_m` or more is missing."""
+        T, touching = self.bring_to_contact(T_sensor_object)
+        by_m = T[:, 2, 3] - T_sensor_object[:, 2, 3]
+        if slack_m:
+            by_m = np.sign(by_m) * np.maximum(np.abs(by_m) - slack_m, 0.0)
+        T[:, 2, 3] = T_sensor_object[:, 2, 3] + np.where(touching, np.clip(by_m, -most_m, most_m), 0.0)
+        return T
+
+    def press(self, indentation_m: float, press_depth_m: float | None = None) -> Scene:
+        """Return the scene with the object pressed in by `indentation_m` metres: see `SensorGeometry.press`."""
+        return dataclasses.replace(self, geometry=self.geometry.press(indentation_m, press_depth_m))
+
+    def match_touch(self, touch: Touch) -> Scene:
+        """Return the scene with the sensor geometry of a touch, which has the touch's press and pixels."""
+        return dataclasses.replace(self, geometry=touch.geometry)
+
+    def render_contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
+        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) that are already in contact.
+
+        They are those in a rigid gel; `render_gel_depths` returns those that an elastic gel shows.
+        """
+        T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
+        depth = self.renderer.render_apart(self.object.mesh, T, camera.band)
+        return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
+
+    def render_gel_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, that the gel shows of pressed poses (N, 4, 4).
+
+        They are cut at `press_depth_m` metres, by default at the maximal depth.
+        """
+        geometry, cut_m = self.geometry, self.geometry.max_depth_m if press_depth_m is None else press_depth_m
+        if not geometry.gel.is_elastic or not geometry.indentation_m:
+            return self.render_contact_depths(T_sensor_object, press_depth_m)
+        pressed_m = geometry.indentation_m
+        # all of the object below the undeformed surface decides what the gel shows
+        whole = dataclasses.replace(self, geometry=dataclasses.replace(geometry, max_depth_m=pressed_m))
+        shown = deform_gel(whole.render_contact_depths(T_sensor_object), pressed_m, geometry)
+        return np.where(shown < np.float32(min(pressed_m, cut_m)), shown, np.float32(cut_m))
+
+    def render_grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
+        """Render contact depths (N, H, W), metres, of a grid's poses (N, 4, 4), cut at the maximal depth.
+
+        This is fast if many poses have the same rotation.
+        """
+        T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
+        return compute_contact_depth(self.renderer.render(self.object.mesh, T, camera.band), camera, camera.max_depth_m)
+
+    def render_depths_to_compare(
+        self, T_sensor_object: Poses, touch: Touch, freedom_m: float = 0.0
+    ) -> NDArray[np.float32]:
+        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) to compare with a touch.
+
+        Poses move along z towards contact, by at most the error of the measured press plus `freedom_m` metres.
+        """
+        freedom_m += _estimate_press_error_m(touch)
+        cut_m = touch.touching_shape.press_depth_m
+        return self.render_contact_depths(self.bring_near_contact(T_sensor_object, freedom_m), cut_m)
+
+    def render_what_touch_shows(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, that poses (N, 4, 4) would show instead of a touch.
+
+        Poses move along z towards contact, by at most the error of the measured press.
+        """
+        if not touch.has_depths:
+            return self._render_at_own_press(T_sensor_object, touch.contact_shape, _estimate_press_error_m(touch))
+        T = self.bring_near_contact(T_sensor_object, _estimate_press_error_m(touch))
+        return self.render_gel_depths(T, touch.press_depth_m)
+
+    def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
+        """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
+
+        The shape's indentation is that of the scene, or the press depth if the scene's sensor is not pressed.
+        """
+        pressed = self if self.geometry.indentation_m else self.press(press_depth_m)
+        T, _ = pressed.bring_to_contact(T_sensor_object[None])
+        return ContactShape(
+            pressed.render_gel_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m
+        )
+
+    def show_like(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> ContactShape:
+        """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask.
+
+        The shape has the pixels of the scene, which may be fewer than those of the touch.
+        """
+        if touch.has_depths:
+            return self.contact_shape(T_sensor_object, touch.press_depth_m)
+        pressed = self if self.geometry.indentation_m else self.match_touch(touch)
+        shown = pressed.render_what_touch_shows(T_sensor_object[None], touch)[0]
+        return ContactShape(shown, touch.press_depth_m)
+
+    def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
+        """Return the contact IoU of one pose (4, 4), metres, with a touch: see `contact_ious`."""
+        return self.contact_ious(T_sensor_object[None], touch)[0]
+
+    def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
+        """Return the contact IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
+
+        A contact IoU is the intersection over union of the touch's contact and the pose's contact, over the observed
+        pixels. The images have about IOU_PX pixels on the longer side. A pose may move along z only by the error of the
+        measured press, so a pose far above the sensor has no contact.
+        """
+        return self.compare_imprints(T_sensor_object, touch).contact_ious.tolist()
+
+    def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
+        """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
+
+        At each pixel, the imprint is the press depth minus the contact depth. Where there is contact, OUTLINE_SHARE of
+        the press depth is added. The imprint IoU is the sum of the smaller of both imprints over all pixels, divided by
+        the sum of the larger. Pixels and movements along z are the same as for `contact_ious`.
+        """
+        return self.compare_imprints(T_sensor_object, touch).imprint_ious
+
+    def compare_imprints(
+        self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX, freedom_m: float = 0.0
+    ) -> Explained:
+        """Return the IoUs and the evidence of poses (N, 4, 4), metres, for a touch. Each pose is rendered once.
+
+        Poses may move `freedom_m` metres farther along z than the error of the measured press.
+        """
+        parts = [
+            self._compare_some(T_sensor_object[some], touch, pixels, freedom_m)
+            for some in split_into_turns(len(T_sensor_object), A_TURN * IOU_PX / pixels)
+        ]
+        return parts[0] if len(parts) == 1 else Explained(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def _compare_some(self, T_sensor_object: Poses, touch: Touch, pixels: int, freedom_m: float) -> Explained:
+        geometry, wanted = touch.thin(pixels)
+        if not touch.has_depths:
+            return self._compare_masks(T_sensor_object, wanted, geometry, _estimate_press_error_m(touch) + freedom_m)
+        press_m = wanted.press_depth_m
+        made = dataclasses.replace(self, geometry=geometry).render_depths_to_compare(T_sensor_object, touch, freedom_m)
+        if geometry.gel.is_elastic:
+            # beside the contact, the object may be anywhere beyond the gel's surface
+            pierced = made < touch.thin_surface(pixels).depth_m - np.float32(SLACK * press_m)
+            made = np.where(wanted.contact | pierced, made, np.float32(press_m))
+        return compare_imprints(made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m)
+
+    def _render_at_own_press(self, T_sensor_object: Poses, mask: ContactShape, most_m: float) -> NDArray[np.float32]:
+        """Render the contact depths (N, H, W), metres, of poses (N, 4, 4) at their own press, not that of a mask.
+
+        Poses move along z, by at most `most_m` metres, only if their press is too far from that of the mask.
+        """
+        slack_m = mask.press_slack_m
+        T = self.bring_near_contact(T_sensor_object, most_m, slack_m)
+        deep_m = self.press(mask.deepest_m + slack_m).render_contact_depths(T)
+        press = np.float32(mask.press_depth_m)
+        return np.where(
+            deep_m < np.float32(mask.deepest_m + slack_m), np.clip(deep_m - slack_m, 0, 0.999 * press), press
+        )
+
+    def _compare_masks(
+        self, T_sensor_object: Poses, wanted: ContactShape, geometry: SensorGeometry, most_m: float
+    ) -> Explained:
+        """Compare poses (N, 4, 4), metres, with a contact mask, of which no depth is known."""
+        scene, press = dataclasses.replace(self, geometry=geometry), np.float32(wanted.press_depth_m)
+        shown = scene._render_at_own_press(T_sensor_object, wanted, most_m)
+        made = np.where(shown < press, np.float32(0), press)
+        return compare_imprints(
+            made, wanted.depth_m, wanted.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m
+        )
+
+
+def _estimate_press_error_m(touch: Touch) -> float:
+    return LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
+
+
+@keep_old_names(explained="compare_imprints")
+@dataclass(frozen=True, eq=False)
+class View:
+    """One of several touches, with its scene and the transform from the first sensor's frame.
+
+    The sensor's pose has an error with standard deviations of `sensor_std_m` metres along and `sensor_std_rad` radians
+    about each axis. `T_sensor_first` (4, 4), metres, contains the errors of this sensor and of the first sensor.
+    """
+
+    touch: Touch
+    scene: Scene
+    T_sensor_first: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    sensor_std_m: float = 0.0
+    sensor_std_rad: float = 0.0
+
+    def compare_imprints(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> Explained:
+        """Return how well poses (N, 4, 4), metres, in the first sensor's frame, explain this touch.
+
+        The values are those of `Scene.compare_imprints`.
+        """
+        return self.scene.compare_imprints(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)
+
+    def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
+        """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, in the first sensor's frame, with this touch."""
+        return self.compare_imprints(T_first_object, pixels, freedom_m).imprint_ious
+
+
+def view_touch(first: Touch, touch: Touch, scene: Scene) -> View:
+    """Return the view of a touch, with its scene and the transform from the first touch's sensor frame to its own."""
+    T = relate_sensors(first, touch)
+    return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+
+
+def relate_sensors(first: Touch, touch: Touch) -> NDArray[np.float64]:
+    """Return T_sensor_first (4, 4), metres, from the first touch's sensor frame to that of another touch."""
+    if touch is first:
+        return np.eye(4)
+    return invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)

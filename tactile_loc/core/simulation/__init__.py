@@ -1,1 +1,0 @@
-"""Simulated touches: contact poses, noise, and training data for encoders."""

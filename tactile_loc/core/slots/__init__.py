@@ -1,1 +1,0 @@
-"""The seven plugin interfaces, the scene that they share, and their registry."""

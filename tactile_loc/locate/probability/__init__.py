@@ -1,0 +1,1 @@
+"""Probabilities of poses, and sets with a promised coverage."""

@@ -1,0 +1,127 @@
+"""Sets of poses that contain the true pose with a given probability: split conformal prediction.
+
+See Vovk, Gammerman and Shafer, *Algorithmic Learning in a Random World* (2005). A result is a ranking: its distinct
+refined poses, and "elsewhere" as one more item, which is right if no pose is. Each of n held-out examples has a score.
+If a pose is right, it is the total probability of all likelier poses, as in adaptive prediction sets (Romano, Sesia and
+Candes, NeurIPS 2020). If "elsewhere" is right, it is 1 - e / RARE, where e is the predicted probability of "elsewhere".
+The set of a new result contains the items whose score is at most the level
+
+    the ceil((n + 1) coverage)-th smallest of the n scores.
+
+Let the touches be exchangeable with the examples. Then the set contains the right item with at least the probability
+`coverage`, even if the probabilities are bad. Good probabilities make the sets of touches that are explained well
+small, and those of other touches large. So e is predicted from everything that is observed (`locate.misses`), and one
+level serves all touches. Separate levels for touches that are explained well and for others (Mondrian sets) had the
+same coverage, and needed "elsewhere" more often, because each level had half of the examples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.runtime.errors import ConfigError
+
+POWER = 0.7  # to which the poses' probabilities are raised, because they rank likely poses too surely
+RARE = 4.0  # at a level of 0.95, "elsewhere" is in the set if its probability is at least 0.05 times this
+ELSEWHERE = -1  # the number of the item "elsewhere"
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """The distinct poses of one result, the most probable first, and the probability `elsewhere` that none is right.
+
+    `probabilities` (K,) are those of the poses if one of them is right: they sum to one.
+    """
+
+    probabilities: NDArray[np.float64]
+    elsewhere: float
+
+    @classmethod
+    def of(cls, probabilities: Sequence[float], elsewhere: float) -> Ranking:
+        """Make a ranking of poses from probabilities (K,) up to a factor. They are tempered."""
+        p = np.asarray(probabilities, float) ** POWER
+        total = p.sum()
+        return cls(p / total if total > 0 else np.full(len(p), 1 / len(p)), elsewhere)
+
+    def score(self, item: int) -> float:
+        """Return the score of pose number `item`, or of `ELSEWHERE`, 0 to 1."""
+        if item == ELSEWHERE:
+            return max(0.0, 1 - self.elsewhere / RARE)
+        return min(1.0, float(self.probabilities[self.probabilities > self.probabilities[item]].sum()))
+
+    def count(self, level: float) -> int:
+        """Return the number of poses, at least 1, whose score is at most `level`: they are the first ones."""
+        return max(1, sum(self.score(number) <= level for number in range(len(self.probabilities))))
+
+
+@dataclass(frozen=True)
+class ConformalSets:
+    """The `scores` (n,) of held-out examples, 0 to 1.
+
+    A pose is right if it is within `radius_m` metres of the true pose, as a surface distance, with symmetric poses
+    counted as equal.
+    """
+
+    scores: Sequence[float]
+    radius_m: float
+
+    def find_level(self, coverage: float) -> float:
+        """Return the level for a coverage, both 0 to 1; infinite if there are too few examples.
+
+        Raises ConfigError unless the coverage is between 0 and 1.
+        """
+        if not 0 < coverage < 1:
+            raise ConfigError(f"the coverage is {coverage:g}; give more than 0 and less than 1")
+        rank = math.ceil((len(self.scores) + 1) * coverage - 1e-9)
+        return float(np.sort(self.scores)[rank - 1]) if rank <= len(self.scores) else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSet:
+    """The first `poses` hypotheses of a result: a set that contains the true pose with probability `coverage`, 0 to 1.
+
+    A pose is the true one if it is within `radius_m` metres of it (surface distance, symmetric poses equal). If
+    `elsewhere` is true, the set also contains "elsewhere": the true pose may be none of the listed ones. `missed`, 0 to
+    1, is the predicted probability of that. `level` is the total probability up to which poses are listed, and
+    `examples` is the number of held-out examples that decide it. `promised` states whether the listed poses alone have
+    the coverage. If not, `reason` is a sentence that states why.
+    """
+
+    coverage: float
+    level: float
+    examples: int
+    poses: int
+    radius_m: float
+    missed: float = 0.0
+    elsewhere: bool = False
+    promised: bool = True
+    reason: str = ""
+
+    @classmethod
+    def of(cls, ranking: Ranking, sets: ConformalSets, coverage: float, contradictory: bool = False) -> PoseSet:
+        """Make a result's set with the requested coverage. `contradictory` states whether the touches contradict.
+
+        Raises ConfigError unless the coverage is between 0 and 1.
+        """
+        level, examples = sets.find_level(coverage), len(sets.scores)
+        elsewhere = ranking.score(ELSEWHERE) <= level
+        reason = ""
+        if contradictory:
+            reason = "The touches contradict each other, and the examples do not."
+        elif math.isinf(level):
+            most = math.floor(1000 * examples / (examples + 1)) / 10
+            reason = f"{examples} simulated examples are too few for this coverage; they promise at most {most:g} %."
+        elif elsewhere:
+            reason = (
+                "The search misses the true pose of touches like these too often: it is none of the listed poses with "
+                f"a probability of {100 * ranking.elsewhere:.0f} %."
+            )
+        return cls(
+            coverage, min(level, 1.0), examples, ranking.count(level), sets.radius_m, ranking.elsewhere, elsewhere,
+            not reason, reason,
+        )  # fmt: skip

@@ -1,0 +1,113 @@
+"""The held-out examples of conformal sets: simulated touches of the object, located as a user's touches are."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.core.runtime.progress import NOTE, Progress
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.locate.hypotheses import compute_nats
+from tactile_loc.locate.probability import misses
+from tactile_loc.locate.probability.conformal import ELSEWHERE, POWER, RARE, ConformalSets, Ranking
+from tactile_loc.locate.probability.fitted_probabilities import Simulate
+from tactile_loc.locate.probability.probabilities import FUSED_VERSION, SEARCHED_NOISE
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+
+log = logging.getLogger(__name__)
+
+STAGE, STAGE_VERSION = "conformal", 4
+# The examples of each number of touches, with each of the three levels of noise. Strong noise takes longest, and its
+# touches seldom have a pose that is listed.
+EXAMPLES = {1: (12, 12, 6), 2: (10, 10, 3), 3: (10, 8, 3), 5: (5, 4, 1)}
+NOISE = SEARCHED_NOISE
+LISTED = 40  # fewest poses to refine for a set, if there are that many
+RIGHT_M = 1e-3  # surface distance within which a refined pose counts as the true pose
+WEIGHED = np.array([0.0, 0.5, 0.8, 0.95, 0.99, 1.0])  # imprint IoUs whose log-weights identify how poses are weighed
+SEED = 0xC0DE  # differs from the seeds of evaluations and fits
+
+Locate = Callable[[Sequence[Touch]], Localization]  # touches with sensor poses; lists many hypotheses
+
+
+@dataclass(frozen=True, eq=False)
+class ConformalFit:
+    """Fits the conformal sets of one localizer to simulated examples of one to five touches.
+
+    `simulate` draws touches with known poses, and `locate` locates the touches of one example. `described` are all
+    inputs of both, as JSON values. A pose is right within `radius_m` metres of the true pose.
+    """
+
+    simulate: Simulate
+    locate: Locate
+    metric: PoseMetric
+    radius_m: float
+    described: dict[str, Any]
+    store: StageStore
+    progress: Progress
+
+    def load(self) -> ConformalSets:
+        """Return the sets, fitted now or loaded from the store."""
+        examples = [[number, *counts] for number, counts in EXAMPLES.items()]
+        inputs = {
+            **self.described, "examples": examples, "noise": [level.describe() for level in NOISE], "seed": SEED,
+            "weights": compute_nats(WEIGHED, 2).round(6).tolist(), "misses": list(misses.WEIGHTS),
+            "power": POWER, "rare": RARE, "radius_m": self.radius_m, "fused": FUSED_VERSION,
+        }  # fmt: skip
+        key = StageKey(STAGE, STAGE_VERSION, inputs, self.metric.object.name)
+        return ConformalSets(**self.store.build(key, self._fit).load_json(STAGE))
+
+    def _fit(self, work: Workspace) -> None:
+        """Locate the examples, and save their scores."""
+        from tactile_loc.core.runtime.compiled import map_in_threads  # numba takes a while to import
+
+        total = sum(sum(counts) for counts in EXAMPLES.values())
+        log.log(
+            NOTE, "the sets of poses for %s and this sensor are fitted once, to %d simulated examples",
+            self.metric.object.name, total,
+        )  # fmt: skip
+        scores: list[float] = []
+        with self.progress.task("fitting the sets of poses", total) as advance:
+            for score in map_in_threads(self._score, self._draw_examples()):
+                advance(1)
+                if score is not None:
+                    scores.append(score)
+        work.save_json(STAGE, asdict(ConformalSets(scores, self.radius_m)))
+
+    def _score(self, touches: Sequence[Touch]) -> float | None:
+        """Return the score of an example; None if no pose fits its touches, as a user's touches then get no set."""
+        try:
+            found = self.locate(touches)
+        except GridError:
+            return None
+        return rank(found).score(self._find_right(found))
+
+    def _draw_examples(self) -> Iterator[list[Touch]]:
+        """Yield the touches of each example; all are of one object at rest, at the base's origin."""
+        for number, counts in EXAMPLES.items():
+            for level, (noise, count) in enumerate(zip(NOISE, counts, strict=True)):
+                drawn = self.simulate(number * count, SEED + 1000 * number + level, noise)
+                placed = [replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object))) for t in drawn]
+                yield from (placed[first : first + number] for first in range(0, len(placed), number))
+
+    def _find_right(self, found: Localization) -> int:
+        """Return the number of the first hypothesis that is right, or ELSEWHERE."""
+        T = np.stack([h.T_sensor_object for h in found.hypotheses])
+        truth = np.broadcast_to(np.asarray(found.touch.T_sensor_object), T.shape)
+        right = np.flatnonzero(self.metric.symmetric_distance(T, truth) <= self.radius_m)
+        return int(right[0]) if len(right) else ELSEWHERE
+
+
+def rank(found: Localization) -> Ranking:
+    """Return the ranking of a result's hypotheses."""
+    elsewhere = misses.predict_miss(found.hypotheses, len(found.touches))
+    return Ranking.of([h.probability for h in found.hypotheses], elsewhere)

@@ -1,0 +1,1 @@
+"""The result of a localisation, and its files."""

@@ -1,0 +1,294 @@
+"""The result of a localisation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.pose_words import describe_first
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
+from tactile_loc.core.runtime.errors import ResultError, TactileLocError
+from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.core.sensing.scene import Scene, View, view_touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.probability.conformal import PoseSet
+from tactile_loc.locate.probability.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within, is_limited
+from tactile_loc.locate.result.freedom import Freedom, explain_as_well, find_as_well, find_freedom
+from tactile_loc.locate.result.hypothesis import Agreement as Agreement
+from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
+from tactile_loc.locate.result.verdict import Verdict, describe_within, explain_verdict, judge, name_next_step
+from tactile_loc.slots.registry import registry
+from tactile_loc.store.files import lock_folder
+
+LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
+LEAST_OWN = 0.8  # share of the poses drawn from the first pose's covariance that must be within the tolerance
+
+
+@dataclass(frozen=True)
+class _Source:
+    config: RunConfig
+    object: ObjectModel
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """The result: the posterior, its distinct hypotheses, the best first, and the seconds of each stage.
+
+    Poses are in the sensor frame of the first touch, `touch`; `others` are the other touches. If a coverage was
+    requested, the hypotheses are a set that contains the true pose with this probability, and `pose_set` describes it.
+
+    The posterior includes outliers (see `agreement`), but the hypotheses do not. Touches that were `left_out` because
+    they contradict the others affect neither the posterior nor the hypotheses.
+
+    `config` is the configuration of the localizer; None if a localisation was made by hand. `unlisted` are refined
+    hypotheses after the listed ones. They count for the verdict, but files do not keep them. `unexpected` states
+    whether the prior makes the first pose very improbable.
+    """
+
+    touch: Touch
+    posterior: PosePosterior
+    hypotheses: tuple[Hypothesis, ...]
+    seconds: dict[str, float]
+    others: tuple[Touch, ...] = ()
+    pose_set: PoseSet | None = None
+    agreement: Agreement = field(default_factory=Agreement)
+    left_out: tuple[Touch, ...] = ()
+    config: RunConfig | None = None
+    unlisted: tuple[Hypothesis, ...] = ()
+    unexpected: bool = False
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `result.json` and `result.npz`, the files of `tactile-loc run`, and return their paths.
+
+        Each file is written atomically. Raises OutputError when writing fails, and ResultError if `config` is unknown.
+        """
+        from tactile_loc.io.streams.records import write_record
+        from tactile_loc.locate.result.result_arrays import NAME, gather_arrays, write_arrays
+        from tactile_loc.locate.result.result_json import make_record
+        from tactile_loc.locate.result.saved import JSON_NAME
+
+        folder = Path(folder)
+        record = make_record(_Source(self._require_config(), self.object), self)
+        arrays = gather_arrays(self.make_views(), self)
+        with lock_folder(folder):
+            return [write_record(folder / JSON_NAME, record), write_arrays(folder / NAME, arrays, record)]
+
+    @classmethod
+    def load(cls, path: str | Path) -> Localization:
+        """Read a localisation that `save` or `tactile-loc run` wrote; `path` is the folder or its result.json.
+
+        Poses of the posterior and the surface are rounded to float32. The posterior has at most the 20 000 most
+        probable poses, and a surface of more than 50 000 triangles is decimated. Raises ResultError if the files cannot
+        be used, and ConfigError if this version lacks one of the settings.
+        """
+        from tactile_loc.locate.result import saved
+
+        record, arrays = saved.read_files(Path(path))
+        config = RunConfig.from_dict(record.configuration, str(path))
+        try:
+            posterior = saved.build_posterior(record, arrays, saved.build_object(record, arrays))
+            touch, *others = saved.build_touches([record.touch, *record.other_touches], arrays.touches)
+            hypotheses = tuple(saved.build_hypotheses(record, posterior))
+            left_out = saved.build_touches(record.left_out, arrays.left_out) if arrays.left_out else []
+        except (ValueError, TactileLocError) as error:
+            raise ResultError(f"{path} is damaged: {error}; locate the touches again") from error
+        return cls(
+            touch, posterior, hypotheses, dict(record.seconds), tuple(others), saved.build_pose_set(record),
+            saved.build_agreement(record), tuple(left_out), config, unexpected=record.unexpected,
+        )  # fmt: skip
+
+    @property
+    def object(self) -> ObjectModel:
+        """The located object."""
+        return self.posterior.grid.metric.object
+
+    def make_views(self) -> list[View]:
+        """Return the touches' views, with scenes that draw the object as the localizer did.
+
+        Raises ResultError if `config` is unknown.
+        """
+        config = self._require_config()
+        renderer = registry().create("renderer", config.renderer.name, config.renderer.options)
+        scenes = (Scene(self.object, touch.geometry, renderer, config.drawing) for touch in self.touches)
+        return [view_touch(self.touch, touch, scene) for touch, scene in zip(self.touches, scenes, strict=True)]
+
+    def _require_config(self) -> RunConfig:
+        if self.config is None:
+            raise ResultError("the localisation does not know its configuration; make it with Localizer.localize")
+        return self.config
+
+    @property
+    def tolerance(self) -> Tolerance:
+        """The largest error of a pose that the verdict counts as right: that of `config`, or else 1 mm."""
+        return ONE_MILLIMETRE if self.config is None else self.config.tolerance
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """The touches that were localised together."""
+        return (self.touch, *self.others)
+
+    @property
+    def outliers(self) -> tuple[Touch, ...]:
+        """The touches that contradict all others, while the others agree."""
+        return tuple(self.touches[number] for number in self.agreement.outliers)
+
+    @property
+    def best(self) -> Hypothesis:
+        """The most probable hypothesis."""
+        return self.hypotheses[0]
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """How far the first hypothesis can be trusted, in one word.
+
+        It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. It is never
+        certain if another pose, not within the tolerance of the first one, explains the touches as well, or if the
+        prior makes the first pose very improbable. Nor is it certain if the covariance of the first pose leaves an
+        error above the tolerance open, or if a touch has no depths. The verdict is also "poor fit" if touches
+        contradict each other, unless at least LEAST_AGREEING of them agree.
+        """
+        if self._is_contradicted:
+            return Verdict.POOR_FIT
+        iou = self.best.imprint_iou if self.best.is_refined else math.nan
+        return judge(self.probability_within(), iou, self.posterior.elsewhere, depths_known=self.depths_known)
+
+    @property
+    def depths_known(self) -> bool:
+        """Whether all touches have depths; a contact mask has none."""
+        return all(touch.has_depths for touch in self.touches)
+
+    @property
+    def _is_contradicted(self) -> bool:
+        if self.agreement.contradictory and not self.agreement.outliers:
+            return True
+        wrong = len(self.outliers) + len(self.left_out)
+        return wrong > 0 and len(self.touches) - len(self.outliers) < LEAST_AGREEING
+
+    def probability_within(self, tolerance: Tolerance | str | None = None) -> float:
+        """Return the probability, 0 to 1, that the first pose is within a tolerance of the true pose.
+
+        The tolerance is a text such as "0.5mm,2deg", a `Tolerance`, or by default that of the result. Poses that are
+        equal by symmetry count as equal. A pose that was not refined counts as shifted by about half the grid's
+        spacing. The number may be a limit of the fit: see `state_within`. Raises ConfigError if the text cannot be
+        read.
+        """
+        return calibrate(self._find_nearness(tolerance))
+
+    def state_within(self, tolerance: Tolerance | str | None = None) -> float | None:
+        """Return `probability_within`, or None if a limit of the fit decides it, so that it is no probability."""
+        nearness = self._find_nearness(tolerance)
+        return None if is_limited(nearness) else calibrate(nearness)
+
+    def _find_nearness(self, tolerance: Tolerance | str | None) -> Nearness:
+        asked = Tolerance.parse(tolerance) if isinstance(tolerance, str) else tolerance or self.tolerance
+        if asked not in self._nearness:
+            self._nearness[asked] = self.observe_nearness(asked)
+        return self._nearness[asked]
+
+    @cached_property
+    def _nearness(self) -> dict[Tolerance, Nearness]:
+        return {}
+
+    def observe_nearness(self, tolerance: Tolerance) -> Nearness:
+        """Return what the result says about its first pose, from which `probability_within` is computed."""
+        unrefined = np.diag([(0.5 * self.posterior.grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
+        T = np.stack([h.T_sensor_object for h in self.hypotheses])
+        p = np.array([h.probability for h in self.hypotheses])
+        covariances = [unrefined if h.covariance is None else h.covariance for h in self.hypotheses]
+        share = compute_share_within(T, p, covariances, self.object, tolerance)
+        own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
+        gap = self._measure_gap(tolerance)
+        undetermined = own < LEAST_OWN or gap <= self.as_well or self.unexpected
+        return Nearness(share, self.posterior.elsewhere, gap, undetermined)
+
+    @property
+    def as_well(self) -> float:
+        """By how much less imprint IoU a pose can have, 0 to 1, and still explain the touches as well as another."""
+        return find_as_well(self.touches)
+
+    def _measure_gap(self, tolerance: Tolerance) -> float:
+        """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it.
+
+        A pose that the prior makes less probable counts as if it had less imprint IoU: see NATS_PER_IOU.
+        """
+        known = [*self.hypotheses, *self.unlisted]
+        T = np.stack([h.T_sensor_object for h in known])
+        rivals = ~tolerance.find_within(self.object, T[0], T)
+        unlikely = np.maximum(0.0, known[0].prior_nats - np.array([h.prior_nats for h in known]))
+        ious = np.array([h.imprint_iou for h in known]) - unlikely / NATS_PER_IOU
+        return float(ious[0] - ious[rivals].max(initial=0.0))
+
+    @cached_property
+    def freedom(self) -> Freedom:
+        """What the touches leave open about the first pose: other poses, slides and turns."""
+        T = np.stack([h.T_sensor_object for h in self.hypotheses])
+        same = self.tolerance.find_within(self.object, T[0], T)
+        return find_freedom(
+            T, np.array([h.imprint_iou for h in self.hypotheses]), self.best.refined.covariance,
+            self.touch.geometry.gel_middle_m, same, self.tolerance, self.as_well,
+        )  # fmt: skip
+
+    @property
+    def equal_explanations(self) -> tuple[Hypothesis, ...]:
+        """The hypotheses that explain the touches as well as the one that explains them best, which is one of them."""
+        ious = np.array([h.imprint_iou for h in self.hypotheses])
+        return tuple(self.hypotheses[k] for k in np.flatnonzero(explain_as_well(ious, ious.max(), self.as_well)))
+
+    def count_explanations(self) -> str:
+        """State in words how many of the listed poses explain the touches equally well."""
+        count, touched = len(self.equal_explanations), "touches" if self.others else "touch"
+        if count == 1:
+            return f"one pose explains the {touched} best"
+        least = "at least " if count == len(self.hypotheses) else ""
+        return f"{least}{count} poses explain the {touched} equally well"
+
+    def summary(self) -> str:
+        """Return the result in words: the verdict, the first pose in mm and degrees, its freedom, and the next step.
+
+        Other poses and free directions are stated only if the verdict is ambiguous.
+        """
+        best = self.best
+        T, frame = best.T_sensor_object, "sensor's"
+        if best.T_base_object is not None:
+            T, frame = best.T_base_object, "base"
+        first = describe_first(T, len(self.hypotheses), frame)
+        lines = [f"{self.verdict}: {explain_verdict(self.verdict)}", first]
+        within = describe_within(self.verdict, self.state_within(), self.tolerance)
+        lines.append(", ".join(filter(None, (within, f"imprint IoU {format_percent(best.imprint_iou)}"))))
+        if self.verdict is Verdict.AMBIGUOUS and str(self.freedom):
+            lines.append(f"open: {self.freedom}")
+        if step := name_next_step(self.verdict, len(self.touches)):
+            lines.append(f"next: {step}")
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        """Return the result as HTML, which notebooks display: see `result_html.write_html`."""
+        from tactile_loc.locate.result.result_html import write_html
+
+        return write_html(self, [] if self.config is None else self.make_views())
+
+    def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
+        """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that pose is unknown."""
+        T_true = self.touch.T_sensor_object
+        if T_true is None:
+            return None
+        T = np.stack([h.T_sensor_object for h in self.hypotheses])
+        return PoseMetric(obj).symmetric_distance(T, np.broadcast_to(T_true, T.shape))
+
+    @cached_property
+    def normalised_entropy(self) -> float:
+        """Entropy of the posterior over N poses divided by log N: 0 if one pose is certain, 1 if all are equal."""
+        count = len(self.posterior.grid)
+        return float(self.posterior.entropy / np.log(count)) if count > 1 else 0.0

@@ -1,0 +1,153 @@
+"""A located frame: the object's pose at one frame, and the fields that all records of located frames share.
+
+The tracker, live runs, recordings and the ROS node use located frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactile_loc.core.geometry.rigid import rotate_covariance
+from tactile_loc.core.runtime.deprecation import keep_old_names
+from tactile_loc.core.runtime.errors import GridError, NoContactError, TactileLocError
+from tactile_loc.io.mount_files import Covariance
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import Verdict, name_verdict
+
+Floats = NDArray[np.float64]
+
+
+@keep_old_names(seen_from="view_from")
+@dataclass(frozen=True, eq=False)
+class LocatedFrame:
+    """The object's pose at one frame.
+
+    `verdict` rates the first pose; it is None for a frame that cannot be read. If there is no pose, `says` gives the
+    reason. `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with
+    `probabilities` (K,). `covariance` (6, 6), as in RefinedPose, belongs to the first pose; None if unknown.
+    `imprint_iou`, 0 to 1, states how well the first pose explains the touch; NaN without a touch. `seconds` is the time
+    to locate the frame; NaN if not measured.
+    """
+
+    verdict: Verdict | None
+    T_sensor_object_modes: Floats = field(default_factory=lambda: np.empty((0, 4, 4)))
+    probabilities: Floats = field(default_factory=lambda: np.empty(0))
+    covariance: Floats | None = None
+    imprint_iou: float = math.nan
+    seconds: float = math.nan
+    says: str = ""
+
+    @classmethod
+    def of(cls, localization: Localization) -> LocatedFrame:
+        """Make the frame of a localisation, with poses in the first touch's sensor frame."""
+        poses = np.stack([one.T_sensor_object for one in localization.hypotheses])
+        shares = np.array([one.probability for one in localization.hypotheses])
+        best, seconds = localization.best, sum(localization.seconds.values())
+        return cls(localization.verdict, poses, shares, best.refined.covariance, best.imprint_iou, seconds)
+
+    @classmethod
+    def of_error(cls, error: TactileLocError) -> LocatedFrame:
+        """Make the frame of a touch that raised an error.
+
+        The verdict is "no contact", "not found" or, for a touch that was refused, None.
+        """
+        verdict = None
+        if isinstance(error, NoContactError):
+            verdict = Verdict.NO_CONTACT
+        elif isinstance(error, GridError):
+            verdict = Verdict.NOT_FOUND
+        return cls(verdict, says=str(error))
+
+    @property
+    def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the transform's name
+        """The most probable pose (4, 4), metres; None if there is no pose."""
+        return self.T_sensor_object_modes[0] if len(self.T_sensor_object_modes) else None
+
+    @property
+    def probability(self) -> float | None:
+        """The probability of the most probable pose, 0 to 1; None if there is no pose."""
+        return float(self.probabilities[0]) if len(self.probabilities) else None
+
+    @property
+    def std(self) -> Floats | None:
+        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
+
+    @property
+    def word(self) -> str:
+        """The verdict, or "refused" if there is no verdict."""
+        return name_verdict(self.verdict)
+
+    def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
+        """Return the same poses in another sensor's frame; T_other_sensor is (4, 4), metres."""
+        C = None if self.covariance is None else rotate_covariance(self.covariance, T_other_sensor[:3, :3])
+        return replace(self, T_sensor_object_modes=T_other_sensor @ self.T_sensor_object_modes, covariance=C)
+
+
+class LocatedRecord(BaseModel):
+    """The fields that all records of a located frame share, in live runs and recordings. SI units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    number: int = Field(description="number of the frame in its source, from 0")
+    verdict: Verdict | None = Field(
+        description="certain, ambiguous, poor fit, not found or no contact; null if the frame was refused"
+    )
+    says: str = Field(default="", description="why there is no verdict or no pose; else empty")
+    probability: float | None = Field(
+        default=None,
+        description="of the most probable pose, 0 to 1; in a track, as the start (1) or the last search states it, "
+        "where 0.89 and 0.998 are limits of the fit",
+    )
+    imprint_iou: float | None = Field(default=None, description="how well that pose explains the frame, 0 to 1")
+    covariance: Covariance | None = Field(
+        default=None,
+        description="of that pose, (6, 6): x, y, z of the object's origin (m) and rotations about the frame's axes "
+        "(rad); null if unknown",
+    )
+
+    @property
+    def std(self) -> Floats | None:
+        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
+        return None if self.covariance is None else np.sqrt(np.diag(np.array(self.covariance)))
+
+    @property
+    def word(self) -> str:
+        """The verdict, or "refused" if there is no verdict."""
+        return name_verdict(self.verdict)
+
+
+def record_fields(located: LocatedFrame) -> dict[str, Any]:
+    """Return the fields of a LocatedRecord that come from a frame, as JSON values."""
+    C, iou = located.covariance, located.imprint_iou
+    return {
+        "verdict": located.verdict, "says": located.says, "probability": located.probability,
+        "imprint_iou": None if math.isnan(iou) else float(iou), "covariance": None if C is None else C.tolist(),
+    }  # fmt: skip
+
+
+def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
+    """Return the number of all `frames`, and of frames with each result.
+
+    The results are `located`, `not_found`, `no_contact` and `refused`. A frame is located if its verdict is `certain`,
+    `ambiguous` or `poor_fit`, which are also counted.
+    """
+    counts = Counter(verdicts)
+    found = {
+        "certain": counts[Verdict.CERTAIN],
+        "ambiguous": counts[Verdict.AMBIGUOUS],
+        "poor_fit": counts[Verdict.POOR_FIT],
+    }
+    others = {
+        "not_found": counts[Verdict.NOT_FOUND], "no_contact": counts[Verdict.NO_CONTACT], "refused": counts[None],
+    }  # fmt: skip
+    frames = counts.total()
+    return {"frames": frames, "located": frames - sum(others.values()), **found, **others}

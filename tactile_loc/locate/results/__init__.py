@@ -1,1 +1,0 @@
-"""Results of the localisation: localisations, located frames, verdicts, and their files."""

@@ -1,0 +1,105 @@
+"""Scores of a grid's poses: a touch and the poses' contact shapes are encoded, then matched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from threading import Lock
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.places.places import PRESS_STEP_M
+from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.progress import StageTimes
+from tactile_loc.core.runtime.turns import takes_turns
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.slots.encoder import Encoder
+from tactile_loc.slots.matcher import Matcher
+
+Scores = NDArray[np.float32]
+NewMatcher = Callable[[], Matcher]
+
+# The FEWEST_MATCHERS matchers used last are kept in memory, and more as long as their banks need at most KEPT_BYTES.
+FEWEST_MATCHERS, KEPT_BYTES = 8, 128 * 2**20
+
+
+class BankMatcher(NamedTuple):
+    """A matcher of a bank, and the bytes of this bank."""
+
+    matcher: Matcher
+    nbytes: int
+
+
+def index_bank(new_matcher: NewMatcher, bank: Any) -> BankMatcher:
+    """Return a matcher of a bank (N, D)."""
+    matcher = new_matcher()
+    matcher.index(bank)
+    return BankMatcher(matcher, bank.nbytes)
+
+
+class GridScores:
+    """Scores touches against the banks of a grid; each press depth has its own bank.
+
+    `bank` returns the bank (N, D) of a press depth in metres. `new_matcher` returns an empty matcher. `max_depth_m` is
+    the sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder.
+    """
+
+    def __init__(
+        self, encoder: Encoder, new_matcher: NewMatcher, bank: Callable[[float], Any], max_depth_m: float,
+        follow: bool = False,
+    ) -> None:  # fmt: skip
+        self.follow = follow or encoder.capabilities.follows_press_depth
+        self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
+        self._matchers: ByteCache[float, BankMatcher] = ByteCache(
+            KEPT_BYTES, lambda kept: kept.nbytes, fewest=FEWEST_MATCHERS
+        )
+        self._choosing = Lock()
+
+    def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
+        """Return the similarity (N,) of each touch to each pose of the grid, unitless; higher is more similar.
+
+        Touches of equal press depth are matched together. Adds the durations of encoding and matching to `times`, but
+        not that of building banks.
+        """
+        press_m = [self.bank_press_m(t.geometry.gel.find_compared_m(t.press_depth_m)) for t in touches]
+        found: dict[int, Scores] = {}
+        for pressed_m in sorted(set(press_m)):
+            numbers = [number for number, m in enumerate(press_m) if m == pressed_m]
+            matcher = self.matcher(pressed_m)
+            with times.stage("encode"):
+                queries = np.concatenate([self._encode(touches[number], pressed_m) for number in numbers])
+            with times.stage("match"):
+                rows = matcher.scores(queries)
+            found |= dict(zip(numbers, rows, strict=True))
+        return [found[number] for number in range(len(touches))]
+
+    def matcher(self, press_depth_m: float) -> Matcher:
+        """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
+        press_m = self.bank_press_m(press_depth_m)
+        # each bank is built once; but work in turns must not hold a lock
+        with nullcontext() if takes_turns() else self._choosing:
+            return self._matchers.get(press_m, lambda: index_bank(self.new_matcher, self.bank(press_m))).matcher
+
+    @property
+    def nbytes(self) -> int:
+        """The memory of the banks of all kept matchers, bytes."""
+        return self._matchers.nbytes
+
+    def bank_press_m(self, press_depth_m: float) -> float:
+        """Return the press depth, metres, at which a touch and the bank are compared.
+
+        This is the maximal depth, or with `follow` the touch's press depth, rounded down to a multiple of PRESS_STEP_M.
+        """
+        if not self.follow:
+            return self.max_depth_m
+        return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
+
+    def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
+        """Return the embedding (1, D) of a touch, compared with a bank for presses of `press_depth_m` metres."""
+        shape = touch.touching_shape.press_to(press_depth_m)
+        # The shape of a lighter touch stays cut at its own press depth, which the encoder needs to find the contact.
+        press_m = shape.press_depth_m
+        embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
+        return embedding

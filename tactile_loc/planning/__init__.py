@@ -1,0 +1,1 @@
+"""The next touch, and the sensor's mount."""

@@ -1,0 +1,1 @@
+"""From image to contact shape: calibration, reading, optics."""

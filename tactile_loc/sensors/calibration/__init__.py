@@ -1,0 +1,1 @@
+"""Calibration of a sensor from presses of known objects."""

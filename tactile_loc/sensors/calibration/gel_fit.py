@@ -1,0 +1,169 @@
+"""The gel's thickness and coating, and the depths of balls, fitted to the colours around presses of balls.
+
+The colour change at a point and that at the opposite point of a ball's imprint differ because the gel slopes the
+opposite ways. Half of this difference, the odd change, is proportional to the sine of the slope, under any light. So
+it shows how the slope rises in the contact and falls around it, before anything is learned about the light. An elastic
+layer with a coating predicts the same profile (see `core.sensing.gel`). The contact's edge is where the slope falls
+most steeply, not where it is largest.
+
+The thickness and the coating are effective ones: they also absorb everything in which the gel is not a linear layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.sensors.calibration.circles import Circle, compare_colours
+from tactile_loc.sensors.calibration.labels import Image
+from tactile_loc.sensors.calibration.pressed_balls import press_balls
+
+THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried, before the least is interpolated
+COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+FEWEST = 3  # presses
+REACH = np.arange(0.15, 3.01, 0.05)  # distances from a circle's centre at which colours are compared, in radii
+ANGLES = 120  # compared directions, an even number
+SEEN = 0.5  # share of the directions that must be in the image
+SMOOTHING_PX = 0.7  # of the colours, against the camera's noise
+UNSURE = 0.1  # standard deviation of the brightness between presses, as a share
+ROUNDS = 5  # estimates of the brightness
+
+Floats = NDArray[np.float64]
+
+
+class BallImage(NamedTuple):
+    """An image (H, W, 3) of a pressed ball, its visible circle, pixels, the ball's radius, and a pixel's width, m."""
+
+    image: Image
+    circle: Circle
+    ball_m: float
+    pitch_m: float
+
+
+@dataclass(frozen=True)
+class GelFit:
+    """A gel's effective thickness with its standard deviation, and its coating, metres.
+
+    `contact` is the contact's radius as a share of the visible circle's radius (median over the presses). `rms` is the
+    difference between seen and modelled profiles, as a share of the profiles; `rigid_rms` is that of a rigid gel.
+    """
+
+    thickness_m: float
+    std_m: float
+    coating_m: float
+    contact: float
+    rms: float
+    rigid_rms: float
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether an elastic gel explains the profiles better than a rigid one."""
+        return self.rms < self.rigid_rms
+
+    @property
+    def gel(self) -> Gel:
+        """The gel."""
+        return Gel(self.thickness_m, coating_m=self.coating_m)
+
+    def record(self) -> dict[str, Any]:
+        """Return the fit as JSON values."""
+        return asdict(self)
+
+
+def fit_gel(
+    images: Sequence[BallImage], untouched: Image, thickness_m: float | None = None, progress: Progress | None = None
+) -> GelFit | None:
+    """Fit a gel to images of pressed balls and an image of the untouched gel (H, W, 3).
+
+    With `thickness_m`, metres, only the coating is fitted. Return None if fewer than FEWEST presses are in the image.
+    """
+    profiles = [(one, measure_profile(one, untouched)) for one in images]
+    profiles = [(one, profile) for one, profile in profiles if np.isfinite(profile).sum() > len(REACH) // 2]
+    if len(profiles) < FEWEST:
+        return None
+    tried = THICKNESSES_M if thickness_m is None else np.array([thickness_m])
+    errors = np.empty((len(tried), len(COATINGS_M), len(profiles)))
+    with (progress or Progress()).task("measuring the gel", len(tried)) as advance:
+        for row, one_m in enumerate(tried):
+            for column, coating_m in enumerate(COATINGS_M):
+                errors[row, column], _ = _compare(profiles, Gel(float(one_m), coating_m=float(coating_m)))
+            advance(1)
+    mean = errors.mean(axis=2)
+    row, column = divmod(int(mean.argmin()), len(COATINGS_M))
+    coating_m = float(np.clip(_find_least(COATINGS_M, mean[row]), 0, COATINGS_M[-1]))
+    best_m, std_m = float(tried[row]), 0.0
+    if thickness_m is None:
+        best_m = float(np.exp(_find_least(np.log(tried), mean[:, column])))
+        each = [_find_least(np.log(tried), errors[:, column, press]) for press in range(len(profiles))]
+        std_m = best_m * float(np.std(each, ddof=1)) / np.sqrt(len(each))
+    final, shares = _compare(profiles, Gel(best_m, coating_m=coating_m))
+    rigid, _ = _compare(profiles, Gel())
+    return GelFit(
+        best_m, std_m, coating_m, float(np.median(shares)),
+        float(np.sqrt(final.mean())), float(np.sqrt(rigid.mean())),
+    )  # fmt: skip
+
+
+def measure_profile(press: BallImage, untouched: Image) -> Floats:
+    """Return the root mean square of the odd colour change (K,), counts, at REACH radii; NaN beyond the image."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    change = gaussian_filter(compare_colours(press.image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
+    angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
+    away = press.circle.radius_px * REACH[:, None]
+    places = [
+        press.circle.y_px + away * np.sin(angle) - 0.5, press.circle.x_px + away * np.cos(angle) - 0.5,
+    ]  # fmt: skip
+    seen = np.stack([map_coordinates(change[..., c], places, order=1, cval=np.nan) for c in range(3)])
+    odd = 0.5 * (seen - np.roll(seen, ANGLES // 2, axis=2))
+    known = np.isfinite(odd).all(axis=0)
+    total = np.where(known, (odd**2).sum(axis=0), 0).sum(axis=1)
+    count = known.sum(axis=1)
+    return np.asarray(np.where(count > SEEN * ANGLES, np.sqrt(total / np.maximum(3 * count, 1)), np.nan))
+
+
+def _compare(profiles: Sequence[tuple[BallImage, Floats]], gel: Gel) -> tuple[Floats, Floats]:
+    """Return the squared errors (N,) of profiles, as shares, and the contact's radii (N,) in radii of the circles.
+
+    The brightness is nearly the same in all presses.
+    """
+    seen, modelled, balls = [], [], []
+    for press, profile in profiles:
+        known = np.isfinite(profile)
+        pressed = press_balls(gel, press.ball_m)
+        balls.append(pressed)
+        modelled.append(pressed.measure_change(REACH[known] * press.circle.radius_px * press.pitch_m))
+        seen.append(profile[known])
+    pairs = list(zip(modelled, seen, strict=True))
+    free = [(model @ one) / np.maximum((model**2).sum(axis=1), 1e-12) for model, one in pairs]
+    usual = None
+    for _ in range(ROUNDS):
+        errors, chosen, factors = [], [], []
+        for (model, one), factor in zip(pairs, free, strict=True):
+            near = factor if usual is None else usual * np.exp(np.clip(np.log(factor / usual), -UNSURE, UNSURE))
+            missed = ((near[:, None] * model - one) ** 2).sum(axis=1) / (one @ one)
+            chosen.append(int(missed.argmin()))
+            errors.append(float(missed.min()))
+            factors.append(float(factor[chosen[-1]]))
+        usual = float(np.median(factors))
+    contacts = [
+        ball.contact_m[k] / (press.circle.radius_px * press.pitch_m)
+        for ball, k, (press, _) in zip(balls, chosen, profiles, strict=True)
+    ]
+    return np.array(errors), np.array(contacts)
+
+
+def _find_least(values: Floats, errors: Floats) -> float:
+    """Return the value with the least error: the vertex of a parabola through the three least values."""
+    if len(values) < 3:
+        return float(values[errors.argmin()])
+    k = int(np.clip(errors.argmin(), 1, len(values) - 2))
+    a, b, _ = np.polyfit(values[k - 1 : k + 2], errors[k - 1 : k + 2], 2)
+    vertex = -b / (2 * a) if a > 0 else values[errors.argmin()]
+    return float(np.clip(vertex, values[0], values[-1]))

@@ -1,0 +1,185 @@
+"""Labelled presses: the gel's indentation and slope at each pixel, under an object of known shape.
+
+The indentation is the depth of the surface below the untouched gel, metres. The slope is the indentation's derivative
+along x and y of the sensor frame, unitless. Labels for a pinhole camera are approximate, because the image scale is
+that at the untouched surface.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.calibration.pressed_balls import PressedBalls
+from tactile_loc.sensors.reading.surface import differentiate
+
+Image = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+SKIRT = 2.5  # distance from a ball's centre beyond which the gel is untouched, in radii of the visible circle
+LARGEST_BALL_M = 1.0
+STEEPEST = 0.98  # largest radius of a contact, share of the ball's radius
+SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouched
+
+
+@dataclass(frozen=True, eq=False)
+class PressLabel:
+    """The label of one press: `indentation_m` (H, W) and `slope` (H, W, 2), float32, and `contact` (H, W), bool.
+
+    `known` (H, W) marks the pixels at which the label holds. On a gel of unknown elasticity, the skirt between contact
+    and untouched gel is unknown. `absolute` is False for a ball on such a gel, because the depth of its visible circle
+    is unknown. The true indentation in the contact is then larger than the label by an unknown constant.
+    """
+
+    indentation_m: Float32
+    slope: Float32
+    contact: Mask
+    known: Mask
+    absolute: bool = True
+
+
+def label_ball(
+    geometry: SensorGeometry, centre_px: tuple[float, float], radius_px: float, ball_radius_m: float
+) -> PressLabel:
+    """Return the label of a ball from its visible circle in the image, with centre (x, y) and radius in pixels.
+
+    Let rho be the distance from the centre on the surface, r the radius of the circle and R the radius of the ball. The
+    indentation is sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside the circle and 0 outside. On a curved gel, the ball's
+    centre is shifted until the ball's surface is parallel to the gel at the circle's centre. The mean indentation of
+    the rim is then 0. Raises CalibrationError when the circle is larger than the ball, or when the circle's centre is
+    outside the image.
+    """
+    height, width = geometry.shape
+    if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
+        raise CalibrationError(
+            f"the circle's centre ({centre_px[0]:g}, {centre_px[1]:g}) px is outside the image of {width} x {height} "
+            "px; correct the centre"
+        )
+    r, R = radius_px * geometry.pixel_pitch_m, ball_radius_m
+    if not (r > 0 and 0 < R <= LARGEST_BALL_M):
+        raise CalibrationError(
+            f"the circle's radius is {radius_px:g} px and the ball's is {1e3 * R:.3g} mm; both must be positive, and "
+            f"the ball's at most {1e3 * LARGEST_BALL_M:g} mm"
+        )
+    if not r <= STEEPEST * R:
+        raise CalibrationError(
+            f"the circle's radius is {radius_px:g} px or {1e3 * r:.3g} mm, more than {100 * STEEPEST:g} % of the "
+            f"ball's {1e3 * R:.3g} mm; check both radii and the pixel size"
+        )
+    sx, sy = geometry.scale_at_surface
+    x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
+    y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
+    rho2 = x**2 + y**2
+    contact = rho2 < r**2
+    relief_m = np.zeros(geometry.shape) if geometry.relief_m is None else geometry.relief_m.astype(float)
+    gel = differentiate(relief_m, geometry)
+    tilt_x, tilt_y = gel[contact].mean(axis=0) if contact.any() else np.zeros(2)
+    length = np.sqrt(1 + tilt_x**2 + tilt_y**2)
+    x, y = x + R * tilt_x / length, y + R * tilt_y / length
+    below = np.sqrt(np.maximum(R**2 - (x**2 + y**2), (R * (1 - STEEPEST)) ** 2))
+    pushed = below if geometry.relief_m is None else below + geometry.relief_m
+    rim = np.sqrt(R**2 - r**2) if geometry.relief_m is None else _average_rim(pushed, rho2, r, geometry.pixel_pitch_m)
+    indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
+    slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
+    return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
+
+
+def label_elastic_ball(
+    geometry: SensorGeometry, centre_px: tuple[float, float], contact_m: float, ball: PressedBalls
+) -> PressLabel:
+    """Return the label of a ball on an elastic gel, which touches the gel within `contact_m` metres from its axis.
+
+    The indentation is that of the gel's surface, and the slope is what the camera sees through the coating. The label
+    is known everywhere. `centre_px` (x, y) is the axis in the image, pixels.
+    """
+    height, width = geometry.shape
+    sx, sy = geometry.scale_at_surface
+    x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
+    y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
+    away, pressed = np.hypot(x, y), ball.find_depth(contact_m)
+    indentation = np.interp(away, ball.away_m, ball.surface_m[pressed], right=0.0)
+    lean = np.interp(away, ball.away_m, ball.slope[pressed], right=0.0)
+    slope = -np.stack([x * lean, y * lean], axis=-1) / np.maximum(away, 1e-9)[..., None]
+    contact = away < ball.contact_m[pressed]
+    known = np.ones(geometry.shape, bool)
+    return PressLabel(indentation.astype(np.float32), slope.astype(np.float32), contact, known)
+
+
+def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
+    """Return the mean of depths (H, W), metres, at the pixels within `width_m` of a circle with radius r, metres.
+
+    `rho2` (H, W) are the squared distances from the circle's centre, m^2.
+    """
+    along = np.abs(np.sqrt(rho2) - r) < width_m
+    return float(pushed_m[along].mean()) if along.any() else 0.0
+
+
+def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
+    """Return the label of the scene's object, pressed into the gel.
+
+    The object is moved along z from the pose (4, 4), metres, until it is pressed `press_depth_m` metres deep. Raises
+    CalibrationError when the object does not touch the sensor, or when the press depth is not positive.
+    """
+    if not press_depth_m > 0:
+        raise CalibrationError(f"the press depth is {1e3 * press_depth_m:g} mm; it must be positive")
+    shape = scene.contact_shape(T_sensor_object, press_depth_m)
+    if not shape.contact.any():
+        raise CalibrationError(f"{scene.object.name} does not touch the sensor at this pose; check the pose")
+    return label_surface(np.where(shape.contact, press_depth_m - shape.depth_m, 0.0), shape.contact, scene.geometry)
+
+
+def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
+    """Return the label of a press with an indentation (H, W), metres, and a contact (H, W)."""
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    slope = differentiate(indentation_m, geometry).astype(np.float32)
+    away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
+    inside = binary_erosion(contact)  # without the border, where central differences halve the slope of a step
+    return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))
+
+
+class LabelledPresses(ABC):
+    """A set of images of presses with their labels. Large sets may read images on demand."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return the number of presses."""
+
+    @abstractmethod
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
+        """Return the image (H, W, 3) and the label of a press."""
+
+    def name(self, number: int) -> str:
+        """Return the name of a press for messages and pictures."""
+        return f"press {number}"
+
+    def read_presses(self) -> Iterator[tuple[Image, PressLabel]]:
+        """Yield the image and the label of every press."""
+        return (self.read_press(number) for number in range(len(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen(LabelledPresses):
+    """A subset of the presses in `whole`: the presses with these `numbers`, in this order."""
+
+    whole: LabelledPresses
+    numbers: Sequence[int]
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
+        """Return the image (H, W, 3) and the label of a press."""
+        return self.whole.read_press(self.numbers[number])
+
+    def name(self, number: int) -> str:
+        """Return the name of a press."""
+        return self.whole.name(self.numbers[number])

@@ -1,0 +1,1 @@
+"""Simulated images of a gel: lamps, shading, boards."""

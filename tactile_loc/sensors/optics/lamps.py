@@ -1,0 +1,214 @@
+"""The optics of a sensor (coloured lamps, the unpressed gel's curvature, the camera), and the optics of known makes.
+
+Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
+Lengths in the housing are in units of the field's radius, which is half the sensing rectangle's diagonal. The same
+optics therefore fit sensors of every size. Lengths on the surface are in metres.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.runtime.errors import ConfigError, advise_choice
+
+Vector = tuple[float, float, float]
+
+NEAREST = 1.2  # least distance of a lamp, field radii; the model of a lamp does not hold directly above the gel
+
+
+@dataclass(frozen=True)
+class Light:
+    """A coloured lamp.
+
+    `direction` (3,) points from the middle of the surface to the lamp: x right, y down, z to the camera. `colour` (3,)
+    is the lamp's red, green and blue as the camera records them. `strength` is the brightness, as a share of full
+    white, of a surface in the middle of the field that faces the lamp. `distance` is in field radii. The light falls
+    off with the inverse square of the distance, and a lamp at infinity gives even light. Raises ConfigError for
+    impossible values.
+    """
+
+    direction: Vector
+    colour: Vector
+    strength: float
+    distance: float = math.inf
+
+    def __post_init__(self) -> None:
+        _require_triple("a light's direction", self.direction)
+        _require_triple("a light's colour", self.colour)
+        _require_share("a light's colour", min(self.colour))
+        _require_share("a light's strength", self.strength)
+        if not self.direction[2] > 0:
+            raise ConfigError(
+                f"a light's direction is {self.direction}, behind the gel; its third number must be positive, towards "
+                "the camera"
+            )
+        if not self.distance >= NEAREST:
+            raise ConfigError(f"a light's distance is {self.distance} field radii; it must be at least {NEAREST}")
+
+    @classmethod
+    def at(
+        cls, azimuth_rad: float, elevation_rad: float, colour: Vector, strength: float, distance: float = math.inf
+    ) -> Light:
+        """Return the light with an azimuth, from image right towards image down, and an elevation, both in radians."""
+        flat = math.cos(elevation_rad)
+        direction = (flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad))
+        return cls(direction, colour, strength, distance)
+
+    @property
+    def azimuth_rad(self) -> float:
+        """The azimuth of the light in the image, radians: 0 is right, pi/2 is below."""
+        return math.atan2(self.direction[1], self.direction[0])
+
+    @property
+    def elevation_rad(self) -> float:
+        """The elevation of the light above the sensing surface, 0 to pi/2 radians."""
+        return math.atan2(self.direction[2], math.hypot(*self.direction[:2]))
+
+    def vary(self, rng: np.random.Generator, strength: float) -> Light:
+        """Return a random variant of the light; `strength` 1 (unitless) is the usual spread between sensors."""
+        elevation = self.elevation_rad + strength * math.radians(3) * rng.normal()
+        red, green, blue = (c * math.exp(0.1 * strength * rng.normal()) for c in self.colour)
+        return Light.at(
+            self.azimuth_rad + strength * math.radians(6) * rng.normal(),
+            min(max(elevation, math.radians(5)), math.radians(89)),
+            (red, green, blue),
+            self.strength * math.exp(0.15 * strength * rng.normal()),
+            max(NEAREST, self.distance * math.exp(0.15 * strength * rng.normal())),
+        )
+
+
+@dataclass(frozen=True)
+class Optics:
+    """The optics of a sensor. Brightness is a share of full white (255 counts).
+
+    `ambient` (3,) is light from all directions. `dome` is the unpressed gel's slope at the field's radius, unitless. It
+    is positive if the gel bulges towards the object. `specular` and `shininess` describe the coating's gloss, after
+    Blinn and Phong: the reflected share of each light, and the exponent. `vignetting` is the share of light lost at the
+    field's radius. `blur_m` is the standard deviation of the lens's blur on the surface, metres. `read_noise` is the
+    standard deviation of every pixel's noise, 8-bit counts. `shot_noise` is that of the additional noise of a full
+    white pixel. Raises ConfigError for impossible values.
+    """
+
+    lights: tuple[Light, ...]
+    ambient: Vector = (0.0, 0.0, 0.0)
+    dome: float = 0.0
+    specular: float = 0.0
+    shininess: float = 20.0
+    vignetting: float = 0.0
+    blur_m: float = 0.0
+    read_noise: float = 0.0
+    shot_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.lights:
+            raise ConfigError("the optics have no lights; give at least one")
+        _require_triple("the optics' ambient", self.ambient)
+        for name in ("specular", "shininess", "vignetting", "blur_m", "read_noise", "shot_noise"):
+            _require_share(f"the optics' {name}", getattr(self, name))
+        _require_share("the optics' ambient", min(self.ambient))
+        if not math.isfinite(self.dome):
+            raise ConfigError(f"the optics' dome is {self.dome}; it must be a number")
+        if self.vignetting > 1:
+            raise ConfigError(f"the optics' vignetting is {self.vignetting}; it must be from 0 to 1")
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings as JSON values that identify the optics. An infinite distance becomes None."""
+        lights = [
+            {**asdict(v), "direction": list(v.direction), "colour": list(v.colour),
+             "distance": v.distance if math.isfinite(v.distance) else None}
+            for v in self.lights
+        ]  # fmt: skip
+        return {**asdict(self), "lights": lights, "ambient": list(self.ambient)}
+
+    @classmethod
+    def parse(cls, described: Mapping[str, Any]) -> Optics:
+        """Return optics from the values of `describe`. Raises KeyError or TypeError for other values."""
+        lights = tuple(
+            Light(
+                tuple(v["direction"]), tuple(v["colour"]), v["strength"],
+                math.inf if v["distance"] is None else v["distance"],
+            )
+            for v in described["lights"]
+        )  # fmt: skip
+        return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
+
+    def remove_noise(self) -> Optics:
+        """Return the same optics without the camera's noise."""
+        return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
+
+    def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
+        """Return random optics, as another sensor of this make may have: lights, exposure, dome, blur and noise differ.
+
+        `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread. Raises ConfigError for a
+        negative strength.
+        """
+        _require_share("the optics' variation", strength)
+        if strength == 0:
+            return self
+
+        def scaled(value: float, spread: float) -> float:
+            return value * math.exp(spread * strength * rng.normal())
+
+        exposure = scaled(1.0, 0.1)
+        lights = tuple(light.vary(rng, strength) for light in self.lights)
+        red, green, blue = (exposure * scaled(a, 0.2) for a in self.ambient)
+        return dataclasses.replace(
+            self,
+            lights=tuple(dataclasses.replace(light, strength=exposure * light.strength) for light in lights),
+            ambient=(red, green, blue), dome=scaled(self.dome, 0.3), specular=scaled(self.specular, 0.2),
+            vignetting=min(1.0, scaled(self.vignetting, 0.2)), blur_m=scaled(self.blur_m, 0.2),
+            read_noise=scaled(self.read_noise, 0.2), shot_noise=scaled(self.shot_noise, 0.2),
+        )  # fmt: skip
+
+
+def _require_triple(name: str, values: Vector) -> None:
+    if len(values) != 3 or not all(math.isfinite(v) for v in values):
+        raise ConfigError(f"{name} is {values}; it must be three numbers")
+
+
+def _require_share(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value >= 0):
+        raise ConfigError(f"{name} is {value}; it must be zero or positive")
+
+
+def _arrange(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
+    """Return the lights of `lamps`, each (azimuth, elevation, strength, colour), at one distance in field radii.
+
+    Angles are in degrees.
+    """
+    return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
+
+
+GENERIC = "gelslim"
+OPTICS = {  # matched to photos of balls pressed into one sensor of each make; other sensors differ: see `Optics.vary`
+    "gelslim": Optics(
+        _arrange((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
+        ambient=(0.03, 0.35, 0.03), dome=0.3, vignetting=0.35, blur_m=4e-5, read_noise=1.0, shot_noise=2.0,
+    ),
+    "gelsight-mini": Optics(
+        _arrange((-100, 25, 0.55, (1.0, 0.0, 0.15)), (0, 30, 0.5, (0.05, 1.0, 0.2)), (125, 30, 0.5, (0.0, 0.25, 1.0))),
+        ambient=(0.16, 0.2, 0.24), dome=0.35, vignetting=0.35, blur_m=6e-5, read_noise=1.0, shot_noise=2.0,
+    ),
+    "digit": Optics(
+        _arrange((-30, 25, 0.8, (1.0, 0.1, 0.1)), (200, 25, 0.8, (0.05, 1.0, 0.05)), (90, 25, 0.65, (0.0, 0.1, 1.0))),
+        ambient=(0.12, 0.08, 0.1), dome=0.35, specular=0.1, vignetting=0.4, blur_m=8e-5, read_noise=1.5, shot_noise=2.0,
+    ),
+}  # fmt: skip
+
+
+def find_optics(name: str) -> Optics:
+    """Return the optics named gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
+    if name not in OPTICS:
+        raise ConfigError(f"there are no optics {name!r}; {advise_choice(name, OPTICS)}")
+    return OPTICS[name]
+
+
+def choose_optics(sensor: str) -> Optics:
+    """Return the optics of a named sensor, or generic optics for another sensor."""
+    return OPTICS.get(sensor, OPTICS[GENERIC])

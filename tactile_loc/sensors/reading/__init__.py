@@ -1,0 +1,1 @@
+"""The gel's surface, read from an image by a calibration."""

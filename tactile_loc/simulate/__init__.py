@@ -1,0 +1,1 @@
+"""Simulated touches, their noise, and touches for training."""

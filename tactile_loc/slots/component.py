@@ -1,0 +1,75 @@
+"""Base class for all components: options, capabilities, a version, and a description for the store."""
+
+from __future__ import annotations
+
+from abc import ABC
+from dataclasses import InitVar, dataclass
+from typing import Any, ClassVar
+
+from tactile_loc.core.runtime.options import ComponentOptions
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """Abilities and limits of a component, for the code that uses it.
+
+    - `deterministic`: the same input gives the same output.
+    - `exact_undercuts`: the renderer sees surfaces below overhangs.
+    - `follows_press_depth`: the encoder's bank must be encoded at the touch's own press depth.
+    - `top_k_only`: the matcher scores only some poses, and gives -inf to the others.
+    - `weights`: the matcher takes weights of queries.
+    - `needs_training`: the encoder must be trained with `fit`.
+    - `refines`: the refiner moves poses.
+    - `covariances`: the refiner estimates covariances.
+    - `contact_only`: the fuser uses only which poses touch a sensor, not their probabilities.
+    - `places`: the grid lists the object's places instead of poses.
+
+    `uses_normals`, `differentiable` and `device` were part of interface 1, and are ignored.
+    """
+
+    deterministic: bool = True
+    exact_undercuts: bool = True
+    follows_press_depth: bool = False
+    top_k_only: bool = False
+    weights: bool = True
+    needs_training: bool = False
+    refines: bool = True
+    contact_only: bool = False
+    places: bool = False
+    covariances: bool = False
+    uses_normals: InitVar[bool] = False
+    differentiable: InitVar[bool] = False
+    device: InitVar[str] = "cpu"
+
+    def __post_init__(self, uses_normals: bool, differentiable: bool, device: str) -> None:
+        """Ignore the capabilities that only interface 1 had."""
+
+
+class Component(ABC):
+    """Base class for all components.
+
+    Several threads may call a component at once.
+
+    `version` is part of the store's keys. Raise it when the component's output changes. If a component was written for
+    an earlier interface, `outdated` states the changes that the component needs. The registry sets `outdated`.
+    """
+
+    slot: ClassVar[str]
+    version: ClassVar[int] = 1
+    capabilities: ClassVar[Capabilities] = Capabilities()
+    outdated: ClassVar[str] = ""
+
+    class Options(ComponentOptions):
+        """No options."""
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        self.options: Any = options if options is not None else self.Options()
+
+    def describe(self) -> dict[str, Any]:
+        """Return the class, version and options that identify this component's output, as JSON values.
+
+        Neutral options are left out: they change how the component computes, but not its output.
+        """
+        kind = f"{type(self).__module__}:{type(self).__qualname__}"
+        options = self.options.model_dump(mode="json", exclude=self.options.neutral())
+        return {"class": kind, "version": self.version, "options": options}

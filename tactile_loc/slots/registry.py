@@ -1,0 +1,301 @@
+"""The registry of plugins, which are found by entry points. A component's class is imported at its first use."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from inspect import isabstract
+from typing import Any
+
+import pluggy
+from pydantic import ValidationError
+
+from tactile_loc.core.runtime.errors import (
+    ConfigError,
+    MissingLibraryError,
+    PluginConflictError,
+    PluginLoadError,
+    UnknownPluginError,
+    advise_choice,
+    did_you_mean,
+    quote,
+)
+from tactile_loc.slots.interface import INTERFACE_VERSION, adapt, require_interface
+
+PROJECT = "tactile_loc"
+SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
+KINDS = (*SLOTS, "touch-source", "method")  # a benchmark combines sources of touches with methods
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@dataclass(frozen=True)
+class ComponentSpec:
+    """One component offered for one slot, or for one of the other KINDS.
+
+    `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
+    the component needs and tactile-loc does not. `interface` is the version of the plugin interface for which the
+    component was written, by default 1. Write a number here, not INTERFACE_VERSION, because that changes with the
+    installed tactile-loc.
+    """
+
+    slot: str
+    name: str
+    target: str
+    summary: str
+    requires: str = ""
+    interface: int = 1
+
+
+@hookspec
+def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-body]
+    """Return the components that this plugin offers."""
+
+
+logger = logging.getLogger(__name__)
+
+BUILT_IN = "tactile-loc"
+ADDED = "this program"  # stands for the distribution of components that a program adds
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A component that a distribution offers."""
+
+    spec: ComponentSpec
+    distribution: str
+
+
+@dataclass(frozen=True)
+class LoadFailure:
+    """A plugin that raised an error while it was loaded."""
+
+    plugin: str
+    distribution: str
+    error: str
+
+
+class Registry:
+    """All components found. A plugin that fails to load is kept as a failure and does not affect the others."""
+
+    def __init__(self, plugins: Iterable[EntryPoint]) -> None:
+        self.components: list[Registered] = []
+        self.failures: list[LoadFailure] = []
+        self._kinds: dict[ComponentSpec, Any] = {}
+        for plugin in plugins:
+            self._load(plugin)
+
+    def _load(self, plugin: EntryPoint) -> None:
+        distribution = plugin.dist.name if plugin.dist else plugin.value
+        try:
+            manager = pluggy.PluginManager(PROJECT)
+            manager.add_hookspecs(sys.modules[__name__])
+            manager.register(plugin.load())
+            manager.check_pending()
+            offers = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
+            if not offers:
+                raise TypeError("offers no component: its hook is missing or returns nothing")
+            for spec in offers:
+                if not isinstance(spec, ComponentSpec) or spec.slot not in KINDS:
+                    raise TypeError(f"offers {spec!r}; the slots are {', '.join(KINDS)}")
+                if not isinstance(spec.interface, int) or spec.interface < 1:
+                    raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
+        except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
+            reason = f"{type(error).__name__}: {error}"
+            self.failures.append(LoadFailure(plugin.name, distribution, reason))
+        else:
+            self.components += [Registered(spec, distribution) for spec in offers]
+
+    def add(self, kind: type[Any], name: str, summary: str = "") -> None:
+        """Offer a component class under a name, in this process only. This is for notebooks and short scripts.
+
+        The class must follow the current version of the interface. Its slot is that of its base class. A class that was
+        added earlier under the same name is replaced. Other processes, and files read by them, do not know the name, so
+        publish a component as a package. Raises PluginLoadError unless `kind` is a complete component class, and
+        PluginConflictError if a package offers the name.
+        """
+        slot = getattr(kind, "slot", "")
+        try:
+            _require_component(kind, slot)
+            require_interface(kind, slot, INTERFACE_VERSION)
+        except TypeError as error:
+            raise PluginLoadError(f"the component {name!r} cannot be added: {error}") from error
+        others = [c for c in self.components if (c.spec.slot, c.spec.name, c.distribution) != (slot, name, ADDED)]
+        if taken := [c for c in others if (c.spec.slot, c.spec.name) == (slot, name)]:
+            raise PluginConflictError(
+                f"{taken[0].distribution} offers the {slot} {name!r} already; choose another name"
+            )
+        target = f"{kind.__module__}:{kind.__qualname__}"
+        spec = ComponentSpec(slot, name, target, summary, interface=INTERFACE_VERSION)
+        self.components = [*others, Registered(spec, ADDED)]
+        self._kinds[spec] = kind
+
+    def names(self, slot: str) -> list[str]:
+        """Return the names of a slot's components, in the order found."""
+        return list(dict.fromkeys(c.spec.name for c in self.components if c.spec.slot == slot))
+
+    def find(self, slot: str, name: str) -> Registered:
+        """Return the component with this slot and name. Raises UnknownPluginError or PluginConflictError."""
+        found = [c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)]
+        if not found:
+            raise UnknownPluginError(self._describe_unknown(slot, name))
+        if len(found) > 1:
+            raise PluginConflictError(
+                f"two packages offer the {slot} {name!r}: {found[0].distribution} and {found[1].distribution}; "
+                "uninstall one, or choose with TACTILE_LOC_PLUGINS"
+            )
+        return found[0]
+
+    def _describe_unknown(self, slot: str, name: str) -> str:
+        if slot not in KINDS:
+            return f"there is no slot {slot!r}; {advise_choice(slot, KINDS)}"
+        broken = "".join(f". The plugin {f.plugin} could not be loaded ({f.error})" for f in self.failures)
+        also = ", and no folder or file with that name" if slot == "sensor" else ""
+        return f"there is no {slot} {name!r}{also}; {advise_choice(name, self.names(slot))}{broken}".replace("?.", "?")
+
+    def load(self, slot: str, name: str) -> type[Any]:
+        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or an error of `find`.
+
+        A component for an earlier interface is adapted as far as possible; see `interface.adapt`.
+        """
+        found = self.find(slot, name)
+        if found.spec.interface > INTERFACE_VERSION:
+            raise PluginLoadError(
+                f"the {slot} {name!r} of {found.distribution} needs plugin interface {found.spec.interface}, but this "
+                f"tactile-loc has {INTERFACE_VERSION}: pip install --upgrade tactile-loc"
+            )
+        if found.spec not in self._kinds:
+            self._kinds[found.spec] = self._import_component(found)
+        return self._kinds[found.spec]
+
+    def _import_component(self, found: Registered) -> Any:
+        slot, name, interface = found.spec.slot, found.spec.name, found.spec.interface
+        module, _, attribute = found.spec.target.partition(":")
+        try:
+            kind = getattr(importlib.import_module(module), attribute)
+            _require_component(kind, slot)
+            require_interface(kind, slot, interface)
+            kind = adapt(kind, slot, interface)
+            logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
+            return kind
+        except Exception as error:
+            if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
+                library = shlex.quote(found.spec.requires or error.name or "")
+                raise MissingLibraryError(
+                    f"the {slot} {name!r} needs {error.name}, which is not installed: pip install {library}"
+                ) from error
+            raise PluginLoadError(
+                f"the {slot} {name!r} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
+                "update or uninstall that package, or choose another component"
+            ) from error
+
+    def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
+        """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
+        kind = self.load(slot, name)
+        return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
+
+
+def _is_part_of(missing: str | None, module: str) -> bool:
+    """Return whether a missing module belongs to the package of `module`, so that no library is missing."""
+    package, _, part = (missing or "").partition(".")
+    return bool(part) and package == module.partition(".")[0]
+
+
+def _require_component(kind: Any, slot: str) -> None:
+    """Raise TypeError unless `kind` is a complete component class of the slot."""
+    from tactile_loc.slots.component import Component
+
+    if not (isinstance(kind, type) and issubclass(kind, Component) and getattr(kind, "slot", None) == slot):
+        raise TypeError(f"{kind!r} does not derive from the {slot} interface")
+    if isabstract(kind):
+        raise TypeError(f"{kind.__name__} does not implement {', '.join(sorted(kind.__abstractmethods__))}")
+
+
+def validate_options(
+    model: Any, values: Mapping[str, Any], owner: str, name_option: Callable[[str], str] | None = None
+) -> Any:
+    """Build the pydantic options `model` from `values`.
+
+    Raises ConfigError if an option is unknown or its value is invalid. The message calls an invalid option
+    "key of the owner", or `name_option(key)` if that function is given.
+    """
+    try:
+        return model(**values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        key = ".".join(map(str, problem["loc"])) or "options"
+        if problem["type"] == "extra_forbidden":
+            fields = model.model_fields
+            for table in problem["loc"][:-1]:  # for an option of a table, list that table's options
+                fields = getattr(fields[str(table)].annotation, "model_fields", fields)
+            allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none"
+            near = did_you_mean(str(problem["loc"][-1]), fields)
+            raise ConfigError(f"{owner} has no option {key!r}.{near} Known: {allowed}") from error
+        if problem["type"] == "missing":
+            raise ConfigError(f"{owner} needs the option {key!r}; {_advise_setting(owner, key)}") from error
+        subject = f"{key} of {owner}" if name_option is None else name_option(key)
+        raise ConfigError(f"{subject} cannot be {quote(problem['input'])}; {explain_allowed(problem)}") from error
+
+
+def _advise_setting(owner: str, key: str) -> str:
+    """Return advice on how to set an option of the owner, such as "the sensor 'file'"."""
+    slot = owner.removeprefix("the ").partition(" ")[0]
+    return f"set it with -o {slot}.{key}=..." if slot in SLOTS else "set it"
+
+
+_ALLOWED = {
+    "greater_than_equal": "give {ge} or more",
+    "greater_than": "give more than {gt}",
+    "less_than_equal": "give at most {le}",
+    "less_than": "give less than {lt}",
+    "literal_error": "give {expected}",
+    "finite_number": "give a finite number",
+    "string_type": "give a text",
+}
+_KINDS = {"int": "a whole number", "float": "a number", "bool": "true or false"}
+
+
+def explain_allowed(problem: Mapping[str, Any]) -> str:
+    """Return advice for a refused value, such as "give 1 or more".
+
+    `problem` is an item of `ValidationError.errors()`.
+    """
+    kind, about = problem["type"], problem.get("ctx", {})
+    if kind in _ALLOWED:
+        return _ALLOWED[kind].format_map({k: f"{v:g}" if isinstance(v, float) else v for k, v in about.items()})
+    if kind == "value_error":
+        return str(about["error"]).rstrip(".")
+    if (wanted := kind.partition("_")[0]) in _KINDS:
+        return f"give {_KINDS[wanted]}"
+    return str(problem["msg"]).replace("Input should be", "it must be")
+
+
+def _name_type(annotation: Any) -> str:
+    return annotation.__name__ if isinstance(annotation, type) else str(annotation).replace("typing.", "")
+
+
+@lru_cache(maxsize=1)
+def registry() -> Registry:
+    """Return the process's registry: the built-in components, and all others that TACTILE_LOC_PLUGINS allows.
+
+    TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names. If it is not set, all plugins
+    are allowed. If it is empty, only the built-in components are allowed.
+    """
+    found = list(entry_points(group=PROJECT))
+    wanted = os.environ.get("TACTILE_LOC_PLUGINS")
+    if wanted is not None:
+        allowed = {name.strip() for name in wanted.split(",")} | {BUILT_IN}
+        found = [e for e in found if e.name in allowed or (e.dist is not None and e.dist.name in allowed)]
+    return Registry(sorted(found, key=lambda e: (not _is_built_in(e), e.name)))
+
+
+def _is_built_in(plugin: EntryPoint) -> bool:
+    return plugin.dist is not None and plugin.dist.name == BUILT_IN

@@ -1,0 +1,1 @@
+"""Poses over time: tracker, replay, live."""

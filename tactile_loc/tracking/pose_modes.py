@@ -1,0 +1,133 @@
+"""The modes of an object's pose: a few distinct poses with probabilities, which the next touch has to distinguish.
+
+If several objects are possible, the modes are pairs of an object and its pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.merging import merge_modes
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.locate.result.localization import Localization
+
+Float64 = NDArray[np.float64]
+
+MOST_MODES = 30
+NOISY, SHARPEST = 0.25, 5.0  # unexplained share of an imprint with strong noise; largest sharpness
+SAME_POSE_M = 5e-4  # modes at a smaller surface distance, symmetry included, are merged
+
+
+@dataclass(frozen=True, eq=False)
+class PoseModes:
+    """K modes of an object's pose: `T_base_object` (K, 4, 4), metres, and their probabilities (K,), which sum to one.
+
+    `unlisted`, 0 to 1, is the probability of poses left out, which favour no approach. `geometry` is that of the next
+    touch's sensor. `press_m`, metres, is the press depth of approaches that state none. `sharpness`, 1 or more, is the
+    ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`. `objects`
+    (K,) are the modes' objects if there are several; otherwise it is empty, and all modes are poses of `object`.
+    """
+
+    object: ObjectModel
+    T_base_object: Poses
+    probabilities: Float64
+    geometry: SensorGeometry
+    press_m: float
+    unlisted: float = 0.0
+    sharpness: float = 1.0
+    objects: tuple[ObjectModel, ...] = ()
+
+    @classmethod
+    def of(cls, found: Localization) -> PoseModes:
+        """Return a localisation's hypotheses in the base frame or, if unknown, in its touch's sensor frame."""
+        touch = found.touch
+        in_base = [h.T_base_object for h in found.hypotheses]
+        poses = np.stack(
+            [h.T_sensor_object if T is None else T for h, T in zip(found.hypotheses, in_base, strict=True)]
+        )
+        p = np.array([h.probability for h in found.hypotheses])
+        obj = found.posterior.grid.metric.object
+        ious = [h.imprint_iou for h in found.hypotheses]
+        return find_distinct_modes(obj, poses, p, touch.geometry, touch.indentation_m, ious)
+
+    @property
+    def entropy(self) -> float:
+        """The entropy of the modes, nats: 0 if one mode is certain."""
+        return float(compute_entropy(self.probabilities))
+
+    @property
+    def mode_objects(self) -> tuple[ObjectModel, ...]:
+        """The object (K,) of each mode."""
+        return self.objects or (self.object,) * len(self.probabilities)
+
+    @cached_property
+    def by_object(self) -> tuple[tuple[ObjectModel, NDArray[np.int64]], ...]:
+        """Each object with the numbers of its modes, the object of the first mode first."""
+        distinct = list(dict.fromkeys(self.mode_objects))
+        return tuple((one, np.flatnonzero([other is one for other in self.mode_objects])) for one in distinct)
+
+
+def measure_sharpness(imprint_ious: Sequence[float]) -> float:
+    """Return how many times as much evidence contacts give as with strong noise.
+
+    The evidence, in nats, was fitted to noisy touches: their true pose leaves a share NOISY of the imprint unexplained.
+    If the best hypothesis leaves a smaller share, smaller differences count. `imprint_ious`, 0 to 1, are those of
+    hypotheses.
+    """
+    return float(np.clip(NOISY / max(1 - max(imprint_ious, default=0.0), 1e-6), 1.0, SHARPEST))
+
+
+def find_distinct_modes(
+    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float,
+    imprint_ious: Sequence[float] = (),
+) -> PoseModes:  # fmt: skip
+    """Return poses (K, 4, 4), metres, and probabilities (K,) as modes, at most MOST_MODES; merge equivalent poses.
+
+    The modes' sharpness comes from `imprint_ious`, 0 to 1. Raises TouchError if all probabilities are 0.
+    """
+    order = np.argsort(-probabilities, kind="stable")
+    order = order[probabilities[order] > 0]
+    if not len(order):
+        raise TouchError("no mode of the result has a probability above 0; locate the object again")
+    of = merge_modes(T_base_object[order], PoseMetric(obj), SAME_POSE_M, MOST_MODES)
+    kept, listed = np.unique(of[of >= 0]), of >= 0
+    mass = np.bincount(of[listed], probabilities[order[listed]])[kept]
+    likelier = np.argsort(-mass, kind="stable")
+    p, poses = mass[likelier], T_base_object[order[kept[likelier]]]
+    unlisted, sharpness = max(0.0, 1 - float(p.sum())), measure_sharpness(imprint_ious)
+    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, unlisted, sharpness)
+
+
+def join_modes(every: Sequence[PoseModes], shares: Sequence[float]) -> PoseModes:
+    """Return the modes of several objects as pairs of an object and its pose, at most MOST_MODES, the likeliest first.
+
+    `every` has the modes of each object, in a common frame and for the same sensor. `shares` are the probabilities of
+    the objects; what they lack to 1 belongs to other objects, and counts as unlisted. Raises TouchError without any
+    modes.
+    """
+    if not every:
+        raise TouchError("no object has a mode; identify the touches again")
+    weights = [(1 - m.unlisted) * share for m, share in zip(every, shares, strict=True)]
+    listed = np.concatenate([weight * m.probabilities for m, weight in zip(every, weights, strict=True)])
+    objects = [m.object for m in every for _ in m.probabilities]
+    order = np.argsort(-listed, kind="stable")[:MOST_MODES]
+    p, poses = listed[order], np.concatenate([m.T_base_object for m in every])[order]
+    return replace(
+        every[0], object=objects[order[0]], T_base_object=poses, probabilities=p / p.sum(),
+        unlisted=max(0.0, 1 - float(p.sum())), sharpness=max(m.sharpness for m in every),
+        objects=tuple(objects[k] for k in order),
+    )  # fmt: skip
+
+
+def compute_entropy(p: Float64) -> Float64:
+    """Return the Shannon entropy (...,) in nats of probabilities (..., K)."""
+    return np.asarray(-(p * np.log(np.where(p > 0, p, 1.0))).sum(axis=-1))

@@ -1,0 +1,243 @@
+"""The possible poses of a tracked object: predicted from frame to frame, registered to each touch, and weighed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, make_translation, transform_points
+from tactile_loc.core.poses.merging import merge_modes
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.priors import PosePrior
+from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
+from tactile_loc.core.sensing.scene import View
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.locate.hypotheses import compute_nats
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.tracking.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One possible pose of the object.
+
+    `known` is the pose in the base frame. `T_sensor_object` (4, 4), metres, is the pose in the sensor frame, with a
+    covariance (6, 6). `nats` is the mode's log-weight, and `imprint_iou`, 0 to 1, states how well it explains the last
+    touch. `predicted_iou` is that of the pose before it was registered to this touch.
+    """
+
+    known: PoseFilter
+    T_sensor_object: Floats
+    covariance: Floats
+    nats: float = 0.0
+    imprint_iou: float = 0.0
+    predicted_iou: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SlipPrior(PosePrior):
+    """The prior over T_base_object after a slip from the pose `T` (4, 4), metres.
+
+    The log-weight is -d^2 / (2 s^2), at least -`most_nats`, because the object may also have jumped. The distance d is
+    that of the pose metric, up to symmetry, and s is `std_m`, metres.
+    """
+
+    T: Floats
+    std_m: float
+    most_nats: float
+    metric: PoseMetric
+
+    def __call__(self, T_sensor_object: Poses) -> Floats:
+        """Return the log-weights (N,), 0 at the pose T, of poses (N, 4, 4), metres."""
+        far_m = self.metric.symmetric_distance(T_sensor_object, self.T[None])
+        return np.asarray(np.maximum(-0.5 * (far_m / self.std_m) ** 2, -self.most_nats))
+
+
+class ModeFilter:
+    """Moves modes along with the sensor, and registers them to touches.
+
+    The object creeps by a covariance (6, 6) in one second. With `relative` sensor poses, the errors of the poses come
+    from the sensor's motions, not from the touches.
+    """
+
+    def __init__(self, localizer: Localizer, creep: Floats) -> None:
+        self.localizer, self.creep = localizer, creep
+        self.options = options = localizer.config.tracker
+        nearby = RegistrationOptions(scale_mm=options.near_mm, iterations=options.iterations)
+        self._nearby, self._first = JointRegistration(nearby), localizer.refinement.registration
+        self._slip_std = np.array([1e-3 * options.slip_mm] * 3 + [math.radians(options.slip_deg)] * 3)
+        self._metric = PoseMetric(localizer.object)
+        self.relative = False
+
+    @property
+    def gel_m(self) -> Floats:
+        """The middle of the gel (3,), metres, in the sensor frame."""
+        return self.localizer.scene.geometry.gel_middle_m
+
+    def start(self, T_base_object: Floats, covariance: Floats) -> Mode:
+        """Return the mode of a known pose (4, 4), metres, with a covariance (6, 6)."""
+        known = PoseFilter.known(T_base_object, covariance)
+        return Mode(known, known.T_base_object, covariance)
+
+    def predict(
+        self, modes: Sequence[Mode], T_base_sensor: Floats, passed_s: float, added: Floats | None
+    ) -> list[Mode]:
+        """Predict modes for a sensor at T_base_sensor (4, 4), metres, `passed_s` seconds later.
+
+        `added` (6, 6) is the covariance of an error of the sensor's motion, along the base's axes.
+        """
+        predicted = []
+        for mode in modes:
+            creep = self.creep * passed_s
+            if added is not None:
+                creep = creep + estimate_motion_errors(added, T_base_sensor, mode.known.T_base_object)
+            predicted.append(self._view(replace(mode, known=mode.known.predict(creep)), T_base_sensor))
+        return predicted
+
+    def follow(self, modes: Sequence[Mode], touch: Touch, alike: float) -> list[Mode]:
+        """Register modes to a touch and fuse them with it.
+
+        `alike`, 0 to 1, is the share of the previous touch's errors that this touch has, too.
+        """
+        if not modes:
+            return []
+        view = self._look(touch)
+        poses = np.stack([mode.T_sensor_object for mode in modes])
+        registration = self._nearby if alike > 0 else self._first
+        registered, covariances = registration.follow([view], poses)
+        followed = []
+        for mode, T, covariance in zip(modes, registered, covariances, strict=True):
+            if covariance is not None:
+                seen = self._see(touch, T, covariance)
+                fused = replace(mode, known=mode.known.update(seen, 1 - alike))
+                mode = self._view(fused, np.asarray(touch.T_base_sensor))
+            followed.append(mode)
+        after = np.stack([mode.T_sensor_object for mode in followed])
+        ious = view.imprint_ious(np.concatenate([poses, after]), self.options.image_px).reshape(2, -1)
+        return [
+            replace(mode, predicted_iou=float(predicted), imprint_iou=float(iou))
+            for mode, predicted, iou in zip(followed, *ious, strict=True)
+        ]
+
+    def find_slipped(self, modes: Sequence[Mode], touch: Touch, alike: float) -> list[Mode]:
+        """Return modes to which the two likeliest modes may have slipped, registered to a touch, the best first.
+
+        `alike` is as for `follow`. Only poses farther from their modes than errors explain are returned.
+        """
+        view, T_base_sensor = self._look(touch), np.asarray(touch.T_base_sensor)
+        starts, ends = self._guess_slips(modes, view)
+        registered, covariances = self._first.follow([view], ends)
+        T_base_gel = T_base_sensor @ make_translation(self.gel_m)
+        slipped = []
+        for k, T, covariance in zip(starts, registered, covariances, strict=True):
+            if covariance is None:
+                continue
+            known, seen = modes[k].known, self._see(touch, T, covariance)
+            if known.measure_surprise(seen, 1 - alike) > self.options.slip_surprise:
+                creep = estimate_motion_errors(np.diag(self._slip_std**2), T_base_gel, known.T_base_object)
+                slipped.append(Mode(known.predict(creep).update(seen, 1.0), T, covariance))
+        if not slipped:
+            return []
+        ious = self.explain(slipped, [touch])
+        nats = compute_nats(np.array(ious), 1)
+        return self.keep_distinct(
+            [
+                replace(self._view(mode, T_base_sensor), imprint_iou=iou, nats=float(weight))
+                for mode, iou, weight in zip(slipped, ious, nats, strict=True)
+            ]
+        )
+
+    def make_slip_prior(self, mode: Mode, T_base_sensor: Floats) -> SlipPrior:
+        """Return the prior over poses after a slip from a mode, whose gel is at T_base_sensor (4, 4), metres."""
+        gel_m = transform_points(invert(mode.known.T_base_object) @ T_base_sensor, self.gel_m[None])
+        lever_m = float(np.sqrt(np.mean(np.sum((self.localizer.object.mesh.vertices_m - gel_m) ** 2, axis=1))))
+        std_m = float(np.hypot(np.sqrt(3) * self._slip_std[0], np.sqrt(2) * self._slip_std[3] * lever_m))
+        return SlipPrior(mode.known.T_base_object, std_m, self.options.stay_nats, self._metric)
+
+    def find_all(self, found: Localization, touch: Touch) -> list[Mode]:
+        """Return a search's hypotheses as modes, the most probable first. `touch` is the first touch of the search."""
+        T_base_sensor, modes = np.asarray(touch.T_base_sensor), []
+        for hypothesis in found.hypotheses[: self.options.modes]:
+            if hypothesis.refined.covariance is not None:
+                T, covariance = hypothesis.T_sensor_object, hypothesis.refined.covariance
+                known = PoseFilter.of_touch(self._see(touch, T, covariance))
+                nats = math.log(max(hypothesis.probability, 1e-300))
+                modes.append(self._view(Mode(known, T, covariance, nats, hypothesis.imprint_iou), T_base_sensor))
+        return modes
+
+    def renew(self, modes: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
+        """Return the modes that a search found; those near a followed mode take over its pose, from more touches."""
+        renewed, T = [], np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
+        for new in found:
+            far_m = self._metric.symmetric_distance(T, new.known.T_base_object[None])
+            k = int(far_m.argmin()) if len(T) else -1
+            near = k >= 0 and far_m[k] < self.localizer.merge_radius_m
+            renewed.append(replace(modes[k], nats=new.nats) if near else new)
+        return renewed
+
+    def view_from(self, modes: Sequence[Mode], T_base_sensor: Floats) -> list[Mode]:
+        """Return modes as seen from a sensor at T_base_sensor (4, 4), metres."""
+        return [self._view(mode, T_base_sensor) for mode in modes]
+
+    def explain(self, modes: Sequence[Mode], touches: Sequence[Touch]) -> list[float]:
+        """Return how well modes explain touches: their mean imprint IoUs, 0 to 1."""
+        poses = np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
+        each = [
+            self._look(touch).imprint_ious(invert(np.asarray(touch.T_base_sensor)) @ poses, self.options.image_px)
+            for touch in touches
+        ]
+        return np.mean(each, axis=0).tolist()
+
+    def keep_distinct(self, modes: Sequence[Mode]) -> list[Mode]:
+        """Return the likeliest modes, except modes near a likelier one or much less probable than the best one."""
+        ordered = sorted(modes, key=lambda mode: -mode.nats)
+        least = ordered[0].nats + math.log(self.options.improbable) if ordered else 0.0
+        ordered = [mode for mode in ordered if mode.nats >= least]
+        poses = np.array([mode.known.T_base_object for mode in ordered]).reshape(-1, 4, 4)
+        of = merge_modes(poses, self._metric, self.localizer.merge_radius_m, self.options.modes)
+        return [ordered[k] for k in np.unique(of[of >= 0])]
+
+    def _guess_slips(self, modes: Sequence[Mode], view: View) -> tuple[list[int], Floats]:
+        """Guess poses to which the two likeliest modes may have slipped, register them, and keep distinct ones.
+
+        Returns the numbers (K,) of their modes, and their poses (K, 4, 4), metres, in the sensor frame.
+        """
+        count = self.options.slips
+        numbers = np.arange(count) % min(len(modes), 2)
+        moves = np.random.default_rng(count).normal(size=(count, 6)) * self._slip_std
+        moves[:2] = 0.0
+        R = Rotation.from_rotvec(moves[:, 3:]).as_matrix()
+        moved = make_transform(R, self.gel_m - R @ self.gel_m + moves[:, :3])
+        ends = self._first.register_coarsely(
+            [view], moved @ np.stack([modes[k].T_sensor_object for k in numbers.tolist()])
+        )
+        ious = view.imprint_ious(ends, self.options.image_px)
+        order = np.argsort(-ious, kind="stable")
+        of = merge_modes(ends[order], self._metric, self.localizer.merge_radius_m, self.options.modes)
+        kept = order[np.unique(of[of >= 0])]
+        return numbers[kept].tolist(), ends[kept]
+
+    def _look(self, touch: Touch) -> View:
+        return View(touch, self.localizer.scene.match_touch(touch))
+
+    def _view(self, mode: Mode, T_base_sensor: Floats) -> Mode:
+        T, covariance = mode.known.view_from(T_base_sensor, self.gel_m)
+        return replace(mode, T_sensor_object=T, covariance=covariance)
+
+    def _see(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
+        """Return a pose (4, 4), metres, registered to a touch with a covariance (6, 6), in the filter's form."""
+        std_m, std_rad = (0.0, 0.0) if self.relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+        sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
+        common, covariance = self.options.common, self.options.touch_noise * covariance
+        return SeenPose(
+            np.asarray(touch.T_base_sensor), T_sensor_object, common * covariance, (1 - common) * covariance, sensor,
+            self.gel_m,
+        )  # fmt: skip

@@ -1,0 +1,134 @@
+"""The pose of a tracked object at one frame, and how far to trust it.
+
+A track can be sure of a wrong pose: another object may have taken the place of the tracked one, or the pose comes from
+one touch that fits several places. Two facts therefore limit a track's verdict. One is how well the pose has explained
+earlier touches. The other is the verdict of the search that found the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.pose_words import describe_first
+from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.io.options import TrackerOptions
+from tactile_loc.locate.result.located_frame import LocatedFrame
+from tactile_loc.locate.result.verdict import Verdict, explain_verdict
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPose:
+    """The object's pose at one frame.
+
+    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first. They have `covariances`
+    (K, 6, 6), as in RefinedPose, and `probabilities` (K,). If the probabilities sum to less than 1, the rest is the
+    probability that the pose is elsewhere. `imprint_iou`, 0 to 1, states how well the first pose explains the touch;
+    NaN without a touch.
+
+    `verdict` is as in a run, with the tracker's threshold of a poor fit (`tracker.least_iou`). Without contact, poses
+    are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
+    `slipped` is true at the frame whose touch shows that the object has moved.
+    """
+
+    time_s: float
+    verdict: Verdict
+    T_sensor_object_modes: Floats
+    covariances: Floats
+    probabilities: Floats
+    imprint_iou: float
+    searched: bool
+    slipped: bool = False
+
+    @property
+    def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
+        """The most probable pose (4, 4), metres; None before the first touch."""
+        return self.T_sensor_object_modes[0] if len(self.T_sensor_object_modes) else None
+
+    @property
+    def covariance(self) -> Floats | None:
+        """The covariance (6, 6) of the most probable pose, as in RefinedPose; None before the first touch."""
+        return self.covariances[0] if len(self.covariances) else None
+
+    @property
+    def frame(self) -> LocatedFrame:
+        """The pose as a located frame, the form shared with live runs, recordings and ROS."""
+        return LocatedFrame(
+            self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
+        )
+
+    def __str__(self) -> str:
+        """Return the time, the verdict, the first pose in mm and degrees, and its imprint IoU, in words."""
+        lines = [f"{self.verdict} at {self.time_s:.3f} s: {explain_verdict(self.verdict)}"]
+        if (T := self.T_sensor_object) is not None:
+            lines.append(describe_first(T, len(self.probabilities), "sensor's"))
+        if math.isfinite(self.imprint_iou):
+            lines.append(f"imprint IoU {format_percent(self.imprint_iou)}")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class TrackTrust:
+    """How far to trust the first mode of a track.
+
+    `probability`, 0 to 1, is that of a pose within the tolerance, as the search states it. `usual_iou`, 0 to 1, is the
+    imprint IoU with which the pose has explained the touches. A touch that it explains far worse does not change this
+    value. `limit` is the most favourable verdict: "certain" after `Tracker.start`, and after a search, the verdict on
+    the touches of the search. The trust is `settled` after `Tracker.start`, and after a search of enough key touches
+    that is certain. Until then, each new key touch starts a search.
+    """
+
+    options: TrackerOptions
+    probability: float = 1.0
+    usual_iou: float = 0.0
+    limit: Verdict = Verdict.CERTAIN
+    settled: bool = True
+
+    def restart(self, limit: Verdict, probability: float, imprint_iou: float, keys: int = 0) -> TrackTrust:
+        """Return the trust in a pose after a search of `keys` key touches, or after a slip."""
+        settled = limit is Verdict.CERTAIN and keys >= self.options.confirming
+        return TrackTrust(self.options, probability, imprint_iou, limit, settled)
+
+    def add_touch(self, imprint_iou: float) -> TrackTrust:
+        """Return the trust after a touch that the same pose explains with an imprint IoU, 0 to 1."""
+        if self._contradicts(imprint_iou):
+            return self
+        habit = self.options.habit
+        return replace(self, usual_iou=max(imprint_iou, (1 - habit) * self.usual_iou + habit * imprint_iou))
+
+    def doubts(self, imprint_iou: float) -> bool:
+        """Return whether a pose with this imprint IoU, 0 to 1, explains a touch worse than usual, or not at all."""
+        if self.usual_iou < self.options.least_iou:
+            return imprint_iou < self.options.least_iou  # the pose has explained nothing so far
+        return imprint_iou < self.usual_iou - min(self.options.fall_iou, self.usual_iou / 2)
+
+    def judge(self, found: bool, imprint_iou: float, touched: bool) -> Verdict:
+        """Return the verdict on a frame.
+
+        `found` states whether there is a pose, and `touched` whether there is a touch. `imprint_iou`, 0 to 1,
+        states how well the first pose explains the touch.
+        """
+        if not touched:
+            return Verdict.NO_CONTACT
+        if not found:
+            return Verdict.NOT_FOUND
+        if imprint_iou < self.options.least_iou or self._contradicts(imprint_iou):
+            return Verdict.POOR_FIT
+        return self.limit
+
+    def share(self, weights: Floats) -> Floats:
+        """Return the probabilities (K,) of modes with relative `weights` (K,), the first mode's first.
+
+        The first mode has the stated probability. The others share the rest, but none is more probable than the first.
+        """
+        others = weights[1:].sum()
+        rest = np.minimum(self.probability, (1 - self.probability) * weights[1:] / max(others, 1e-300))
+        return np.concatenate([[self.probability], rest])
+
+    def _contradicts(self, imprint_iou: float) -> bool:
+        return imprint_iou < self.usual_iou - min(self.options.lost_iou, self.usual_iou / 2)

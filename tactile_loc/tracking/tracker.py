@@ -1,0 +1,300 @@
+"""Tracking of an object from frame to frame, while a sensor slides and rotates over it.
+
+A few possible poses, the modes, are predicted from the sensor's motion and registered to each touch. Prediction and
+touch are fused. So the prediction determines what the touch does not show, such as a bolt's rotation.
+
+Key touches are touches at places far apart. They are located together, one turn of the search at each frame, and the
+result decides between modes and how far to trust them. If a touch shows that the object has slipped, poses nearby are
+tried. If no pose explains a touch, the whole object is searched again.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import require_covariance, require_rigid, rotate_covariance
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
+from tactile_loc.core.sensing.touch import Touch, require_depths
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.freedom import AS_WELL, find_as_well
+from tactile_loc.locate.result.verdict import LEAST_IOU, Verdict
+from tactile_loc.tracking.key_search import KeySearch, Searched
+from tactile_loc.tracking.key_touches import measure_motion_m
+from tactile_loc.tracking.track_modes import Mode, ModeFilter
+from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
+
+Floats = NDArray[np.float64]
+
+MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
+MOST_LOST = 10  # consecutive such touches, after which a search replaces the track even if it is unsure itself
+LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
+MOST_WEIGHED = 10  # touches after a slip by which its pose is weighed against the pose without the slip
+JUMPED_NATS = 1.5  # most that a pose far from a slipped one loses, nats, if the slipped one fits worse than usual
+EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that may still be an error of the touch
+
+
+@dataclass(frozen=True, eq=False)
+class Stayed:
+    """A track before a slip, which is followed on: its likeliest mode, its trust and its key touches.
+
+    `gain` is the imprint IoU by which it has predicted the `touches` since then better than the track after the slip.
+    """
+
+    modes: list[Mode]
+    trust: TrackTrust
+    search: KeySearch
+    gain: float = 0.0
+    touches: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The sensor's motion since the previous frame, T_previous_sensor (4, 4), metres, and the covariance of its error.
+
+    The error is x, y, z of the new sensor frame's origin (m) and a rotation vector (rad), along the previous sensor's
+    axes. Raises TouchError for an invalid pose or covariance (6, 6).
+    """
+
+    T_previous_sensor: Floats
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        T = require_rigid(self.T_previous_sensor, "the sensor's motion", TouchError)
+        covariance = require_covariance(self.covariance, "the covariance of the sensor's motion", TouchError)
+        object.__setattr__(self, "T_previous_sensor", T)
+        object.__setattr__(self, "covariance", covariance)
+
+
+class Tracker:
+    """Tracks one object from frame to frame, by touches of one sensor.
+
+    The object is assumed to rest, except for a slow creep. The creep in one second has standard deviations of `creep_m`
+    metres along and `creep_rad` radians about each axis. The object may also slip or jump. The errors of sensor poses
+    are taken from the touches (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not
+    finite.
+    """
+
+    def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
+        if not (0 <= creep_m < math.inf and 0 <= creep_rad < math.inf):
+            raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give 0 or more")
+        self.localizer, self.options = localizer, localizer.config.tracker
+        self._filter = ModeFilter(localizer, np.diag(np.square([creep_m] * 3 + [creep_rad] * 3)))
+        self._begin([], TrackTrust(self.options, limit=Verdict.NOT_FOUND, settled=False))
+
+    def start(self, T_base_object: Floats, covariance: Floats) -> None:
+        """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
+
+        Without a start, the whole object is searched for the first touches. The base is the frame of the sensor's
+        poses. If motions are given instead, the base is the sensor frame at the first frame. Raises TouchError for an
+        invalid pose or covariance.
+        """
+        T = require_rigid(T_base_object, "T_base_object", TouchError)
+        covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
+        self._begin([self._filter.start(T, covariance)], TrackTrust(self.options))
+
+    def _begin(self, modes: list[Mode], trust: TrackTrust) -> None:
+        self._modes, self._trust, self._search = modes, trust, KeySearch(self.localizer)
+        self._time_s = -math.inf
+        self._T_base_sensor: Floats | None = None
+        self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
+        # the search before a touch that no mode explains; the search under way then looks for another pose
+        self._undoubted: KeySearch | None = None
+        self._expected = 0  # touches where the likeliest mode expected them
+        self._doubts = 0  # consecutive touches that the likeliest mode explains far worse than before
+        self._stayed: Stayed | None = None  # the track without the latest slip, until it is clear that there was one
+
+    def update(
+        self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
+        motion: Motion | None = None,
+    ) -> TrackedPose:  # fmt: skip
+        """Return the pose at `time_s` seconds, given a touch, or None without contact.
+
+        The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from the sensor's `motion` since
+        the previous frame. Give poses for all frames, or motions for all. Raises TouchError if neither is given, if
+        time runs backwards, or for a touch of another sensor.
+        """
+        self._require_later(time_s)
+        if touch is not None:
+            self.localizer.require_own(touch)
+            require_depths(touch, "a track")
+        T, added = self._place(time_s, touch, T_base_sensor, motion)
+        moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
+        passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
+        self._time_s, self._T_base_sensor = time_s, T
+        self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
+        self._modes = self._filter.predict(self._modes, T, passed_s, added)
+        if self._stayed is not None:
+            stayed = self._filter.predict(self._stayed.modes, T, passed_s, added)
+            self._stayed = replace(self._stayed, modes=stayed)
+        if touch is None:
+            self._alike = 0.0  # the next contact will have new errors
+            return self._result(math.nan, self._take_turns(), touched=False)
+        same = touch.T_base_sensor is not None and np.array_equal(touch.T_base_sensor, T)
+        return self._update_touched(touch if same else replace(touch, T_base_sensor=T))
+
+    def _update_touched(self, touch: Touch) -> TrackedPose:
+        """Follow the modes to a touch, look for a slip, and search on."""
+        before, alike = self._modes, self._alike
+        self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
+        if self._stayed is not None:
+            self._weigh_slip(self._stayed, touch, alike)
+        clear = 100 * touch.contact_share >= self.options.clear_percent
+        certain = bool(self._modes) and self._trust.limit is Verdict.CERTAIN
+        doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
+        self._expected += certain and not doubted and self._modes[0].known.surprise < EXPECTED_SURPRISE
+        self._doubts = self._doubts + doubted if doubted or not clear else 0
+        fitted = self._trust.usual_iou >= LEAST_IOU  # a track that never fitted is corrected, and shows no slip
+        moved = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
+        if clear and not doubted and self._undoubted is not None:
+            self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad
+        if not moved and self._doubts == MOST_DOUBTS and self._undoubted is None:
+            self._search, self._undoubted = self._search.restart(touch), self._search
+        elif not moved and self._searches and self._search.is_new_place(touch):
+            self._search = self._search.add(touch)
+        searched = self._take_turns()
+        if not self._modes:
+            return self._result(0.0, searched)
+        iou = self._modes[0].imprint_iou
+        self._trust = self._trust.add_touch(iou)
+        return self._result(iou, searched, slipped=moved and fitted)
+
+    @property
+    def _searches(self) -> bool:
+        """Whether new key touches start a search: until the track is settled, and while it is doubted."""
+        return self._undoubted is not None or not self._trust.settled
+
+    def _take_turns(self) -> bool:
+        """Begin a search if one is due, take the turns of this frame, and return whether a search was under way."""
+        if self._searches and self._search.is_due:
+            self._search = self._search.begin(self._modes)
+        if self._search.turns is None:
+            return False
+        finished = None
+        for _ in range(self.options.turns or sys.maxsize):
+            self._search, finished = self._search.take_turn()
+            if finished is not None:
+                self._adopt(finished)
+                break
+        return True
+
+    def _suspects_slip(self, doubted: bool) -> bool:
+        """Return whether a certain mode's registration to the touch leads surprisingly far."""
+        surprise, known = self._modes[0].known.surprise, self._expected >= LEAST_EXPECTED
+        return known and (surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE))
+
+    def _slip(self, before: Sequence[Mode], touch: Touch, alike: float) -> bool:
+        """Look for poses to which the modes may have slipped since `before`; return whether one was accepted."""
+        slipped, tracked = self._filter.find_slipped(before, touch, alike), self._modes[0]
+        if not slipped or slipped[0].imprint_iou < tracked.predicted_iou + self.options.slip_iou:
+            return False
+        if tracked.known.surprise < self.options.slip_surprise and self._trust.doubts(slipped[0].imprint_iou):
+            return False  # the touch is bad: no pose explains it as well as usual
+        self._stayed = Stayed(list(before[:1]), self._trust, self._search)
+        prior = self._filter.make_slip_prior(before[0], np.asarray(touch.T_base_sensor))
+        if self._trust.doubts(slipped[0].imprint_iou):
+            prior = replace(prior, most_nats=min(prior.most_nats, JUMPED_NATS))  # perhaps the object has jumped
+        self._modes, self._search, self._undoubted = slipped, self._search.restart(touch, prior), None
+        self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.0, slipped[0].imprint_iou)
+        return True
+
+    def _weigh_slip(self, stayed: Stayed, touch: Touch, alike: float) -> None:
+        """Weigh the pose after a slip against that without the slip; take the slip back if it did not happen."""
+        modes = self._filter.follow(stayed.modes, touch, alike)
+        slipped_iou = self._modes[0].predicted_iou if self._modes else 0.0
+        gain, touches = stayed.gain + modes[0].predicted_iou - slipped_iou, stayed.touches + 1
+        self._stayed = replace(stayed, modes=modes, gain=gain, touches=touches)
+        if touches == MOST_WEIGHED:
+            self._stayed = None
+            if gain > 0:
+                self._modes, self._trust, self._search = modes, stayed.trust, stayed.search
+                self._undoubted, self._doubts = None, 0
+
+    def _adopt(self, finished: Searched) -> None:
+        """Take over the poses that a search found, and trust the first as far as the search does.
+
+        If the modes were doubted, they stay unless the search found a pose that explains its touches clearly better.
+        They also stay if it explains them worse than usual, unless the modes do not explain them at all. Then the new
+        pose is at most ambiguous, because the object may be another one. The same holds for a pose from one touch.
+
+        Modes also stay if one of them explains the touches better, because then the search has missed it. A mode that
+        explains them as well makes the pose ambiguous.
+        """
+        found, keys = finished.found, finished.keys
+        new = [] if found is None else self._filter.find_all(found, keys[0])
+        if found is None or not new:
+            return
+        if self._undoubted is None and finished.gains.max(initial=-np.inf) > AS_WELL:
+            return
+        (iou,) = self._filter.explain(new[:1], keys)
+        unproven = False
+        if self._undoubted is not None:
+            tracked = max(self._filter.explain(self._modes, keys))
+            worse, explained = self._trust.doubts(iou), tracked >= self.options.least_iou
+            unsure = found.verdict in (Verdict.NOT_FOUND, Verdict.POOR_FIT) and self._doubts < MOST_LOST
+            if unsure or (worse and explained) or (iou - tracked) * len(keys) < self.options.lost_iou:
+                return  # a few bad touches do not end a track
+            self._undoubted, unproven = None, worse or len(keys) == 1
+        missed = [
+            replace(mode, nats=new[0].nats)
+            for mode, gain in zip(finished.known, finished.gains, strict=True)
+            if gain >= -find_as_well(keys)
+        ]
+        renewed = [*self._filter.renew(self._modes, new), *missed]
+        self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
+        verdict = Verdict.AMBIGUOUS if (missed or unproven) and found.verdict is Verdict.CERTAIN else found.verdict
+        self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
+        if verdict is Verdict.CERTAIN:
+            self._stayed = None
+        if self._trust.settled:
+            self._modes = self._modes[:1]
+        elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:
+            self._search = self._search.restart(keys[-1])  # the object has moved since the first key touches
+
+    def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
+        """Return the distance the gel moved between sensor poses (4, 4), metres; a rotation counts with `lever_mm`."""
+        return measure_motion_m(T_base_first, T_base_second, self._filter.gel_m, 1e-3 * self.options.lever_mm)
+
+    def _require_later(self, time_s: float) -> None:
+        if not math.isfinite(time_s) or time_s < self._time_s:
+            raise TouchError(
+                f"a frame at {time_s:g} s cannot follow one at {self._time_s:g} s; give frames in the order of time, "
+                "or make a new Tracker for another sequence"
+            )
+
+    def _place(
+        self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
+    ) -> tuple[Floats, Floats | None]:
+        """Return the sensor's pose (4, 4), and the covariance that its motion adds, along the base's axes."""
+        told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
+        before = self._T_base_sensor
+        relative = told is None if before is None else self._filter.relative
+        if (told is None) != relative or (before is not None and told is None and motion is None):
+            raise TouchError(
+                f"the frame at {time_s:g} s does not give its sensor's pose as the first one does; give T_base_sensor "
+                "for all frames, or motions for all"
+            )
+        self._filter.relative = relative
+        if told is not None:
+            return require_rigid(told, f"the sensor's pose at {time_s:g} s", TouchError), None
+        if before is None or motion is None:
+            return np.eye(4), None
+        T = before @ motion.T_previous_sensor
+        return T, rotate_covariance(motion.covariance, before[:3, :3])
+
+    def _result(
+        self, imprint_iou: float, searched: bool, touched: bool = True, slipped: bool = False
+    ) -> TrackedPose:  # fmt: skip
+        T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)
+        covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
+        p = np.empty(0)
+        if self._modes:
+            p = self._trust.share(np.exp([mode.nats - self._modes[0].nats for mode in self._modes]))
+        verdict = self._trust.judge(bool(self._modes), imprint_iou, touched)
+        return TrackedPose(self._time_s, verdict, T, covariances, p, imprint_iou, searched, slipped)

@@ -1,0 +1,1 @@
+"""Pictures and scenes of results."""

@@ -1,0 +1,197 @@
+"""Picture of the object on the sensor: a solid at the estimated pose, lines at the true pose, and axes in mm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.view.raytracing import Bounds, Buffers, Tracer, View, make_box, shade, shrink
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
+EDGE, TRUTH = "#16202c", "#e8590c"
+PIXELS, SUPERSAMPLE = 620, 2
+AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
+TICK_PT, VALUE_PT = 5.0, 12.0  # length of a tick, and distance of its value
+LABEL_PT, WIDER_PT = 27.0, 18.0  # distance of an axis's label: the second part is added where the text is beside it
+GEL_MM, RIM_MM = 1.5, 1.6  # drawn thickness of the gel, and drawn width of the housing around the gel
+
+
+def draw_pose(
+    axes: Axes, mesh: TriangleMesh, geometry: SensorGeometry, T_estimate: Array, T_true: Array | None = None
+) -> None:
+    """Draw the sensor, the object at `T_estimate` (4, 4), and the object's edges at `T_true` (4, 4); metres."""
+    view = choose_view(mesh, T_estimate)
+    estimate = _pose_triangles(mesh, T_estimate)
+    truth = None if T_true is None else _pose_triangles(mesh, T_true)
+    floor = build_sensor_mm(geometry)
+    bounds = _fit_bounds(view, [s for s in (estimate, truth, *floor) if s is not None])
+    shape = _choose_size(bounds)
+    tracer = Tracer([estimate, *floor], view)
+    seen = tracer.look(bounds, shape)
+    image = shade(seen, np.array([STEEL, GEL, HOUSING]), tracer.cast_shadow(seen, 0.02))
+    size_mm = float(np.ptp(estimate.reshape(-1, 3), axis=0).max())
+    paint(image, seen.find_edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
+    if truth is not None:
+        paint(image, thicken(Tracer([truth], view).look(bounds, shape).find_edges(0.04 * size_mm)), TRUTH, 0.95)
+    axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
+    _draw_axes(axes, view, geometry, _measure_height_mm(geometry, estimate, truth), _Picture(seen, bounds))
+    axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
+    axes.set_axis_off()
+
+
+def _pose_triangles(mesh: TriangleMesh, T: Array) -> Array:
+    return transform_points(T, mesh.vertices_m)[mesh.faces] * 1e3
+
+
+def build_sensor_mm(geometry: SensorGeometry) -> list[Array]:
+    """Return two boxes, the gel and its housing, each as triangles (12, 3, 3), mm, in the sensor frame."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    top = 1e3 * geometry.surface_m
+    rim, gel = RIM_MM, make_box((x0, x1), (y0, y1), (top - GEL_MM, top))
+    return [gel, make_box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
+
+
+def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = View.elevation_deg) -> View:
+    """Return the view that best shows both the object at T (4, 4), metres, and the sensor."""
+    points = 1e3 * transform_points(T, mesh.vertices_m)
+
+    def rate(view: View) -> float:
+        nearness_mm = float(view.axes[2, :2] @ points.mean(axis=0)[:2])
+        shown = np.sqrt(max(np.linalg.det(np.cov(view.project(points).T)), 0.0))
+        return float(shown * (1 - 0.4 * np.tanh(nearness_mm / 15)))
+
+    return max((View(azimuth_deg, elevation_deg) for azimuth_deg in AZIMUTHS_DEG), key=rate)
+
+
+def _fit_bounds(view: View, surfaces: list[Array]) -> Bounds:
+    flat = np.concatenate([view.project(s).reshape(-1, 2) for s in surfaces])
+    (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
+    margin = 0.17 * max(right - left, top - bottom)
+    return left - margin, right + margin, bottom - margin, top + 0.3 * margin
+
+
+def _choose_size(bounds: Bounds) -> tuple[int, int]:
+    """Return the image size (H, W) in pixels; the longer side has `PIXELS` times `SUPERSAMPLE` pixels."""
+    width, height = bounds[1] - bounds[0], bounds[3] - bounds[2]
+    scale = PIXELS / max(width, height)
+    return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
+
+
+def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opacity: float) -> None:
+    """Blend a colour into the marked pixels (H, W) of an RGBA image, in place."""
+    from matplotlib.colors import to_rgb
+
+    image[where, :3] = (1 - opacity) * image[where, :3] + opacity * np.array(to_rgb(colour))
+    image[where, 3] = np.maximum(image[where, 3], opacity)
+
+
+def thicken(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (H, W) whose marked pixels also mark the pixels below and to the right."""
+    grown = marked.copy()
+    grown[1:] |= marked[:-1]
+    grown[:, 1:] |= marked[:, :-1]
+    return grown
+
+
+def _measure_height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:
+    top = max(float(s[..., 2].max()) for s in surfaces if s is not None)
+    return max(top - 1e3 * geometry.surface_m, 5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """The hits of a picture's rays, and the picture's bounds (left, right, bottom, top), mm."""
+
+    seen: Buffers
+    bounds: Bounds
+
+    def count_hidden(self, places: Array) -> int:
+        """Return the number of places (N, 2), mm in the picture, that the object covers."""
+        left, right, bottom, top = self.bounds
+        height, width = self.seen.surface.shape
+        columns = ((places[:, 0] - left) / (right - left) * width).astype(int).clip(0, width - 1)
+        rows = ((top - places[:, 1]) / (top - bottom) * height).astype(int).clip(0, height - 1)
+        return int((self.seen.surface[rows, columns] == 0).sum())
+
+
+def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
+    """Draw ticks for x and y along the nearest edges of the sensing rectangle, and ticks for z above a corner."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    z0 = 1e3 * geometry.surface_m
+    away = RIM_MM + 0.6
+    towards = view.axes[2]
+    near_x, near_y = (x1 if towards[0] > 0 else x0), (y1 if towards[1] > 0 else y0)
+    out_x, out_y = np.sign(near_x - 0.5 * (x0 + x1)), np.sign(near_y - 0.5 * (y0 + y1))
+    z_low, xs, ys = z0 - GEL_MM, list_round_values(x0, x1, 6.5), list_round_values(y0, y1, 6.5)
+    _draw_scale(axes, view, [(x, near_y + out_y * away, z_low) for x in xs], xs, (0, out_y, 0), "x (mm)")
+    _draw_scale(axes, view, [(near_x + out_x * away, y, z_low) for y in ys], ys, (out_x, 0, 0), "y (mm)")
+    rim_mm = [x0 - RIM_MM, x1 + RIM_MM, y0 - RIM_MM, y1 + RIM_MM]
+    _draw_height(axes, view, rim_mm, z0, list_round_values(z0, z0 + height_mm, 4.5), picture)
+
+
+def _draw_height(
+    axes: Axes, view: View, rim_mm: list[float], base_mm: float, ticks: list[float], picture: _Picture
+) -> None:
+    """Draw the z axis at the sensor's left or right corner, whichever the object covers less."""
+    corners = [(x, y) for x in rim_mm[:2] for y in rim_mm[2:]]
+    corners.sort(key=lambda c: view.project(np.array([*c, 0.0]))[0])
+    sides = [
+        ([(*corner, z) for z in ticks], sign * view.axes[0]) for corner, sign in ((corners[0], -1), (corners[-1], 1))
+    ]
+    reach_mm = 0.05 * (picture.bounds[1] - picture.bounds[0])
+    hidden = [
+        sum(picture.count_hidden(view.project(np.array(points) + k * reach_mm * outwards)) for k in (0, 1, 2))
+        for points, outwards in sides
+    ]
+    points, outwards = sides[int(np.argmin(hidden))]
+    pole = view.project(np.array([[*points[0][:2], base_mm], points[-1]]))
+    axes.plot(pole[:, 0], pole[:, 1], color="#777777", lw=0.8, zorder=2)
+    _draw_scale(axes, view, points, ticks, outwards, "z (mm)")
+
+
+def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]:
+    """Return round numbers between two limits, in mm. There are at most about `most` numbers."""
+    step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
+    return [float(k * step) for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
+
+
+def _draw_scale(axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str) -> None:
+    """Draw tick marks with their values at points (mm, sensor frame), and the axis's label next to the middle."""
+    flat = view.project(np.array(points))
+    direction = view.project(np.asarray(outwards, float))
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
+    point_mm = _measure_point_mm(axes)
+    for point, value in zip(flat, values, strict=True):
+        end = point + TICK_PT * point_mm * direction
+        axes.plot(*np.stack([point, end]).T, color="#777777", lw=0.8, zorder=2)
+        _write_text(axes, point + VALUE_PT * point_mm * direction, f"{value:g}", 8)
+    middle = 0.5 * (flat[0] + flat[-1])
+    distance_pt = LABEL_PT + WIDER_PT * abs(float(direction[0]))
+    _write_text(axes, middle + distance_pt * point_mm * direction, label, 9)
+
+
+def _measure_point_mm(axes: Axes) -> float:
+    """Return the size of a typographic point in the drawing of an object, mm."""
+    left, right, bottom, top = axes.get_images()[0].get_extent()
+    box = axes.get_window_extent()
+    dots_mm = max((right - left) / box.width, (top - bottom) / box.height)
+    return float(dots_mm * axes.figure.dpi / 72)
+
+
+def _write_text(axes: Axes, at: Array, text: str, size: float) -> None:
+    from matplotlib.patheffects import withStroke
+
+    look: dict[str, Any] = {"ha": "center", "va": "center", "color": "#333333", "zorder": 3, "clip_on": False}
+    axes.text(at[0], at[1], text, size=size, path_effects=[withStroke(linewidth=2.0, foreground="white")], **look)

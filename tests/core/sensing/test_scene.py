@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
+from tactile_loc.core.places.imprints import OUTLINE_SHARE
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, press_block, replace_depth
+
+RADIUS_M = 0.008
+
+
+@pytest.fixture(scope="module")
+def ball_scene(make_object, make_scene, flat_camera):
+    return make_scene(make_object(trimesh.creation.icosphere(6, RADIUS_M), name="ball"), flat_camera)
+
+
+def test_the_contact_shape_of_a_ball_is_its_cap(ball_scene):
+    g = ball_scene.geometry
+    centre = np.array([0.001, -0.0015])
+    T, touching = ball_scene.bring_to_contact(make_translation([[*centre, 0.0]]))
+    assert touching.all()
+    assert T[0, 2, 3] == pytest.approx(g.standoff_m + RADIUS_M, abs=1e-6)
+    x, y = np.meshgrid((np.arange(60) + 0.5 - g.cx) / g.fx, (np.arange(44) + 0.5 - g.cy) / g.fy)
+    rho = np.minimum(np.hypot(x - centre[0], y - centre[1]), RADIUS_M)
+    cap = np.minimum(RADIUS_M - np.sqrt(RADIUS_M**2 - rho**2), g.max_depth_m)
+    depths = ball_scene.render_contact_depths(T)
+    assert (depths.shape, depths.dtype) == ((1, 44, 60), np.float32)
+    # Height map cells are 0.1 mm wide. The slope at the rim is one half, so the error may be about 0.05 mm.
+    np.testing.assert_allclose(depths[0], cap, atol=8e-5)
+    assert np.abs(depths[0] - cap).mean() < 5e-6
+
+
+def test_a_lighter_press_gives_the_same_depths_cut_at_the_press(ball_scene):
+    T, _ = ball_scene.bring_to_contact(make_translation([[0.0, 0.0, 0.0]]))
+    full, light = ball_scene.render_contact_depths(T), ball_scene.render_contact_depths(T, 0.0005)
+    np.testing.assert_array_equal(light, np.minimum(full, np.float32(0.0005)))
+    assert 0 < (light < np.float32(0.0005)).sum() < (full < np.float32(0.002)).sum()
+
+
+def test_contact_shape_first_brings_the_pose_to_contact(ball_scene):
+    near, far = (ball_scene.contact_shape(make_translation([0.001, 0.002, z]), 0.001) for z in (0.0, 5.0))
+    assert near.press_depth_m == 0.001
+    assert near.contact.any()
+    np.testing.assert_allclose(near.depth_m, far.depth_m, atol=1e-6)
+
+
+def test_x_points_right_and_y_points_down(make_box, make_scene, flat_camera):
+    """A box at +x and +y appears in the last columns and rows; its long side follows a yaw."""
+    scene = make_scene(make_box(0.008, 0.003, 0.004), flat_camera)
+    contact = scene.contact_shape(make_translation([0.007, 0.005, 0.0]), 0.002).contact
+    rows, columns = np.nonzero(contact)
+    assert columns.mean() + 0.5 == pytest.approx(29.0 + 0.007 * 2500, abs=0.6)
+    assert rows.mean() + 0.5 == pytest.approx(21.0 + 0.005 * 2500, abs=0.6)
+    assert np.ptp(columns) > 2 * np.ptp(rows)
+    # +30 degrees about +z rotate +x (right) towards +y (down): columns and rows grow together.
+    turned = make_transform(rotation_about([0, 0, 1], np.radians(30)), np.zeros(3))
+    rows, columns = np.nonzero(scene.contact_shape(turned, 0.002).contact)
+    assert np.corrcoef(rows, columns)[0, 1] > 0.5
+
+
+def test_no_poses_give_no_depths(ball_scene):
+    assert ball_scene.render_contact_depths(np.zeros((0, 4, 4))).shape == (0, 44, 60)
+
+
+@pytest.fixture(params=list(CAMERAS))
+def problem(request):
+    return press_block(request.param)
+
+
+def test_the_imprint_iou_is_one_at_the_truth_and_falls_with_the_offset(problem):
+    offsets = np.array([0.0, 0.3, 0.6, 1.2, 2.4, 4.8]) * 1e-3
+    poses = np.stack([problem.make_candidate((x, 0.0, 0.0)).T_sensor_object for x in offsets])
+    explained = problem.scene.imprint_ious(poses, problem.touch)
+    assert explained[0] == pytest.approx(1.0, abs=1e-6)
+    assert (np.diff(explained) < -0.01).all()
+    assert explained[-1] > 0
+
+
+def test_the_imprint_iou_ignores_small_heights_and_other_poses(problem):
+    poses = np.stack([problem.make_candidate((x, 0.0, 0.02)).T_sensor_object for x in (0.0, 0.001, 0.002)])
+    together = problem.scene.imprint_ious(poses, problem.touch)
+    for off_m in (2e-4, -2e-4):
+        lifted = make_translation([0.0, 0.0, off_m]) @ poses
+        np.testing.assert_allclose(problem.scene.imprint_ious(lifted, problem.touch), together, atol=1e-6)
+    hovering = make_translation([0.0, 0.0, 0.004]) @ poses
+    np.testing.assert_array_equal(problem.scene.imprint_ious(hovering, problem.touch), 0.0)
+    half_pressed = make_translation([0.0, 0.0, 0.0012]) @ poses
+    assert problem.scene.imprint_ious(half_pressed, problem.touch)[0] < 0.8 * together[0]
+    alone = [problem.scene.imprint_ious(T[None], problem.touch)[0] for T in poses]
+    np.testing.assert_allclose(alone, together, atol=1e-6)
+
+
+def test_a_pose_beside_the_sensor_has_no_imprint_iou(problem):
+    away = make_translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
+    np.testing.assert_allclose(problem.scene.imprint_ious(away, problem.touch), [1.0, 0.0], atol=1e-6)
+    assert problem.scene.imprint_ious(away[:0], problem.touch).shape == (0,)
+
+
+def test_unobserved_pixels_do_not_affect_the_imprint_iou(problem):
+    observed = np.zeros(problem.touch.geometry.shape, bool)
+    observed[:, :32] = True
+    geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
+    touch = dataclasses.replace(problem.touch, geometry=geometry)
+    depth = np.where(observed, touch.contact_shape.depth_m, np.float32(0))
+    scores = [problem.scene.imprint_ious(problem.truth[None], t)[0] for t in (touch, replace_depth(touch, depth))]
+    np.testing.assert_allclose(scores, 1.0, atol=1e-6)
+
+
+def test_the_imprint_iou_has_known_values(make_box, make_scene, flat_camera):
+    """A flat box of ten by ten pixels is compared with a touch shifted by half its width and one of half its depth."""
+    press = 0.002
+    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera).press(press)
+    T, _ = scene.bring_to_contact(make_translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
+    full = scene.contact_shape(T[0], press)
+    assert full.contact.sum() == 100
+    assert (full.depth_m[full.contact] == 0).all()
+    touch = Touch(full, flat_camera)
+    np.testing.assert_allclose(scene.imprint_ious(T, touch), [1.0, 50 / 150], atol=1e-6)
+    shallow = Touch(ContactShape(np.where(full.contact, press / 2, press).astype(np.float32), press), flat_camera)
+    expected = (0.5 + OUTLINE_SHARE) / (1.0 + OUTLINE_SHARE)
+    np.testing.assert_allclose(scene.imprint_ious(T[:1], shallow), expected, atol=1e-6)
+    assert scene.contact_iou(T[0], shallow) == 1.0  # the outline alone does not depend on depth
+
+
+def drawings(camera):
+    """Return the block's pressed scene, a pose in contact (1, 4, 4), metres, and the scene drawn as in the paper."""
+    problem = press_block(camera)
+    return problem.scene, problem.scene.bring_to_contact(problem.truth[None])[0], dataclasses.replace(
+        problem.scene, drawing="paper"
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("press_m", [0.002, 0.0012])
+def test_parallel_rays_give_equal_depths_for_both_drawings(press_m):
+    pressed, T, paper = drawings("orthographic")
+    for draw in (lambda scene: scene.render_contact_depths(T, press_m), lambda scene: scene.render_grid_depths(T)):
+        np.testing.assert_allclose(draw(paper), draw(pressed), atol=1e-8)
+
+
+def test_the_paper_drawing_shows_the_object_at_first_contact():
+    pressed, T, paper = drawings("pinhole")
+    touching = dataclasses.replace(pressed, geometry=CAMERAS["pinhole"])
+    just, _ = touching.bring_to_contact(T)
+    assert just[0, 2, 3] == pytest.approx(T[0, 2, 3] + pressed.geometry.indentation_m)
+    np.testing.assert_array_equal(paper.render_contact_depths(T), touching.render_contact_depths(just))
+    np.testing.assert_array_equal(paper.render_grid_depths(T), touching.render_grid_depths(just))
+    seen, drawn = (scene.render_contact_depths(T)[0] < np.float32(0.002) for scene in (pressed, paper))
+    ratio = np.sqrt(np.count_nonzero(drawn) / np.count_nonzero(seen))
+    assert 23 / 25 - 0.03 < ratio < 0.99, "the outline is up to 8 % smaller"
+    np.testing.assert_array_equal(
+        paper.use_pressed_drawing().render_contact_depths(T), pressed.render_contact_depths(T)
+    )
+
+
+def test_both_drawings_use_pressed_poses():
+    """The true pose explains a touch of the same drawing best, without a shift along z."""
+    pressed, T, paper = drawings("pinhole")
+    touch = Touch(ContactShape(paper.render_contact_depths(T)[0], 0.002), CAMERAS["pinhole"])
+    assert paper.imprint_ious(T, touch)[0] == pytest.approx(1.0)
+    assert pressed.imprint_ious(T, touch)[0] < 0.99
+
+
+def test_a_tiny_contact_has_a_high_iou_at_its_true_pose(make_object):
+    """A ball's tip covers 0.25 % of the sensor, about thirty pixels, drawn by another renderer."""
+    camera = CAMERAS["orthographic"].resize(240, 180)
+    ball = make_object(trimesh.creation.icosphere(5, RADIUS_M), name="ball")
+    scene, other = (Scene(ball, camera, renderer) for renderer in (HeightmapRenderer(), ReferenceRenderer()))
+    share, press_m = 1.0, 8e-4
+    while share > 0.0035:
+        press_m *= 0.8
+        pressed = other.press(press_m)
+        T, _ = pressed.bring_to_contact(make_translation([[0.001, 0.0005, 0.0]]))
+        shape = ContactShape(pressed.render_contact_depths(T)[0], press_m)
+        share = float(shape.contact[camera.observed_mask].mean())
+    assert share > 0.0015
+    contact, imprint, _ = scene.match_touch(touch := Touch(shape, camera)).compare_imprints(T, touch)
+    assert contact[0] > 0.9
+    assert imprint[0] > 0.9

@@ -1,0 +1,71 @@
+"""The next step names the press beside the touch that distinguishes the poses, or the verdict's own step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.candidate import RefinedPose
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.result.localization import Hypothesis, Localization
+from tactile_loc.locate.result.verdict import NEXT_STEPS, Verdict
+from tactile_loc.planning.next_step import suggest_next_step
+
+GEL = SensorGeometry("orthographic", 80, 60, 8000.0, 8000.0, 40.0, 30.0, 0.01, 1e-3)  # 10 x 7.5 mm
+HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
+ON_GEL = make_transform(rotation_about([1, 0, 0], np.pi), [0.0, 0.0, 0.0145])  # its top is 0.5 mm deep in the gel
+
+
+@pytest.fixture
+def plate(make_box) -> ObjectModel:
+    """Return a plate, 80 x 80 x 10 mm, with a knob of 3 mm on its top, 20 mm from its middle along +x."""
+    boxes = [(make_box(0.08, 0.08, 0.01).mesh, [0, 0, 0]), (make_box(0.003, 0.002, 0.003).mesh, [0.02, 0, 0.006])]
+    vertices = np.concatenate([mesh.vertices_m + np.array(shift) for mesh, shift in boxes])
+    faces = np.concatenate([mesh.faces + k * len(boxes[0][0].vertices_m) for k, (mesh, _) in enumerate(boxes)])
+    return ObjectModel("plate", TriangleMesh(vertices, faces), SymmetryGroup.parse("none", np.zeros(3)))
+
+
+def located(obj: ObjectModel, poses: list[np.ndarray], p: list[float], T_base_sensor=None) -> Localization:
+    depth = np.full(GEL.shape, 1e-3, np.float32)
+    depth[20:40, 20:60] = 5e-4
+    touch = Touch(ContactShape(depth, 1e-3), GEL, T_base_sensor=T_base_sensor)
+    hypotheses = [
+        Hypothesis(
+            share,
+            T,
+            RefinedPose(T @ make_translation([1e-6, 0, 0]), 1.0, True, 1, 1e-12 * np.eye(6)),
+            k,
+            1,
+            0.9,
+            T_base_sensor=T_base_sensor,
+        )
+        for k, (share, T) in enumerate(zip(p, poses, strict=True))
+    ]
+    posterior = PosePosterior(PoseGrid(np.stack(poses), PoseMetric(obj)), np.log(p))
+    config = RunConfig(tolerance="6deg")  # poses that differ by a half turn have nearly equal surfaces
+    return Localization(touch, posterior, tuple(hypotheses), {}, config=config)
+
+
+@pytest.mark.parametrize("T_base_sensor", [None, make_transform(rotation_about([1, 2, 3], 1.0), [0.3, 0.1, 0.2])])
+def test_the_press_toward_the_knob_is_named(plate, T_base_sensor):
+    one = located(plate, [ON_GEL, ON_GEL @ HALF_TURN], [0.5, 0.5], T_base_sensor)
+    assert one.verdict is Verdict.AMBIGUOUS
+    step = suggest_next_step(one)
+    assert "20 mm from this touch toward +x" in step or "20 mm from this touch toward -x" in step
+
+
+def test_the_verdicts_step_is_given_if_no_press_beside_the_touch_helps(make_box):
+    plain = make_box(0.3, 0.3, 0.01, symmetry="none")
+    one = located(plain, [ON_GEL, ON_GEL @ HALF_TURN], [0.5, 0.5])
+    assert suggest_next_step(one) == NEXT_STEPS[Verdict.AMBIGUOUS]
+
+
+def test_a_certain_result_needs_no_step(plate):
+    assert suggest_next_step(located(plate, [ON_GEL], [1.0])) == ""

@@ -1,0 +1,274 @@
+"""The calibration folder: atomic writing, and reading."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from message_helpers import naming
+
+torch = pytest.importorskip("torch")
+
+from kill_steps import killed_at_every_step  # noqa: E402
+from PIL import Image  # noqa: E402
+from press_sets import TINY, ball_set, sensor, write_image  # noqa: E402
+
+from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, OutputError, TouchError, WeightsError  # noqa: E402
+from tactile_loc.io.sensor_files import CALIBRATION, write_sensor_file  # noqa: E402
+from tactile_loc.sensors.calibration import folder as module  # noqa: E402
+from tactile_loc.sensors.calibration.folder import (  # noqa: E402
+    BACKGROUND,
+    OURS,
+    PICTURE,
+    SCHEMA_VERSION,
+    SENSOR,
+    WEIGHTS,
+    read_calibration,
+    require_replaceable,
+    write_calibration,
+)
+from tactile_loc.sensors.reading.estimator import validate_estimator_options  # noqa: E402
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
+from tactile_loc.store import files  # noqa: E402
+
+BALLS = ball_set(1)
+MASK = np.tri(64, dtype=bool)
+GEOMETRY = sensor(64, rectangle_m=(-0.007, 0.006, -0.005, 0.0075), observed=MASK)
+NOISE = {"noise_m": 7e-6, "presses": 12}
+
+
+def untrained(seed: int = 0) -> PhotometricEstimator:
+    options = validate_estimator_options(PhotometricEstimator, {**TINY, "seed": seed})
+    return PhotometricEstimator(GEOMETRY, BALLS.background, options)
+
+
+def write(folder: Path, seed: int = 0) -> Path:
+    return write_calibration(folder, GEOMETRY, BALLS.background, untrained(seed), NOISE)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write(tmp_path / "sensor")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_written_calibration_is_read_back(folder):
+    found = read_calibration(folder)
+    assert found.camera_px == GEOMETRY.shape
+    assert found.geometry.is_same_sensor(GEOMETRY)
+    np.testing.assert_array_equal(found.geometry.observed, MASK)
+    np.testing.assert_array_equal(found.background, BALLS.background)
+    assert found.noise_m == 7e-6
+    assert found.record["schema_version"] == SCHEMA_VERSION
+    assert found.record["presses"] == 12
+    assert found.estimator.options == untrained().options
+    np.testing.assert_array_equal(
+        found.estimator.read_indentation(BALLS.images[0]), untrained().read_indentation(BALLS.images[0])
+    )
+
+
+def test_writing_leaves_only_the_documented_files(folder):
+    assert contents(folder).keys() == OURS - {PICTURE, "sensor_surface.npy"}
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_an_existing_calibration_is_replaced_completely(folder):
+    write_image(folder / PICTURE, BALLS.background)
+    write(folder, seed=1)
+    assert not (folder / PICTURE).exists()  # it belonged to the previous calibration
+    assert read_calibration(folder).estimator.options.seed == 1
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_an_empty_folder_may_be_used(tmp_path):
+    (tmp_path / "new").mkdir()
+    read_calibration(write(tmp_path / "new"))
+    read_calibration(write(tmp_path / "deep" / "er"))
+
+
+@pytest.mark.parametrize("other", ["presses.csv", ".git", "sensor.toml.bak"])
+def test_a_folder_with_other_files_is_not_changed(folder, other):
+    (folder / other).write_text("mine")
+    before = contents(folder)
+    for refuse in (lambda: write(folder, seed=1), lambda: require_replaceable(folder)):
+        with pytest.raises(OutputError, match=naming(folder, "`out`")):
+            refuse()
+    assert contents(folder) == before
+
+
+def test_leftovers_of_a_killed_process_and_of_macos_do_not_prevent_writing(folder):
+    (folder / ".tmp-new-held-out.png").mkdir()
+    for name in (".DS_Store", "._sensor.toml"):  # of macOS
+        (folder / name).touch()
+    read_calibration(write(folder, seed=1))
+    assert not [path for path in folder.iterdir() if files.is_unfinished(path)]
+
+
+def test_a_file_is_not_replaced(tmp_path):
+    (tmp_path / "sensor").write_text("mine")
+    with pytest.raises(OutputError, match=naming(tmp_path / "sensor", "`out`")):
+        write(tmp_path / "sensor")
+    with pytest.raises(OutputError, match=naming(tmp_path / "sensor" / "deeper", "`out`")):
+        write(tmp_path / "sensor" / "deeper")
+    assert (tmp_path / "sensor").read_text() == "mine"
+
+
+def test_a_full_disk_leaves_the_old_calibration(folder, monkeypatch):
+    before = contents(folder)
+
+    def refuse(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "write_sensor_file", refuse)
+    with pytest.raises(OutputError, match=naming(folder, "No space left", "`out`")):
+        write(folder, seed=1)
+    monkeypatch.undo()
+    assert contents(folder) == before
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_an_interruption_leaves_the_old_calibration(folder, monkeypatch):
+    before = contents(folder)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PhotometricEstimator, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        write(folder, seed=1)
+    assert contents(folder) == before
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exchanges", [True, False])
+def test_a_kill_at_any_step_leaves_the_old_or_the_new_calibration(folder, monkeypatch, exchanges):
+    if not exchanges:
+        monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+    new, seen = untrained(1), set()
+    for _ in killed_at_every_step(lambda: write_calibration(folder, GEOMETRY, BALLS.background, new, NOISE)):
+        found = read_calibration(folder)
+        seen.add(found.estimator.options.seed)
+        assert contents(folder).keys() == OURS - {PICTURE, "sensor_surface.npy"}
+        write(folder)
+        assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+    assert seen == {0, 1}
+
+
+def test_the_description_depends_only_on_the_contents(folder, tmp_path):
+    described = read_calibration(folder).describe()
+    shutil.copytree(folder, tmp_path / "elsewhere")
+    assert read_calibration(tmp_path / "elsewhere").describe() == described
+    write(tmp_path / "elsewhere", seed=1)
+    assert read_calibration(tmp_path / "elsewhere").describe() != described
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match=naming(tmp_path / "none", "tactile-loc calibrate")):
+        read_calibration(tmp_path / "none")
+    with pytest.raises(CalibrationError, match=naming(tmp_path, "sensor.toml")):
+        read_calibration(tmp_path)
+
+
+@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, CALIBRATION, WEIGHTS])
+def test_a_missing_file_is_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(CalibrationError, match=naming(folder, name)):
+        read_calibration(folder)
+
+
+@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, CALIBRATION, "sensor_mask.png"])
+def test_a_damaged_file_is_refused(folder, name):
+    whole = (folder / name).read_bytes()
+    (folder / name).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CalibrationError, match=naming(folder, "calibrate")):
+        read_calibration(folder)
+
+
+def test_damaged_weights_are_refused_on_first_use(folder):
+    whole = (folder / WEIGHTS).read_bytes()
+    (folder / WEIGHTS).write_bytes(whole[:-50])
+    with pytest.raises(WeightsError, match=naming("estimator.safetensors", "calibrate")):
+        _ = read_calibration(folder).estimator
+
+
+def rewrite(folder: Path, **changes: object) -> None:
+    record = json.loads((folder / CALIBRATION).read_text()) | changes
+    (folder / CALIBRATION).write_text(json.dumps({k: v for k, v in record.items() if v is not None}))
+
+
+@pytest.mark.parametrize("version", [SCHEMA_VERSION + 1, "1", None])
+def test_a_record_of_another_version_is_refused(folder, version):
+    rewrite(folder, schema_version=version)
+    with pytest.raises(CalibrationError, match=naming("calibration.json", "version")):
+        read_calibration(folder)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "{}"])
+def test_a_record_that_is_not_a_complete_object_is_refused(folder, text):
+    (folder / CALIBRATION).write_text(text)
+    with pytest.raises(CalibrationError, match=naming("calibration.json", "calibrate")):
+        read_calibration(folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("noise_m", None),
+        ("noise_m", "small"),
+        ("estimator", None),
+        ("options", None),
+        ("options", 3),
+        ("camera_px", 200),
+        ("camera_px", [200]),
+        ("camera_px", [200, -1]),
+        ("camera_px", ["a", "b"]),
+    ],
+)
+def test_a_record_with_a_missing_or_ill_typed_value_is_refused(folder, key, value):
+    rewrite(folder, **{key: value})
+    with pytest.raises(CalibrationError, match=naming("calibration.json", key)):
+        read_calibration(folder)
+
+
+def test_a_record_with_an_unknown_estimator_or_option_is_refused(folder):
+    rewrite(folder, estimator="magic")
+    with pytest.raises(CalibrationError, match="'magic'"):
+        _ = read_calibration(folder).estimator
+    rewrite(folder, estimator="photometric", options={"colour": "red"})
+    with pytest.raises(ConfigError, match="'colour'"):
+        _ = read_calibration(folder).estimator
+
+
+def test_a_background_of_another_sensor_is_refused(folder):
+    write_image(folder / BACKGROUND, BALLS.background[:40])
+    with pytest.raises(CalibrationError, match=naming("background.png", "sensor.toml")):
+        read_calibration(folder)
+    Image.fromarray(BALLS.background).convert("L").save(folder / BACKGROUND)
+    with pytest.raises(CalibrationError, match=naming("background.png", "8-bit grey")):
+        read_calibration(folder)
+
+
+def test_a_sensor_file_of_another_size_is_refused(folder):
+    write_sensor_file(folder / SENSOR, sensor(32))
+    with pytest.raises(CalibrationError, match=naming("background.png", "sensor.toml")):
+        read_calibration(folder)
+
+
+def test_a_damaged_record_is_named(folder):
+    (folder / "calibration.json").write_text("{")
+    with pytest.raises(CalibrationError, match=naming(folder / "calibration.json")):
+        read_calibration(folder)
+
+
+def test_an_unfit_image_of_the_untouched_gel_is_named(folder, tmp_path):
+    zero = write_image(tmp_path / "photo.png", 255 - BALLS.background)
+    with pytest.raises(TouchError, match=naming(zero, "`zero`", "calibrate again")):
+        read_calibration(folder, zero)

@@ -1,0 +1,154 @@
+"""A gel's thickness and coating, from drawn presses of balls and from real ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.sensing.gel import RIGID, Gel, compute_smoothing, list_wave_numbers, make_solver
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.calibration import gel_fit, pressed_balls
+from tactile_loc.sensors.calibration.circles import Circle
+from tactile_loc.sensors.calibration.gel_fit import BallImage, fit_gel
+from tactile_loc.sensors.calibration.labels import label_elastic_ball
+from tactile_loc.sensors.calibration.pressed_balls import DEPTHS, press_balls
+from tactile_loc.sensors.reading.surface import differentiate
+
+BALL_M, PITCH_M, PX = 3e-3, 1.2e-4, 140
+SCALE = 1 / PITCH_M
+GEOMETRY = SensorGeometry(
+    "orthographic", PX, PX, SCALE, SCALE, PX / 2, PX / 2, standoff_m=0.01, max_depth_m=1.5e-3
+)  # fmt: skip
+UNTOUCHED = np.full((PX, PX, 3), 110, np.uint8)
+OTHERS = Gel(5e-3), Gel(4e-3, coating_m=4e-4)
+LAMPS = np.array([[1.0, 0.0], [-0.5, 0.87], [-0.5, -0.87]])  # directions of the red, green and blue lamps
+
+
+def draw_press(gel: Gel, number: int) -> BallImage:
+    """An image of a ball under coloured lamps, and a circle that is larger than the contact by a tenth."""
+    rng = np.random.default_rng(number)
+    at = PITCH_M * PX * (0.5 + rng.uniform(-0.07, 0.07, 2))
+    side = PITCH_M * (np.arange(PX) + 0.5)
+    away = np.hypot(side[None] - at[0], side[:, None] - at[1])
+    reach = rng.uniform(3e-4, 8e-4) - (BALL_M - np.sqrt(np.maximum(BALL_M**2 - away**2, 0)))
+    if gel.is_elastic:
+        solver = make_solver(Gel(gel.thickness_m), (PX, PX), (PITCH_M, PITCH_M))
+        pressure = solver.press(reach[None].astype(np.float32), 40).pressure[0]
+        q = np.hypot(*list_wave_numbers(solver.padded, (PITCH_M, PITCH_M)))
+        spectrum = np.fft.rfft2(pressure, solver.padded) * solver.compliance * compute_smoothing(q, gel)
+        surface, touching = np.fft.irfft2(spectrum, solver.padded)[:PX, :PX], pressure > 0
+    else:
+        surface, touching = np.maximum(reach, 0), reach > 0
+    slopes = differentiate(surface, GEOMETRY)
+    light = slopes @ LAMPS.T / np.sqrt(1 + (slopes**2).sum(axis=2, keepdims=True))
+    image = np.clip(np.rint(110 + 90 * light + rng.standard_normal((PX, PX, 3))), 0, 255).astype(np.uint8)
+    radius_px = 1.1 * math.sqrt(touching.sum() / math.pi)
+    return BallImage(image, Circle(at[0] / PITCH_M, at[1] / PITCH_M, radius_px), BALL_M, PITCH_M)
+
+
+@pytest.mark.parametrize(
+    "gel", [Gel(3e-3, coating_m=2e-4), *(pytest.param(gel, marks=pytest.mark.slow) for gel in OTHERS)], ids=str
+)
+def test_thickness_coating_and_contact_are_found(gel):
+    fit = fit_gel([draw_press(gel, number) for number in range(5)], UNTOUCHED)
+    assert fit is not None
+    assert fit.is_elastic
+    assert fit.thickness_m == pytest.approx(gel.thickness_m, rel=0.2)
+    assert fit.coating_m == pytest.approx(gel.coating_m, abs=1.2e-4)
+    assert fit.contact == pytest.approx(1 / 1.1, abs=0.03)
+    assert fit.rms < 0.1
+    assert fit.gel == Gel(fit.thickness_m, coating_m=fit.coating_m)
+
+
+def test_a_known_thickness_is_kept():
+    fit = fit_gel([draw_press(Gel(5e-3), number) for number in range(3)], UNTOUCHED, thickness_m=3e-3)
+    assert fit is not None
+    assert (fit.thickness_m, fit.std_m) == (3e-3, 0.0)
+
+
+def test_a_gel_that_ends_at_the_contact_is_taken_for_rigid():
+    fit = fit_gel([draw_press(RIGID, number) for number in range(4)], UNTOUCHED)
+    assert fit is not None
+    assert not fit.is_elastic
+    assert fit.rigid_rms < 0.2
+
+
+def test_too_few_presses_or_circles_beyond_the_image_give_no_fit():
+    presses = [draw_press(Gel(4e-3), number) for number in range(3)]
+    assert fit_gel(presses[:2], UNTOUCHED) is None
+    beyond = [one._replace(circle=dataclasses.replace(one.circle, x_px=0.0, y_px=0.0)) for one in presses]
+    assert fit_gel(beyond, UNTOUCHED) is None
+
+
+def test_a_ball_on_a_half_space_is_as_hertz_says():
+    pressed = press_balls(Gel(math.inf), BALL_M)
+    depths_m = DEPTHS * BALL_M
+    shallow = (depths_m > 1e-4) & (depths_m < 5e-4)
+    np.testing.assert_allclose(pressed.surface_m[shallow, 0], depths_m[shallow], rtol=0.01)
+    np.testing.assert_allclose(pressed.contact_m[shallow], np.sqrt(BALL_M * depths_m[shallow]), rtol=0.06)
+
+
+def test_a_label_is_the_gel_in_and_around_the_contact():
+    gel = Gel(4e-3, coating_m=2e-4)
+    pressed = press_balls(gel, BALL_M)
+    depth = pressed.find_depth(1.2e-3)
+    label = label_elastic_ball(GEOMETRY, (70.0, 60.0), 1.2e-3, pressed)
+    assert label.absolute
+    assert label.known.all()
+    assert label.indentation_m.max() == pytest.approx(DEPTHS[depth] * BALL_M, rel=0.01)
+    assert label.contact.sum() * PITCH_M**2 == pytest.approx(math.pi * pressed.contact_m[depth] ** 2, rel=0.02)
+    beside = ~label.contact & (label.indentation_m > 0.2 * label.indentation_m.max())
+    assert beside.any()
+    assert np.hypot(label.slope[..., 0], label.slope[..., 1])[beside].min() > 0.03
+
+
+SET_MM_PX = 0.059259
+
+
+@pytest.mark.slow
+def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fit, monkeypatch):
+    """GelSlim: balls calibrate; another ball and a flat prism are read at their stated presses, constant included."""
+    pytest.importorskip("torch")
+    thicknesses_m, pixels = shipped_gel_fit
+    monkeypatch.setattr(gel_fit, "THICKNESSES_M", thicknesses_m)
+    monkeypatch.setattr(pressed_balls, "PIXELS", pixels)
+    from PIL import Image
+
+    from tactile_loc.sensors.calibration.calibrate import calibrate
+    from tactile_loc.sensors.calibration.presses import choose_size_px, convert, read_presses
+    from tactile_loc.sensors.reading.reading import read_gel, reduce_image
+
+    balls, shapes = shared_data / "tactile/gelslim_balls", shared_data / "tactile/gelslim_shapes"
+    convert(balls, tmp_path / "presses", "circles", 2.92, SET_MM_PX)
+    scale = 1e3 / SET_MM_PX
+    camera = SensorGeometry("orthographic", 320, 320, scale, scale, 160, 160, standoff_m=0.01, max_depth_m=1.5e-3)
+    presses = read_presses(tmp_path / "presses", camera, size_px=choose_size_px(camera)).measure_gel()
+    assert presses.fit is not None
+    assert presses.fit.rms < 0.2 * presses.fit.rigid_rms
+    geometry = presses.geometry
+    estimator = calibrate(presses, geometry, presses.background, "photometric").estimator
+
+    def read(path: Path) -> np.ndarray:
+        image = np.asarray(Image.open(path).convert("RGB"))
+        return read_gel(estimator, reduce_image(image, geometry.shape), geometry.gel)[0]
+
+    side = geometry.pixel_pitch_m * (np.arange(160) + 0.5)
+    away = np.hypot(side[None] - 208.5e-3 * SET_MM_PX, side[:, None] - 166.5e-3 * SET_MM_PX)
+    truth = press_balls(Gel(geometry.gel.thickness_m), 2.92e-3)
+    pose = json.loads((shapes / "poses.json").read_text())["prism_0.5"]
+    u, v = (1e-3 * SET_MM_PX * (value + 0.5) for value in pose["origin_px"])
+    tip = (np.abs(side[None] - u) < 2e-3) & (np.abs(side[:, None] - v) < 3e-3)  # without its border
+    for press in ("0.25", "0.5", "0.75", "1.0"):
+        press_m = 1e-3 * float(press)
+        depth = int(np.abs(DEPTHS * 2.92e-3 - press_m).argmin())
+        ball_m = np.interp(away, truth.away_m, truth.surface_m[depth]) + press_m - DEPTHS[depth] * 2.92e-3
+        off_m = (read(shapes / f"sphere_{press}_real.png") - ball_m)[away < truth.contact_m[depth]]
+        assert np.sqrt(np.mean(off_m**2)) < 40e-6
+        flat_m = read(shapes / f"prism_{press}_real.png")[tip]
+        assert flat_m.mean() == pytest.approx(press_m, rel=0.05, abs=7e-5)
+        assert flat_m.std() < 4.5e-5

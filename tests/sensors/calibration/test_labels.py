@@ -1,0 +1,157 @@
+"""Labels of presses: the ball's formula, the mesh at its pose, and unknown pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from message_helpers import naming
+from press_sets import BALL_M, ball_indentation, contact_radius, places, sensor
+
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.sensors.calibration.labels import SKIRT, SKIRT_M, label_ball, label_mesh, label_surface
+
+GEOMETRY = sensor(80)
+PITCH_M = 2e-4
+RADIUS_PX = 9.0
+RADIUS_M = RADIUS_PX * PITCH_M
+
+
+def test_a_ball_is_deepest_at_the_circles_centre():
+    label = label_ball(GEOMETRY, (30.5, 50.5), RADIUS_PX, BALL_M)  # the centre of pixel [50, 30]
+    deepest = BALL_M - np.sqrt(BALL_M**2 - RADIUS_M**2)
+    assert np.unravel_index(label.indentation_m.argmax(), GEOMETRY.shape) == (50, 30)
+    assert label.indentation_m[50, 30] == pytest.approx(deepest, rel=1e-5)
+    assert label.slope[50, 30] == pytest.approx([0, 0], abs=1e-7)
+    assert not label.absolute
+
+
+def test_pixel_centres_lie_at_half_integers():
+    label = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)  # where four pixels meet
+    four = label.indentation_m[39:41, 39:41]
+    assert np.ptp(four) == pytest.approx(0, abs=1e-10)
+    np.testing.assert_array_equal(label.indentation_m, label.indentation_m[::-1, ::-1])
+    rho2 = 2 * (0.5 * PITCH_M) ** 2
+    assert four[0, 0] == pytest.approx(np.sqrt(BALL_M**2 - rho2) - np.sqrt(BALL_M**2 - RADIUS_M**2), rel=1e-5)
+
+
+def test_the_indentation_matches_the_ball_inside_and_is_zero_outside():
+    press_m = 6e-4
+    radius_px = contact_radius(press_m) / PITCH_M
+    label = label_ball(GEOMETRY, (35.0, 42.0), radius_px, BALL_M)
+    true = ball_indentation(GEOMETRY, (35 - 40) * PITCH_M, (42 - 40) * PITCH_M, press_m)
+    np.testing.assert_allclose(label.indentation_m, true, atol=1e-9)
+    np.testing.assert_array_equal(label.contact, true > 0)
+    assert label.indentation_m.dtype == label.slope.dtype == np.float32
+
+
+def test_slope_is_the_derivative_of_the_indentation():
+    label = label_ball(GEOMETRY, (40.5, 40.5), RADIUS_PX, BALL_M)
+    right, below = label.slope[40, 45], label.slope[44, 40]  # 1 mm right of the middle, 0.8 mm below it
+    assert right == pytest.approx([-1e-3 / np.sqrt(BALL_M**2 - 1e-6), 0], abs=1e-6)  # it falls off to the right
+    assert below == pytest.approx([0, -8e-4 / np.sqrt(BALL_M**2 - 64e-8)], abs=1e-6)
+    down, across = np.gradient(label.indentation_m.astype(float), PITCH_M)
+    x, y = places(GEOMETRY)
+    inner = np.hypot(x, y) < RADIUS_M - 3 * PITCH_M
+    np.testing.assert_allclose(label.slope[inner], np.stack([across, down], -1)[inner], atol=3e-3)
+    assert not label.slope[~label.contact].any()
+
+
+def test_finer_pixels_show_the_same_ball():
+    coarse = label_ball(sensor(80), (33.0, 47.0), RADIUS_PX, BALL_M)
+    fine = label_ball(sensor(240), (99.0, 141.0), 3 * RADIUS_PX, BALL_M)
+    np.testing.assert_allclose(fine.indentation_m[1::3, 1::3], coarse.indentation_m, atol=1e-9)
+    np.testing.assert_allclose(fine.slope[1::3, 1::3], coarse.slope, atol=1e-6)
+    np.testing.assert_array_equal(fine.known[1::3, 1::3], coarse.known)
+
+
+def test_a_ball_is_round_in_pixels_that_are_not_square():
+    flat = dataclasses.replace(GEOMETRY, height_px=40, fy=2500.0, cy=20.0)  # 0.2 x 0.4 mm
+    label = label_ball(flat, (40.0, 20.0), 6.0, BALL_M)
+    x, y = places(flat)
+    rho = np.hypot(x, y)
+    radius_m = 6.0 * flat.pixel_pitch_m
+    np.testing.assert_array_equal(label.contact, rho < radius_m)
+    true = np.sqrt(BALL_M**2 - rho**2, where=label.contact, out=np.zeros_like(rho)) - np.sqrt(BALL_M**2 - radius_m**2)
+    np.testing.assert_allclose(label.indentation_m[label.contact], true[label.contact], atol=1e-9)
+
+
+def test_pixels_between_contact_and_untouched_gel_are_unknown():
+    label = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
+    rho = np.hypot(*places(GEOMETRY))
+    np.testing.assert_array_equal(label.contact, rho < RADIUS_M)
+    np.testing.assert_array_equal(~label.known, (rho >= RADIUS_M) & (rho <= SKIRT * RADIUS_M))
+
+
+def test_the_image_border_may_cut_a_circle():
+    label = label_ball(GEOMETRY, (0.0, 40.0), RADIUS_PX, BALL_M)
+    whole = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
+    np.testing.assert_array_equal(label.indentation_m[:, :40], whole.indentation_m[:, 40:])
+
+
+@pytest.mark.parametrize("radius_px", [14.8, 100.0])
+def test_a_circle_larger_than_the_ball_is_refused(radius_px):
+    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", "3 mm", "radius")):
+        label_ball(GEOMETRY, (40, 40), radius_px, BALL_M)
+
+
+@pytest.mark.parametrize(("radius_px", "ball_m"), [(0.0, BALL_M), (-3.0, BALL_M), (5.0, 0.0), (5.0, -1e-3)])
+def test_sizes_must_be_positive(radius_px, ball_m):
+    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", f"{1e3 * ball_m:.3g} mm")):
+        label_ball(GEOMETRY, (40, 40), radius_px, ball_m)
+
+
+@pytest.mark.parametrize("centre", [(-1, 40), (40, -0.5), (80.5, 40), (40, 81)])
+def test_a_centre_outside_the_image_is_refused(centre):
+    with pytest.raises(CalibrationError, match=naming(centre, "80 x 80 px")):
+        label_ball(GEOMETRY, centre, RADIUS_PX, BALL_M)
+
+
+def label_of_box(make_scene, make_box, yaw_rad: float = 0.0, x_m: float = 0.0, press_m: float = 5e-4):
+    scene = make_scene(make_box(6e-3, 3e-3, 4e-3), GEOMETRY)
+    return label_mesh(scene, make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, 1e-3, 0.0]), press_m)
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 30, -75])
+def test_a_box_at_a_yaw_is_flat_inside_its_outline(make_scene, make_box, yaw_deg):
+    yaw, press_m = np.radians(yaw_deg), 5e-4
+    label = label_of_box(make_scene, make_box, yaw, 2e-3, press_m)
+    x, y = places(GEOMETRY)
+    x, y = x - 2e-3, y - 1e-3
+    along, across = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
+    beyond = np.maximum(np.abs(along) - 3e-3, np.abs(across) - 1.5e-3)  # distance outside the outline, in metres
+    assert label.contact[beyond < -PITCH_M].all()
+    assert not label.contact[beyond > PITCH_M].any()
+    np.testing.assert_allclose(label.indentation_m[beyond < -PITCH_M], press_m, rtol=1e-4)
+    assert not label.indentation_m[beyond > PITCH_M].any()
+    assert label.absolute
+    inside = label.known & label.contact
+    assert inside.any()
+    np.testing.assert_allclose(label.slope[inside], 0, atol=1e-3)  # the step at the outline is unknown
+
+
+def test_the_skirt_around_a_mesh_is_unknown(make_scene, make_box):
+    label = label_of_box(make_scene, make_box, 0.0)
+    x, y = places(GEOMETRY)
+    away = np.hypot(np.maximum(np.abs(x) - 3e-3, 0), np.maximum(np.abs(y - 1e-3) - 1.5e-3, 0))
+    assert not label.known[(away > PITCH_M) & (away < SKIRT_M - 2 * PITCH_M)].any()
+    assert label.known[away > SKIRT_M + 2 * PITCH_M].all()
+
+
+def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box):
+    with pytest.raises(CalibrationError, match="box"):
+        label_of_box(make_scene, make_box, 0.0, x_m=0.05)
+
+
+@pytest.mark.parametrize("press_m", [0.0, -1e-4])
+def test_a_press_depth_of_a_mesh_must_be_positive(make_scene, make_box, press_m):
+    with pytest.raises(CalibrationError, match=naming("press depth", f"{1e3 * press_m:.3g} mm")):
+        label_of_box(make_scene, make_box, 0.0, press_m=press_m)
+
+
+def test_the_slope_of_a_known_surface_is_its_derivative():
+    x, y = places(GEOMETRY)
+    label = label_surface(0.1 * x - 0.2 * y, np.ones(GEOMETRY.shape, bool), GEOMETRY)
+    np.testing.assert_allclose(label.slope, np.broadcast_to([0.1, -0.2], (80, 80, 2)), atol=1e-6)

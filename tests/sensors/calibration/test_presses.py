@@ -1,0 +1,448 @@
+"""A folder of presses: every kind of row, every fault of a row, and public sets in their formats."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from message_helpers import naming
+from PIL import Image
+from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
+from public_sets import CIRCLES, PUBLIC_SETS
+
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.io.images import read_colour_image
+from tactile_loc.sensors.calibration.calibrate import average_errors, calibrate
+from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
+
+BALLS = ball_set(3)
+GEOMETRY = BALLS.geometry
+BOX = {"mesh": "box.stl", "units": "mm", "x_mm": 1, "y_mm": -0.5, "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 90,
+       "press_mm": 0.4}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with three presses of a ball, and the mesh of a box in mm."""
+    trimesh.creation.box((6, 3, 4)).export(tmp_path / "box.stl")
+    return BALLS.write(tmp_path)
+
+
+def change(folder: Path, line: int, **values: object) -> None:
+    """Change the row in a line of the table (the first press is in line 3); None removes a value."""
+    rows = BALLS.rows()
+    rows[line - 2] |= values
+    write_table(folder, rows)
+
+
+def refused(folder: Path, *words: str, median: bool = False) -> None:
+    with pytest.raises(CalibrationError) as caught:
+        read_presses(folder, GEOMETRY, median)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in ("presses.csv", *words):
+        assert word in message
+
+
+def test_written_balls_are_read_back(folder):
+    presses = read_presses(folder, GEOMETRY)
+    assert len(presses) == 3
+    np.testing.assert_array_equal(presses.background, BALLS.background)
+    for number, (image, label) in enumerate(presses.read_presses()):
+        np.testing.assert_array_equal(image, BALLS.images[number])
+        known = BALLS.read_press(number)[1]
+        np.testing.assert_allclose(label.indentation_m, known.indentation_m, atol=1e-9)
+        deeper = (BALLS.indentation_m[number] - label.indentation_m)[label.contact]
+        np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # the unknown depth of the visible circle
+        np.testing.assert_array_equal(label.known, known.known)
+
+
+def test_images_and_labels_are_reduced_together(tmp_path):
+    larger = magnified(BALLS, 3)
+    presses = read_presses(larger.write(tmp_path), larger.geometry, size_px=(GEOMETRY.width_px, GEOMETRY.height_px))
+    assert presses.geometry.is_same_sensor(GEOMETRY)
+    assert presses.camera is larger.geometry
+    np.testing.assert_array_equal(presses.background, BALLS.background)
+    for number, (image, label) in enumerate(presses.read_presses()):
+        np.testing.assert_array_equal(image, BALLS.images[number])
+        np.testing.assert_allclose(label.indentation_m, BALLS.read_press(number)[1].indentation_m, atol=1e-9)
+
+
+@pytest.mark.parametrize("size_px", [(64, 32), (128, 128), (0, 0)])
+def test_a_reduced_size_of_another_shape_or_larger_is_refused(folder, size_px):
+    with pytest.raises(CalibrationError, match=naming("64 x 64 px", f"{size_px[0]} x {size_px[1]}")):
+        read_presses(folder, GEOMETRY, size_px=size_px)
+
+
+def test_the_background_is_the_mean_of_its_images(folder):
+    write_image(folder / "brighter.png", np.minimum(BALLS.background, 200) + np.uint8(4))
+    rows = [*BALLS.rows(), {"image": "brighter.png", "kind": "background"}]
+    write_table(folder, rows)
+    found = read_presses(folder, GEOMETRY).background
+    dark = BALLS.background <= 200
+    np.testing.assert_array_equal(found[dark], BALLS.background[dark] + 2)
+
+
+def test_the_median_of_many_presses_shows_the_untouched_gel(tmp_path):
+    many = ball_set(15, seed=3)
+    many.write(tmp_path)
+    write_table(tmp_path, many.rows()[1:])
+    found = read_presses(tmp_path, GEOMETRY, median_background=True).background
+    off, pressed_off = (np.abs(image.astype(int) - many.background).mean() for image in (found, many.images[0]))
+    assert off < 0.3 * pressed_off
+
+
+def test_the_median_needs_many_presses(folder):
+    refused(folder, "3 presses", str(FOR_MEDIAN), "background", median=True)
+
+
+def test_a_mesh_is_pressed_at_its_pose(folder, caplog):
+    change(folder, 4, kind="mesh", **BOX)
+    with caplog.at_level(logging.WARNING):
+        presses = read_presses(folder, GEOMETRY)
+    assert not caplog.records  # the table names the unit
+    label = presses.label(1)
+    x, y = (v / MM for v in places(GEOMETRY))
+    beyond = np.maximum(np.abs(x - 1) - 1.5, np.abs(y + 0.5) - 3)  # rotated by 90 degrees
+    assert label.contact[beyond < -0.25].all()
+    assert not label.contact[beyond > 0.25].any()
+    np.testing.assert_allclose(label.indentation_m[beyond < -0.25], 4e-4, rtol=1e-4)
+    assert label.absolute
+    assert not presses.label(0).absolute
+
+
+@pytest.mark.parametrize(("angle", "edge_mm"), [("roll_deg", (-1.5, -2)), ("pitch_deg", (3, -2))])
+def test_a_tilted_mesh_is_deepest_at_its_lowest_edge(folder, angle, edge_mm):
+    change(folder, 3, kind="mesh", **(BOX | {"x_mm": 0, "y_mm": 0, "yaw_deg": 0, angle: 10}))
+    label = read_presses(folder, GEOMETRY).label(0)
+    turn = np.radians(10 if angle == "roll_deg" else -10)  # in the plane of y and z, or of x and z
+    edge = np.cos(turn) * edge_mm[0] - np.sin(turn) * edge_mm[1]
+    across, along = (v / MM for v in (places(GEOMETRY) if angle == "pitch_deg" else places(GEOMETRY)[::-1]))
+    deepest = label.indentation_m > 0.9 * label.indentation_m.max()
+    assert across[deepest].mean() == pytest.approx(edge, abs=0.3)  # a pixel is 0.25 mm
+    assert np.ptp(along[label.contact]) == pytest.approx(6 if angle == "roll_deg" else 3, abs=0.3)
+
+
+def test_paths_are_relative_to_the_table(folder):
+    (folder / "images").mkdir()
+    (folder / "0000.png").rename(folder / "images" / "0000.png")
+    change(folder, 3, image="images/0000.png", kind="mesh", **BOX)
+    assert read_presses(folder, GEOMETRY).label(0).contact.any()
+
+
+def test_the_unit_scales_the_mesh(folder):
+    change(folder, 3, kind="mesh", **(BOX | {"units": "cm", "x_mm": 0, "y_mm": 0}))
+    assert read_presses(folder, GEOMETRY).label(0).contact.all()  # 60 x 30 mm
+    change(folder, 3, kind="mesh", **(BOX | {"units": "feet"}))
+    refused(folder, "line 3", "'feet'", "mm")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mesh": ""}, ("mesh",)),
+        ({"mesh": "bax.stl"}, ("bax.stl",)),
+        ({"mesh": "background.png"}, ("background.png", "mesh")),
+        ({"yaw_deg": ""}, ("yaw_deg", "mesh")),
+        ({"press_mm": ""}, ("press_mm",)),
+        ({"press_mm": "0"}, ("press depth", "0 mm")),
+        ({"press_mm": "-0.3"}, ("press depth", "-0.3 mm")),
+        ({"x_mm": "100"}, ("box",)),
+        ({"roll_deg": "steep"}, ("roll_deg", "'steep'")),
+    ],
+)
+def test_a_wrong_value_of_a_mesh_is_refused_with_its_line(folder, changes, words):
+    change(folder, 4, kind="mesh", **(BOX | changes))
+    refused(folder, "line 4", *words)
+
+
+@pytest.mark.parametrize("column", ["center_x_px", "center_y_px", "radius_px", "ball_radius_mm"])
+@pytest.mark.parametrize(("text", "said"), [("", ""), ("9;5", "'9;5'"), ("nan", "nan"), ("inf", "inf")])
+def test_a_wrong_number_of_a_ball_is_refused_with_its_line(folder, column, text, said):
+    change(folder, 5, **{column: text})
+    refused(folder, "line 5", column, said, "ball")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"center_x_px": 70}, ("(70, ", "64 x 64 px")),
+        ({"center_y_px": -3}, (", -3)", "64 x 64 px")),
+        ({"radius_px": 30}, ("30 px", "7.5 mm", "3 mm")),
+        ({"radius_px": 0}, ("0 px", "3 mm")),
+        ({"ball_radius_mm": -3}, ("-3 mm",)),
+    ],
+)
+def test_an_impossible_circle_is_refused_with_its_line(folder, changes, words):
+    change(folder, 3, **changes)
+    refused(folder, "line 3", *words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"kind": "bull"}, ("'bull'", "background", "ball", "mesh")),
+        ({"kind": ""}, ("0001.png", "kind")),
+        ({"image": ""}, ("image",)),
+        ({"image": "none.png"}, ("none.png",)),
+        ({"image": "box.stl"}, ("box.stl", "colour")),
+        ({"image": "."}, ("colour",)),
+    ],
+)
+def test_a_wrong_kind_or_image_is_refused_with_its_line(folder, changes, words):
+    change(folder, 4, **changes)
+    refused(folder, "line 4", *words)
+
+
+def test_the_reported_line_number_counts_empty_lines(folder):
+    change(folder, 4, kind="bull")
+    text = (folder / "presses.csv").read_text().splitlines()
+    (folder / "presses.csv").write_text("\n".join([*text[:2], "", "", *text[2:]]))
+    refused(folder, "line 6", "'bull'")
+
+
+def image_of(mode: str, size: tuple[int, int] = (64, 64)) -> Image.Image:
+    return Image.fromarray(BALLS.background).convert(mode).resize(size)
+
+
+@pytest.mark.parametrize(("mode", "suffix"), [("L", "png"), ("CMYK", "jpg"), ("L", "jpg")])
+def test_images_must_be_in_colour(folder, mode, suffix):
+    image_of(mode).save(folder / f"odd.{suffix}")
+    change(folder, 3, image=f"odd.{suffix}")
+    refused(folder, "line 3", f"odd.{suffix}", "colour")
+
+
+def test_all_images_must_have_the_size_of_the_sensor(folder):
+    image_of("RGB", (64, 48)).save(folder / "0002.png")
+    refused(folder, "line 5", "0002.png", "64 x 48 px", "64 x 64 px")
+    with pytest.raises(CalibrationError, match=naming("line 2", "background.png", "64 x 64 px", "32 x 32 px")):
+        read_presses(folder, dataclasses.replace(GEOMETRY, width_px=32, height_px=32))
+
+
+def test_damaged_images_are_named(folder):
+    whole = (folder / "0001.png").read_bytes()
+    (folder / "0001.png").write_bytes(whole[: len(whole) // 2])
+    refused(folder, "line 4", "0001.png", "damaged")
+
+
+def test_a_folder_without_a_table_is_refused(tmp_path):
+    refused(tmp_path, "presses.csv")
+
+
+@pytest.mark.parametrize("column", ["image", "kind"])
+def test_a_table_without_a_required_column_is_refused(folder, column):
+    write_table(folder, BALLS.rows(), [name for name in COLUMNS if name != column])
+    refused(folder, f"column {column!r}")
+
+
+def test_an_unreadable_table_is_refused(folder):
+    table = folder / "presses.csv"
+    table.write_text("")
+    refused(folder, "presses.csv")
+    table.write_bytes(b"\xffimage,kind")
+    refused(folder, "presses.csv")
+    table.unlink()
+    table.mkdir()
+    refused(folder, "presses.csv")
+
+
+def test_a_table_may_come_from_a_spreadsheet(folder):
+    table = folder / "presses.csv"
+    table.write_bytes(b"\xef\xbb\xbf" + table.read_bytes().replace(b"\n", b" \r\n").replace(b"\r \r", b"\r"))
+    assert len(read_presses(folder, GEOMETRY)) == 3
+
+
+def test_a_table_without_presses_or_untouched_gel_is_refused(folder):
+    write_table(folder, BALLS.rows()[:1])
+    refused(folder, "ball", "mesh")
+    write_table(folder, [])
+    refused(folder, "presses.csv", "press")
+    write_table(folder, BALLS.rows()[1:])
+    refused(folder, "background", "`background` median")
+
+
+def test_the_table_gives_the_ball_radius(folder):
+    change(folder, 3, ball_radius_mm=2 * BALL_M / MM)
+    flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.read_press(0)[1]
+    assert flatter.indentation_m.max() < 0.6 * ball.indentation_m.max()
+    np.testing.assert_array_equal(flatter.contact, ball.contact)
+
+
+MM_PER_PX = 0.25
+LARGEST_PX = 0.98 * BALL_M / MM / MM_PER_PX
+
+
+def write(format: str, folder: Path) -> Path:
+    return PUBLIC_SETS[format](folder, BALLS.images, BALLS.background)
+
+
+EACH = pytest.mark.parametrize("format", PUBLIC_SETS)
+
+
+@pytest.fixture
+def source(format: str, tmp_path: Path) -> Path:
+    return write(format, tmp_path / "source")
+
+
+def rows_of(table: Path) -> list[dict[str, str]]:
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_format_is_tested():
+    assert PUBLIC_SETS.keys() == FORMATS.keys()
+
+
+@EACH
+def test_convert_keeps_images_and_circles(format, source, tmp_path):
+    table = convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
+    background = [row["image"] for row in rows_of(table) if row["kind"] == "background"]
+    balls = [row for row in rows_of(table) if row["kind"] == "ball"]
+    assert len(background) == (0 if format == "fots" else 1)
+    for name in background:
+        np.testing.assert_array_equal(read_colour_image(table.parent / name), BALLS.background)
+    assert len(balls) == 3
+    for row, image, (x, y, radius) in zip(balls, BALLS.images, CIRCLES, strict=True):
+        np.testing.assert_array_equal(read_colour_image(table.parent / row["image"]), image)
+        found = [float(row[name]) for name in ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm")]
+        assert found == pytest.approx([x + 0.5, y + 0.5, min(radius, LARGEST_PX), 3.0], abs=1e-3)
+        assert found[2] <= LARGEST_PX
+
+
+@EACH
+def test_a_converted_set_can_be_read_for_calibration(format, source, tmp_path):
+    convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
+    if format == "fots":  # has no untouched gel
+        with pytest.raises(CalibrationError, match="`background` median"):
+            read_presses(tmp_path / "out", BALLS.geometry)
+    else:
+        assert len(read_presses(tmp_path / "out", BALLS.geometry)) == 3
+
+
+def refused_set(source: Path, format: str, out: Path, *words: str) -> None:
+    with pytest.raises(CalibrationError) as caught:
+        convert(source, out, format, BALL_M / MM, MM_PER_PX)
+    for word in (str(source), format, *words):
+        assert word in str(caught.value)
+
+
+@EACH
+def test_a_set_of_another_format_is_refused(format, source, tmp_path):
+    for other in FORMATS.keys() - {format}:
+        refused_set(source, other, tmp_path / other)
+
+
+@EACH
+def test_a_missing_set_is_refused(format, tmp_path):
+    refused_set(tmp_path / "none", format, tmp_path / "out")
+
+
+@EACH
+def test_a_set_with_a_damaged_label_is_refused(format, source, tmp_path):
+    labels = {"gs_sdk": "10/label.npz", "taxim": "", "fots": "csv/annotate.csv", "circles": "labels.txt"}
+    path = source / labels[format]
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) - (20 if path.suffix == ".npz" else 8)])
+    refused_set(source, format, tmp_path / "out")
+
+
+@EACH
+def test_a_set_without_its_images_is_refused(format, source, tmp_path):
+    if format == "taxim":
+        np.savez(source, imgs=BALLS.images, f0=BALLS.background)
+    else:
+        images = [path for path in source.rglob("*.png") if path.name != "background.png"]
+        images[-1].unlink()
+    refused_set(source, format, tmp_path / "out")
+
+
+def test_a_malformed_circle_line_is_refused(tmp_path):
+    source = write("circles", tmp_path / "source")
+    with (source / "labels.txt").open("a") as file:
+        file.write("press_0.png 20 31 5\n")
+    refused_set(source, "circles", tmp_path / "out", "'press_0.png 20 31 5'", "image (x, y) radius")
+
+
+def test_a_set_without_presses_is_refused(tmp_path):
+    source = write("fots", tmp_path / "source")
+    (source / "csv" / "annotate.csv").write_text("img_names,center_x,center_y,radius\n")
+    refused_set(source, "fots", tmp_path / "out", "press")
+
+
+def test_an_unknown_format_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match=naming("'gelsight'", "gs_sdk", "taxim", "fots", "circles")):
+        convert(tmp_path, tmp_path / "out", "gelsight", 3.0, 0.1)
+
+
+# The public sets: format, file, ball radius and pixel pitch in mm, image size (H, W), number of presses, and the circle
+# of the first press.
+PUBLIC = {
+    "gelsight_mini_balls": ("gs_sdk", "", 4.735, 0.0634, (240, 320), 50, (196.5, 160.5, 29)),
+    "gelsight_balls_160x120": ("taxim", "dataPack_small.npz", 2.0, 0.1245, (120, 160), 49, (84.5, 66.5, 15.742)),
+    "fots_balls": ("fots", "", 2.35, 1 / 19.58, (320, 240), 42, (76.5, 182.5, 38)),
+    "gelslim_balls": ("circles", "", 2.92, 0.059259, (320, 320), 22, (212.5, 128.5, 26)),
+}
+
+
+@pytest.fixture
+def public(shared_data: Path, tmp_path: Path):
+    """Return a function that converts and reads a public set; the sets are not part of the project."""
+
+    def read(name: str):
+        format, file, ball_mm, mm_per_px, (height, width), *_ = PUBLIC[name]
+        source = shared_data / "tactile" / name / file
+        if not source.exists():
+            pytest.skip(f"there is no {source}: it holds real images that are not part of the project")
+        table = convert(source, tmp_path / name, format, ball_mm, mm_per_px)
+        k = 1e3 / mm_per_px
+        geometry = SensorGeometry("orthographic", width, height, k, k, width / 2, height / 2, 0.01, 1.5e-3)
+        return read_presses(table.parent, geometry, median_background=format == "fots")
+
+    yield read
+    shutil.rmtree(tmp_path)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_sets_are_read_with_their_counts_and_circles(public, name):
+    *_, count, (x, y, radius) = PUBLIC[name]
+    presses = public(name)
+    assert len(presses) == count
+    image, label = presses.read_press(0)
+    row, column = np.argwhere(label.contact).mean(axis=0) + 0.5
+    assert (column, row) == pytest.approx((x, y), abs=0.1)
+    assert label.contact.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
+    changed = np.abs(image.astype(int) - presses.background).max(axis=2)
+    assert changed[label.contact].mean() > 3 * np.median(changed)  # the image has changed inside the label
+
+
+@pytest.mark.slow
+def test_a_few_training_steps_calibrate_a_real_sensor(public):
+    presses = public("gelslim_balls")
+    found = calibrate(presses, presses.geometry, presses.background, "photometric", {"steps": 150, "hidden": 16})
+    mean = average_errors(found.errors)
+    assert mean["slope_deg"] < 5
+    assert mean["shape_m"] < 8e-5
+
+
+@pytest.mark.parametrize(
+    ("camera", "reading"),
+    [
+        ((320, 240), (160, 120)),
+        ((240, 320), (120, 160)),
+        ((64, 64), (64, 64)),
+        ((470, 470), (157, 157)),
+        ((200, 200), (200, 200)),
+        ((640, 480), (160, 120)),
+    ],
+)
+def test_the_chosen_image_size_suits_locating(camera, reading):
+    width, height = camera
+    geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)
+    assert choose_size_px(geometry) == reading

@@ -1,0 +1,104 @@
+"""Descriptions of lights and cameras: refused values, identity, and variation."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from imaging_helpers import lamp, lit, rng
+from message_helpers import naming
+
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.sensors.optics.lamps import OPTICS, Light, Optics, find_optics
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0.3, 0.2), (-2.5, 1.2), (math.pi / 2, 0.7)])
+def test_a_light_has_the_direction_of_its_angles(azimuth, elevation):
+    light = Light.at(azimuth, elevation, WHITE, 1.0)
+    assert light.azimuth_rad == pytest.approx(azimuth)
+    assert light.elevation_rad == pytest.approx(elevation)
+    assert np.linalg.norm(light.direction) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
+        ({"direction": (1.0, 0.0, 0.0)}, (1.0, 0.0, 0.0)),
+        ({"direction": (1.0, 0.0, -0.2)}, (1.0, 0.0, -0.2)),
+        ({"direction": (1.0, math.nan, 1.0)}, (1.0, math.nan, 1.0)),
+        ({"direction": (1.0, 0.0)}, (1.0, 0.0)),
+        ({"colour": (1.0, -0.1, 0.0)}, -0.1),
+        ({"colour": (1.0, 1.0)}, (1.0, 1.0)),
+        ({"strength": -1.0}, -1.0),
+        ({"strength": math.inf}, "inf"),
+        ({"distance": 0.5}, 0.5),
+        ({"distance": math.nan}, "nan"),
+    ],
+)
+def test_impossible_lights_are_refused(change, value):
+    with pytest.raises(ConfigError, match=naming(*change, value)):
+        dataclasses.replace(lamp(), **change)
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
+        ({"lights": ()}, "lights"),
+        ({"ambient": (0.1, 0.1, -0.1)}, -0.1),
+        ({"dome": math.nan}, "nan"),
+        ({"vignetting": 1.5}, 1.5),
+        ({"blur_m": -1e-5}, -1e-05),
+        ({"read_noise": -1.0}, -1.0),
+        ({"shot_noise": math.inf}, "inf"),
+        ({"specular": math.nan}, "nan"),
+        ({"shininess": -2.0}, -2.0),
+    ],
+)
+def test_impossible_optics_are_refused(change, value):
+    with pytest.raises(ConfigError, match=naming(*change, value)):
+        dataclasses.replace(lit("right"), **change)
+
+
+def test_optics_are_described_as_json():
+    near = Optics((lamp(distance=3.0), lamp("left")), dome=0.2)
+    described = near.describe()
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+    assert [light["distance"] for light in described["lights"]] == [3.0, None]
+    assert Optics.parse(described).describe() == described
+    descriptions = [json.dumps(o.describe()) for o in (near, near.remove_noise(), lit("right"), *OPTICS.values())]
+    assert len(set(descriptions)) == len(descriptions) - 1  # `near` has no noise to lose
+
+
+@pytest.mark.parametrize("name", list(OPTICS))
+def test_specimens_vary_around_their_sensor_model(name):
+    make = OPTICS[name]
+    assert make.vary(rng(), 0.0) == make
+    assert make.vary(rng(3)) == make.vary(rng(3))
+    assert make.vary(rng(3)) != make.vary(rng(4))
+    generator = rng()
+    specimens = [make.vary(generator) for _ in range(400)]
+    strengths = np.array([[light.strength for light in o.lights] for o in specimens])
+    made = np.array([light.strength for light in make.lights])
+    assert np.median(strengths, axis=0) == pytest.approx(made, rel=0.05)
+    spread = np.log(strengths / made).std(axis=0)
+    assert spread == pytest.approx(math.hypot(0.15, 0.1) * np.ones(3), rel=0.2)  # the lamp and the exposure both vary
+    turned = np.array([o.lights[0].azimuth_rad for o in specimens]) - make.lights[0].azimuth_rad
+    assert np.degrees(np.angle(np.exp(1j * turned))).std() == pytest.approx(6.0, rel=0.2)
+    wild = [make.vary(generator, 5.0) for _ in range(50)]  # no draw puts a light behind the gel
+    assert all(light.direction[2] > 0 for o in wild for light in o.lights)
+
+
+def test_a_negative_variation_is_refused():
+    with pytest.raises(ConfigError, match=naming("variation", -1.0)):
+        lit("right").vary(rng(), -1.0)
+
+
+def test_an_unknown_sensor_model_is_refused_with_the_nearest_name():
+    assert find_optics("digit") is OPTICS["digit"]
+    with pytest.raises(ConfigError, match=naming("'gelslam'", "'gelslim'")):
+        find_optics("gelslam")

@@ -1,0 +1,255 @@
+"""Images of surfaces with known shades."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from imaging_helpers import BALL_M, PRESS_M, ball_depth, lamp, lit, places, presses, rng, sensor, tip_depth
+from message_helpers import naming
+from scipy.special import ndtr
+
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.optics.gel import press_gel
+from tactile_loc.sensors.optics.lamps import OPTICS, Optics
+from tactile_loc.sensors.optics.shading import measure_slopes, render_background, render_images
+
+ELEVATION = math.radians(30)
+
+
+def rendered(indentation, geometry, optics, seed=0, photo=None) -> np.ndarray:
+    return render_images(indentation, geometry, optics, rng(seed), photo)
+
+
+def plane(geometry: SensorGeometry, slope_x: float, slope_y: float) -> np.ndarray:
+    sx, sy = geometry.scale_at_surface
+    x = (np.arange(geometry.width_px) + 0.5 - geometry.cx) / sx
+    y = (np.arange(geometry.height_px) + 0.5 - geometry.cy) / sy
+    return (0.01 + slope_x * x + slope_y * y[:, None])[None].astype(np.float32)
+
+
+def pressed_tip(geometry: SensorGeometry) -> np.ndarray:
+    return press_gel(tip_depth(geometry), presses(), geometry)
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [sensor(40), sensor(90), SensorGeometry("pinhole", 64, 48, 42.0, 40.0, 31.0, 25.0, 0.025, 0.002)],
+    ids=["coarse", "fine", "pinhole"],
+)
+def test_a_tilted_plane_has_lamberts_shade_at_any_pixel_size(geometry):
+    tilted = plane(geometry, 0.3, -0.2)
+    slope_x, slope_y = measure_slopes(tilted, geometry)
+    assert slope_x == pytest.approx(0.3, abs=1e-4)
+    assert slope_y == pytest.approx(-0.2, abs=1e-4)
+    shade = {
+        "right": -0.3 * math.cos(ELEVATION), "left": 0.3 * math.cos(ELEVATION),
+        "below": 0.2 * math.cos(ELEVATION), "above": -0.2 * math.cos(ELEVATION),
+    }  # fmt: skip
+    for side, sideways in shade.items():
+        expected = 255 * 0.9 * (sideways + math.sin(ELEVATION)) / math.sqrt(1 + 0.3**2 + 0.2**2)
+        assert rendered(tilted, geometry, lit(side)) == pytest.approx(expected, abs=0.6), side
+
+
+def test_a_ball_has_the_analytic_shade():
+    geometry = sensor(320)
+    indentation = PRESS_M - ball_depth(geometry)
+    picture = rendered(indentation, geometry, lit("right"))[0, ..., 0]
+    x, y = places(geometry)
+    inside = np.hypot(x, y) < 0.6 * BALL_M
+    up = np.sqrt(BALL_M**2 - x**2 - y**2, where=inside, out=np.ones_like(x))
+    lambert = np.maximum((x * math.cos(ELEVATION) + up * math.sin(ELEVATION)) / BALL_M, 0)  # the normal is (x, y, up)/R
+    assert picture[inside] == pytest.approx(np.minimum(255 * 0.9 * lambert, 255)[inside], abs=1.0)
+    assert lambert[inside].min() == 0  # a part of the ball lies in its own shadow
+    assert picture[160, 200] > picture[160, 160] > picture[160, 120]  # the side that faces the lamp is bright
+
+
+def test_a_near_lamp_follows_the_inverse_square_law():
+    geometry = sensor()
+    near = Optics((lamp("right", 30.0, 0.5, distance=3.0),))
+    x, y = (a / (0.008 * math.sqrt(2)) for a in places(geometry))  # in field radii
+    height = 3.0 * math.sin(ELEVATION)
+    away = np.sqrt((3.0 * math.cos(ELEVATION) - x) ** 2 + y**2 + height**2)
+    expected = 255 * 0.5 * height / away * (3.0 / away) ** 2
+    assert render_background(geometry, near)[..., 1] == pytest.approx(expected, abs=0.51)
+    middle = render_background(geometry, dataclasses.replace(near, lights=(lamp("right", 30.0, 0.5),)))
+    assert middle == pytest.approx(255 * 0.5 * math.sin(ELEVATION), abs=0.51)  # a far one lights evenly
+
+
+def test_a_domed_gel_has_the_shade_of_a_flat_gel_pressed_to_a_dome():
+    geometry = sensor(120)
+    radius_m = 0.008 * math.sqrt(2)
+    x, y = places(geometry)
+    dome = ((x**2 + y**2) * 0.4 / (2 * radius_m)).astype(np.float32)[None]
+    optics = lit("right", "above")
+    domed = render_background(geometry, dataclasses.replace(optics, dome=0.4))
+    pushed = rendered(dome, geometry, optics)[0]
+    assert domed[1:-1, 1:-1] == pytest.approx(pushed[1:-1, 1:-1], abs=1)  # at the border a difference is one-sided
+    assert domed[60, 0, 0] > domed[60, 119, 0] + 40  # it faces the lamp on the other side
+
+
+def test_a_flat_tip_has_the_colour_of_the_unpressed_gel_inside():
+    for name, optics in OPTICS.items():
+        geometry = sensor(160)
+        picture = rendered(pressed_tip(geometry), geometry, optics.remove_noise())[0].astype(int)
+        unpressed = render_background(geometry, optics)
+        x, y = (np.abs(a) for a in places(geometry))
+        inside, wall = np.maximum(x, y) < 3.4e-3, (np.maximum(x, y) > 4e-3) & (np.maximum(x, y) < 4.3e-3)
+        change = np.abs(picture - unpressed).max(axis=-1)
+        assert change[inside].max() <= 1, name
+        assert np.median(change[wall]) > 25, name
+
+
+def test_walls_show_bands_in_the_colours_of_their_lights():
+    geometry = sensor(160)
+    lights = (lamp("right", colour=(1, 0, 0)), lamp("left", colour=(0, 1, 0)), lamp("above", colour=(0, 0, 1)))
+    picture = rendered(pressed_tip(geometry), geometry, Optics(lights))[0].astype(int)
+    change = picture - picture[80, 80]
+    right, left, above = change[80, 122], change[80, 37], change[37, 80]
+    assert [int(np.argmax(c)) for c in (right, left, above)] == [0, 1, 2]
+    assert right[1] < -50  # and the light from the other side is gone
+
+
+def test_the_picture_does_not_depend_on_the_pixel_size():
+    optics = OPTICS["gelslim"].remove_noise()
+    coarse, fine = (
+        rendered(press_gel(ball_depth(g), presses(), g), g, optics)[0].astype(float) for g in (sensor(100), sensor(200))
+    )
+    difference = np.abs(coarse - fine.reshape(100, 2, 100, 2, 3).mean((1, 3)))
+    assert np.percentile(difference, 95) < 1.5
+    assert difference.max() < 25  # the edge of a contact may lie between pixels
+
+
+def test_a_mirrored_touch_under_mirrored_lights_gives_a_mirrored_picture():
+    geometry = sensor()
+    surface = press_gel(ball_depth(geometry, 2e-3, 1e-3), presses(), geometry)
+    optics = Optics((lamp("right", 30, 0.5, (1, 0, 0.2), distance=2.0), lamp("above", 50, 0.4, (0, 1, 0))), dome=0.2)
+    mirrored = dataclasses.replace(
+        optics,
+        lights=tuple(
+            dataclasses.replace(v, direction=(-v.direction[0], *v.direction[1:])) for v in optics.lights
+        ),
+    )  # fmt: skip
+    picture = rendered(surface, geometry, optics)
+    assert rendered(surface[:, :, ::-1], geometry, mirrored)[:, :, ::-1] == pytest.approx(picture, abs=1)
+    assert np.abs(picture[:, :, ::-1].astype(int) - picture).max() > 50
+
+
+def test_a_photo_stays_unchanged_without_press_and_noise():
+    geometry = sensor()
+    photo = rng().integers(0, 256, (80, 80, 3), dtype=np.uint8)
+    for optics in OPTICS.values():
+        unpressed = rendered(np.zeros((2, 80, 80), np.float32), geometry, optics.remove_noise(), photo=photo)
+        assert np.array_equal(unpressed, np.stack([photo, photo]))
+
+
+def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
+    geometry = sensor()
+    optics = lit("right", "above")
+    surface = press_gel(ball_depth(geometry), presses(), geometry)
+    own = render_background(geometry, optics)
+    photo = (own - np.uint8(20)).astype(np.uint8)
+    change = rendered(surface, geometry, optics)[0].astype(int) - own
+    on_photo = rendered(surface, geometry, optics, photo=photo)[0].astype(int) - photo
+    free = (own + change > 22) & (own + change < 254)  # neither black nor white
+    assert on_photo[free] == pytest.approx(change[free], abs=1)
+
+
+def test_the_background_equals_the_unpressed_picture():
+    geometry = sensor()
+    optics = OPTICS["digit"]
+    unpressed = rendered(np.zeros((1, 80, 80), np.float32), geometry, optics.remove_noise())[0]
+    assert np.array_equal(render_background(geometry, optics), unpressed)
+    assert render_background(geometry, optics).shape == (80, 80, 3)
+
+
+def test_the_lens_blurs_by_its_width_in_metres():
+    for px in (80, 240):
+        geometry = sensor(px)
+        x, _ = places(geometry)
+        roof = (0.01 - 0.2 * np.abs(x)).astype(np.float32)[None]  # falls away to both sides
+        row = rendered(roof, geometry, lit("right", blur_m=1e-3))[0, px // 2, :, 0]
+        left, right = (
+            255 * 0.9 * (s * 0.2 * math.cos(ELEVATION) + math.sin(ELEVATION)) / math.sqrt(1.04) for s in (-1, 1)
+        )
+        assert row == pytest.approx(left + (right - left) * ndtr(x[0] / 1e-3), abs=1.0)
+
+
+def test_vignetting_darkens_the_corner_by_the_stated_share():
+    geometry = sensor()
+    bright = render_background(geometry, lit("right")).astype(float)
+    dark = render_background(geometry, lit("right", vignetting=0.4)).astype(float)
+    assert (dark / bright)[0, 0] == pytest.approx(1 - 0.4 * (79 / 80) ** 2, abs=0.01)
+    assert (dark / bright)[40, 40] == pytest.approx(1.0, abs=0.01)
+
+
+def test_gloss_is_brightest_halfway_to_the_lamp():
+    geometry = sensor(40)
+    matt, gloss = lit("right"), lit("right", specular=0.3, shininess=12.0)
+    shine = {
+        slope: rendered(plane(geometry, -slope, 0), geometry, gloss)[0, 20, 20, 0].astype(int)
+        - rendered(plane(geometry, -slope, 0), geometry, matt)[0, 20, 20, 0]
+        for slope in (-0.3, 0.0, 0.3)
+    }
+    assert shine[0.0] == pytest.approx(255 * 0.9 * 0.3 * math.cos(math.radians(30)) ** 12, abs=1)
+    away = math.radians(30) - math.atan(0.3)  # half of the 60 degrees between lamp and camera
+    assert shine[0.3] == pytest.approx(255 * 0.9 * 0.3 * math.cos(away) ** 12, abs=1)
+    assert shine[-0.3] < shine[0.0] < shine[0.3]
+
+
+def test_brightness_is_clipped_at_black_and_white():
+    geometry = sensor(40)
+    bright = lit("right", ambient=(2.0, 0.0, 0.0))
+    assert (render_background(geometry, bright)[..., 0] == 255).all()
+    shadow = rendered(plane(geometry, 2.0, 0.0), geometry, lit("right"))
+    assert (shadow == 0).all()
+
+
+@pytest.mark.parametrize(("read", "shot", "brightness"), [(3.0, 0.0, 0.5), (0.0, 6.0, 0.25), (2.0, 4.0, 0.5)])
+def test_noise_has_the_stated_strength(read, shot, brightness):
+    geometry = sensor(120)
+    even = Optics((lamp(strength=0.0),), ambient=(brightness,) * 3, read_noise=read, shot_noise=shot)
+    flat = np.zeros((4, 120, 120), np.float32)
+    noise = rendered(flat, geometry, even).astype(float) - 255 * brightness
+    expected = math.sqrt(read**2 + shot**2 * brightness + 1 / 12)
+    assert noise.std() == pytest.approx(expected, rel=0.02)
+    assert noise.mean() == pytest.approx(0, abs=0.05)
+
+
+def test_equal_seeds_give_equal_pictures():
+    geometry = sensor()
+    surface = pressed_tip(geometry)
+    optics = OPTICS["gelsight-mini"]
+    assert np.array_equal(rendered(surface, geometry, optics, 1), rendered(surface, geometry, optics, 1))
+    assert not np.array_equal(rendered(surface, geometry, optics, 1), rendered(surface, geometry, optics, 2))
+
+
+def test_pixels_outside_the_sensing_rectangle_do_not_change():
+    geometry = sensor(rectangle_m=(-0.006, 0.004, -0.005, 0.008))
+    optics = lit("right", "below")
+    surface = press_gel(np.zeros((1, 80, 80), np.float32), presses(), geometry)
+    blurred = dataclasses.replace(optics, blur_m=2e-4, vignetting=0.5)
+    assert np.array_equal(rendered(surface, geometry, optics)[0], render_background(geometry, optics))
+    assert rendered(surface, geometry, blurred)[0] == pytest.approx(render_background(geometry, blurred), abs=1)
+    ball = press_gel(ball_depth(geometry, 4e-3), presses(), geometry)
+    changed = (rendered(ball, geometry, optics)[0] != render_background(geometry, optics)).any(axis=-1)
+    assert changed.any()
+    assert not (changed & ~geometry.observed_mask).any()
+
+
+@pytest.mark.parametrize(
+    ("indentation", "photo", "values"),
+    [
+        (np.zeros((80, 80)), None, ("(80, 80)", "(N, H, W)")),
+        (np.zeros((1, 40, 80)), None, ("(1, 40, 80)", "(N, H, W)")),
+        (np.zeros((1, 80, 80)), np.zeros((80, 80), np.uint8), ("background", "(80, 80)")),
+        (np.zeros((1, 80, 80)), np.zeros((40, 80, 3), np.uint8), ("background", "(40, 80, 3)")),
+        (np.zeros((1, 80, 80)), np.zeros((80, 80, 3)), ("(80, 80, 3)", "float64")),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(indentation, photo, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
+        rendered(indentation, sensor(), lit("right"), photo=photo)

@@ -1,0 +1,229 @@
+"""The convolutional estimator learns, resumes, sees far enough, and refuses foreign weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from message_helpers import naming
+from press_sets import label_untouched
+
+from tactile_loc.core.runtime.errors import CalibrationError, TrainingError, WeightsError
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.calibration.calibrate import calibrate
+from tactile_loc.sensors.calibration.labels import LabelledPresses, label_surface
+from tactile_loc.sensors.calibration.simulated import simulate_presses
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.optics.simulate import render_touches
+from tactile_loc.sensors.reading.cnn import PLANES, CnnEstimator, GelNetwork
+from tactile_loc.sensors.reading.estimator import CalibrationProblem
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+from tactile_loc.sensors.reading.reading import LEAST_M, find_contact_shape
+from tactile_loc.slots.encoder import Checkpoints
+from tactile_loc.store.store import StageStore
+
+LAMPS = OPTICS["gelslim"]
+SMALL = {"channels": 8, "epochs": 10, "batch": 4, "rate": 5e-3, "dropout": 0.1}
+PRESS_M = 1e-3
+
+
+def sensor(px: int = 64) -> SensorGeometry:
+    """An orthographic sensor of a square field, 24 mm wide."""
+    k = px / 0.024
+    return SensorGeometry("orthographic", px, px, k, k, px / 2, px / 2, 0.01, 2e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Tips(LabelledPresses):
+    """A flat square tip, pressed in at different places, of different sizes."""
+
+    count: int = 24
+
+    def __len__(self) -> int:
+        return self.count
+
+    def read_press(self, number: int):
+        rng = np.random.default_rng(number)
+        x, y = np.meshgrid(*sensor().pixel_slopes)
+        half_m, (cx, cy) = rng.uniform(3.5e-3, 4.5e-3), rng.uniform(-6e-3, 6e-3, 2)
+        contact = (np.abs(x - cx) < half_m) & (np.abs(y - cy) < half_m)
+        depth = np.where(contact, 0, PRESS_M).astype(np.float32)
+        image = render_touches(depth[None], [PRESS_M], sensor(), LAMPS, rng)[0]
+        return image, label_surface(PRESS_M - depth, contact, sensor())
+
+
+@dataclass(frozen=True, eq=False)
+class Untouched(LabelledPresses):
+    def __len__(self) -> int:
+        return 6
+
+    def read_press(self, number: int):
+        return render_background(sensor(), LAMPS), label_untouched(sensor())
+
+
+class Notes(Progress):
+    """Remembers what was shown."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+class InFile(Checkpoints):
+    """Keeps a checkpoint in a file; interrupts the training after some of them."""
+
+    def __init__(self, path, most: int = 1000) -> None:
+        self.path, self.left = path, most
+
+    def load(self):
+        return self.path if self.path.exists() else None
+
+    def save(self, write) -> None:
+        write(self.path)
+        self.left -= 1
+        if not self.left:
+            raise KeyboardInterrupt
+
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def presses(tmp_path_factory):
+    done = simulate_presses(sensor(), LAMPS, 40, 0, StageStore(tmp_path_factory.mktemp("store")))
+    torch.set_num_threads(1)  # the renderer's threads have set it
+    return done
+
+
+def made(**options) -> CnnEstimator:
+    return CnnEstimator(sensor(), render_background(sensor(), LAMPS), CnnEstimator.Options(**{**SMALL, **options}))
+
+
+def fitted(presses: LabelledPresses, checkpoints: Checkpoints | None = None, **options) -> CnnEstimator:
+    estimator = made(**options)
+    estimator.fit(CalibrationProblem(sensor(), estimator.background, presses, Progress(), checkpoints or Checkpoints()))
+    return estimator
+
+
+def weights(estimator: CnnEstimator, path) -> bytes:
+    estimator.save(path)
+    return path.read_bytes()
+
+
+@pytest.mark.slow
+def test_training_reduces_the_loss_and_beats_a_zero_depth(presses):
+    notes = Notes()
+    options = {**SMALL, "epochs": 25}
+    done = calibrate(presses, presses.geometry, presses.background, "cnn", options, progress=notes)
+    losses_mm = [float(note.split()[2]) for note in notes.notes]
+    assert len(losses_mm) == options["epochs"]
+    assert losses_mm[-1] < 0.95 * losses_mm[0]
+    held_out = [presses.read_press(number) for number in done.held_out]
+    none_m = np.mean([np.sqrt(np.mean(label.indentation_m[label.contact] ** 2)) for _, label in held_out])
+    assert done.record()["held_out"]["mean"]["depth_m"] < 0.8 * none_m
+    assert "slope_deg" not in done.record()["held_out"]["mean"]
+
+
+def test_the_network_stores_the_statistics_of_the_presses(presses):
+    network = fitted(presses, epochs=1)._network
+    indentation_m = np.stack([label.indentation_m for _, label in presses.read_presses()])
+    assert float(network.output_mean) == pytest.approx(indentation_m.mean(), rel=1e-3)
+    assert float(network.output_std) == pytest.approx(indentation_m.std(), rel=1e-3)
+    difference = np.stack([image - presses.background.astype(float) for image, _ in presses.read_presses()]) / 64
+    assert network.input_mean.numpy()[:3, 0, 0] == pytest.approx(difference.mean(axis=(0, 1, 2)), abs=1e-4)
+    assert network.input_std.numpy()[:3, 0, 0] == pytest.approx(difference.std(axis=(0, 1, 2)), rel=1e-3)
+
+
+@pytest.mark.parametrize("epochs_done", [1, 2])
+def test_a_resumed_training_gives_the_same_weights(tmp_path, epochs_done):
+    whole = weights(fitted(Tips(10), epochs=3), tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        fitted(Tips(10), InFile(tmp_path / "checkpoint", epochs_done), epochs=3)
+    resumed = fitted(Tips(10), InFile(tmp_path / "checkpoint"), epochs=3)
+    assert weights(resumed, tmp_path / "resumed") == whole
+
+
+def test_the_seed_determines_the_weights(tmp_path):
+    one, same, other = (weights(fitted(Tips(8), epochs=1, seed=s), tmp_path / "w") for s in (1, 1, 2))
+    assert one == same != other
+
+
+def test_training_leaves_the_callers_random_state_unchanged():
+    torch.manual_seed(5)
+    expected = torch.rand(1)
+    torch.manual_seed(5)
+    fitted(Tips(6), epochs=1)
+    assert torch.equal(torch.rand(1), expected)
+
+
+@pytest.mark.slow
+def test_a_wide_receptive_field_recovers_the_middle_of_a_flat_contact():
+    image, label = Tips().read_press(1001)
+    x, y = np.nonzero(label.contact)
+    middle = np.s_[int(x.mean()) - 2 : int(x.mean()) + 3, int(y.mean()) - 2 : int(y.mean()) + 3]
+    assert np.abs(image[middle].astype(int) - render_background(sensor(), LAMPS)[middle]).mean() < 3  # looks untouched
+    sees_far, sees_near = (fitted(Tips(), epochs=20, dilations=d) for d in ((1, 2, 4, 8, 16), (1,) * 5))
+    assert sees_far.read_indentation(image)[middle].mean() > 0.5 * PRESS_M
+    assert sees_near.read_indentation(image)[middle].mean() < 0.25 * PRESS_M
+
+
+def test_the_default_receptive_field_reaches_31_pixels_to_each_side():
+    network = GelNetwork(4, CnnEstimator.Options().dilations, 0.0).eval()
+    features = torch.zeros(1, PLANES, 1, 101, requires_grad=True)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.abs_().add_(0.01)  # nothing cancels
+    network(features)[0, 0, 50].backward()
+    seen = torch.nonzero(features.grad.abs().sum(dim=(0, 1, 2))).ravel()
+    assert (int(seen.min()), int(seen.max())) == (50 - 31, 50 + 31)
+
+
+def test_saved_weights_give_the_same_indentation(tmp_path, presses):
+    first = fitted(Tips(6), epochs=1)
+    first.save(tmp_path / "w.safetensors")
+    second = made(seed=9)
+    second.load(tmp_path / "w.safetensors")
+    image, _ = presses.read_press(0)
+    found = second.read_indentation(image)
+    assert found.dtype == np.float32
+    assert found.shape == sensor().shape
+    assert found.min() >= 0
+    assert np.array_equal(found, first.read_indentation(image))
+
+
+def test_damaged_or_foreign_weights_are_refused(tmp_path):
+    estimator = made()
+    whole = weights(estimator, tmp_path / "w")
+    (tmp_path / "cut").write_bytes(whole[: len(whole) // 2])
+    PhotometricEstimator(sensor(), estimator.background).save(tmp_path / "photometric")
+    for name in ("cut", "photometric", "missing"):
+        with pytest.raises(WeightsError, match=naming(tmp_path / name, "cnn")):
+            estimator.load(tmp_path / name)
+
+
+def test_a_nan_loss_stops_training():
+    with pytest.raises(TrainingError, match=naming("NaN", "epoch 1", "rate")):
+        fitted(Tips(12), rate=1e30)
+
+
+def test_presses_without_contact_are_refused():
+    with pytest.raises(CalibrationError, match="contact"):
+        fitted(Untouched())
+
+
+def test_a_contact_without_skirt_is_cut_at_the_noise_level():
+    _, label = Tips().read_press(0)
+    slope = np.linspace(0, PRESS_M, 64, dtype=np.float32)[None, :] * label.contact  # from nothing to all of the press
+    shape = find_contact_shape(slope, sensor(), 0.0, CnnEstimator.sees_skirt)
+    assert np.array_equal(shape.contact, slope > LEAST_M)
+    assert shape.press_depth_m == pytest.approx(slope.max(), rel=0.1)
+    assert np.allclose(shape.depth_m[shape.contact], np.maximum(shape.press_depth_m - slope, 0)[shape.contact])
+    noisy = find_contact_shape(slope, sensor(), 5e-5, CnnEstimator.sees_skirt)
+    assert np.array_equal(noisy.contact, slope > 2e-4)
+    assert find_contact_shape(slope, sensor(), 0.0).contact.sum() < shape.contact.sum()  # half the press is cut off

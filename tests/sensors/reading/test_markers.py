@@ -1,0 +1,276 @@
+"""Marker dots are found in untouched and touched images, and filled in."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from press_sets import MM, TINY, ball_indentation, ball_set, photographed, sensor, write_image
+from scipy.ndimage import gaussian_filter
+
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.sensors.calibration.calibrate import calibrate
+from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
+from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.presses import read_presses
+from tactile_loc.sensors.calibration.unlabelled import find_presses
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.reading.markers import UntouchedGel, continue_values, find_dots, mark_dots, match_dots
+
+PX = 160
+GEOMETRY = sensor(PX)
+PITCH_M = GEOMETRY.pixel_pitch_m
+GEL = render_background(GEOMETRY, OPTICS["gelslim"])
+
+
+def lattice(
+    spacing_px: float, shape: tuple[int, int] = (PX, PX), turn: float = 0.1, hexagonal: bool = False
+) -> np.ndarray:
+    """The places (N, 2) of dots whose middle is in the image, pixels."""
+    n = np.arange(-2 * shape[0] // spacing_px, 2 * shape[0] // spacing_px)
+    a, b = (v.ravel() for v in np.meshgrid(n, n))
+    if hexagonal:
+        a, b = a + 0.5 * (b % 2), b * np.sqrt(0.75)
+    x = spacing_px * (np.cos(turn) * a - np.sin(turn) * b) + 3.3
+    y = spacing_px * (np.sin(turn) * a + np.cos(turn) * b) + 7.7
+    inside = (x > 0) & (x < shape[1]) & (y > 0) & (y < shape[0])
+    return np.stack([x, y], axis=1)[inside]
+
+
+def draw(image: np.ndarray, places: np.ndarray, diameter_px: float, opacity: float = 0.8) -> np.ndarray:
+    """The image (H, W, 3) with soft dark dots at places (N, 2), pixels."""
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
+    light = np.ones(image.shape[:2])
+    for px, py in places:
+        light *= 1 - opacity * 0.5 * (1 - np.tanh((np.hypot(x - px, y - py) - diameter_px / 2) / 0.6))
+    return np.rint(image * light[..., None]).astype(np.uint8)
+
+
+def move(places: np.ndarray, indentation_m: np.ndarray, shift_px: float) -> np.ndarray:
+    """The places (N, 2) after the gel under them moved down the slope, by `shift_px` where it is steepest."""
+    down, across = np.gradient(gaussian_filter(indentation_m, 4))
+    rows, columns = (np.clip(places[:, i].astype(int), 0, PX - 1) for i in (1, 0))
+    slope = np.stack([across[rows, columns], down[rows, columns]], axis=1)
+    return places - shift_px * slope / max(np.hypot(across, down).max(), 1e-9)
+
+
+@pytest.mark.parametrize("hexagonal", [False, True])
+@pytest.mark.parametrize(("spacing_px", "diameter_px"), [(10, 3), (10, 5), (15, 4), (20, 3), (20, 5)])
+def test_dots_at_known_places_are_found(spacing_px, diameter_px, hexagonal):
+    places = lattice(spacing_px, hexagonal=hexagonal)
+    dots = find_dots(draw(GEL, places, diameter_px))
+    assert dots is not None
+    assert dots.spacing_px == pytest.approx(spacing_px, rel=0.03)
+    assert diameter_px / 2 <= dots.radius_px < diameter_px / 2 + 2
+    whole = ((places > 3) & (places < PX - 3)).all(axis=1)
+    off = np.linalg.norm(places[:, None] - dots.centres_px, axis=2)
+    assert off[whole].min(axis=1).max() < 0.6
+    inside = ((dots.centres_px > 0) & (dots.centres_px < PX)).all(axis=1)
+    assert off.min(axis=0)[inside].max() < 2.5  # no dot is found elsewhere
+    assert len(dots) < 1.2 * len(places)  # with the dots beyond the border
+
+
+def test_a_gel_without_dots_is_unchanged():
+    gel = UntouchedGel.of(GEL)
+    assert gel.dots is None
+    assert gel.record(PITCH_M) == {"count": 0}
+    assert gel.clear is GEL
+    touch = photographed(ball_indentation(GEOMETRY)[None], GEOMETRY)[0]
+    assert gel.clear_image(touch) is touch
+    float_image = touch.astype(np.float32)
+    assert gel.add_dots(float_image) is float_image
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_dirt_is_not_taken_for_dots(seed):
+    rng = np.random.default_rng(seed)
+    image = GEL
+    for places in np.array_split(rng.uniform(0, PX, (int(rng.integers(5, 150)), 2)), 4):
+        image = draw(image, places, float(rng.uniform(2, 5)), float(rng.uniform(0.3, 0.9)))
+    assert find_dots(image) is None
+    assert UntouchedGel.of(image).clear is image
+
+
+def test_a_few_equal_specks_in_a_row_are_not_taken_for_dots():
+    row = np.stack([np.arange(10, 150, 10), np.full(14, 80)], axis=1)
+    assert find_dots(draw(GEL, row, 4)) is None
+
+
+def test_dots_are_found_among_dirt():
+    places = lattice(15)
+    dirt = np.random.default_rng(0).uniform(0, PX, (12, 2))
+    dots = find_dots(draw(draw(GEL, places, 4), dirt, 2.5, 0.5))
+    assert dots is not None
+    assert dots.spacing_px == pytest.approx(15, rel=0.03)
+
+
+@pytest.mark.parametrize(("spacing_px", "diameter_px"), [(10, 5), (15, 4), (20, 3)])
+def test_the_filled_untouched_gel_is_near_the_gel_without_dots(spacing_px, diameter_px):
+    gel = UntouchedGel.of(draw(GEL, lattice(spacing_px), diameter_px))
+    off = gel.clear.astype(float) - GEL
+    assert np.sqrt((off**2).mean()) < 3.5  # the gel's grain cannot be filled in
+    assert np.quantile(np.abs(off), 0.999) < 14
+    np.testing.assert_allclose(gel.add_dots(gel.clear.astype(np.float32)), gel.image, atol=2)
+
+
+def test_moved_dots_are_found():
+    places = lattice(15)
+    ball = ball_indentation(GEOMETRY, press_m=0.8e-3)
+    dots = find_dots(draw(GEL, places, 4))
+    moved = move(places, ball, 4.0)
+    assert np.linalg.norm(moved - places, axis=1).max() > 3
+    touch = draw(photographed(ball[None], GEOMETRY)[0], moved, 4)
+    found = match_dots(touch, dots)
+    assert found.shape == dots.centres_px.shape
+    whole = ((moved > 3) & (moved < PX - 3)).all(axis=1)
+    off = np.linalg.norm(moved[whole][:, None] - found, axis=2).min(axis=1)
+    assert off.max() < 1
+    still = np.linalg.norm(moved[whole][:, None] - dots.centres_px, axis=2).min(axis=1)
+    assert still.max() > 2.5  # the untouched places miss the moved dots
+    hidden = mark_dots(touch, dots)
+    assert hidden[tuple(moved[whole].astype(int).T[::-1])].all()
+
+
+@pytest.mark.parametrize("shift_px", [0.0, 3.0])
+def test_a_filled_touch_is_near_the_touch_without_dots(shift_px):
+    places, ball = lattice(15), ball_indentation(GEOMETRY, press_m=0.8e-3)
+    gel = UntouchedGel.of(draw(GEL, places, 4))
+    touch = photographed(ball[None], GEOMETRY)[0]
+    dotted = draw(touch, move(places, ball, shift_px), 4)
+    filled = gel.clear_image(dotted)
+    inside = ball > 0
+    off, dots = (np.sqrt(((image.astype(float) - touch)[inside] ** 2).mean()) for image in (filled, dotted))
+    assert off < 5
+    assert off < 0.2 * dots
+
+
+def test_a_dot_that_a_touch_hides_counts_as_unmoved():
+    places = lattice(15)
+    dots = find_dots(draw(GEL, places, 4))
+    np.testing.assert_array_equal(match_dots(GEL, dots), dots.centres_px)
+
+
+@pytest.mark.parametrize("diameter_px", [7, 8])
+def test_too_many_dots_are_refused(diameter_px):
+    with pytest.raises(CalibrationError, match=r"marker dots cover \d+ % of the untouched gel's image"):
+        UntouchedGel.of(draw(GEL, lattice(10), diameter_px))
+
+
+@pytest.mark.slow
+def test_large_images_are_filled_at_their_own_size():
+    shape = (480, 640)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    plain = np.stack([80 + x / 8, 160 - y / 8, 60 + (x + y) / 16], axis=-1).astype(np.uint8)
+    gel = UntouchedGel.of(draw(plain, lattice(50, shape), 14))
+    assert gel.clear.shape == plain.shape
+    assert np.abs(gel.clear.astype(int) - plain).max() <= 3
+    untouched = np.abs(gel.clear_image(gel.image).astype(int) - plain)
+    assert untouched.max() <= 3
+    record = gel.record(1e-4)
+    assert record["spacing_m"] == pytest.approx(5e-3, rel=0.02)
+    assert 1.4e-3 < record["diameter_m"] < 2.4e-3
+    assert record["count"] == len(gel.dots)
+    assert 0 < record["covered"] < 0.2
+
+
+def test_linear_values_are_continued_exactly():
+    y, x = np.mgrid[:30, :40].astype(np.float32)
+    values = np.stack([2 * x - y, 3 + y], axis=-1)
+    hidden = np.hypot(x - 20, y - 14) < 5
+    for bent in (True, False):
+        done = continue_values(np.where(hidden[..., None], np.float32(99), values), hidden, bent)
+        np.testing.assert_allclose(done, values, atol=1e-3)
+    np.testing.assert_array_equal(continue_values(values, np.zeros_like(hidden)), values)
+    assert not continue_values(values, np.ones_like(hidden)).any()
+
+
+@pytest.fixture(scope="module")
+def dotted(tmp_path_factory):
+    """A folder of presses on a gel with dots, the presses without dots, and the places of the dots."""
+    balls = ball_set(10, PX)
+    places = lattice(15)
+    folder = balls.write(tmp_path_factory.mktemp("dotted"))
+    write_image(folder / "background.png", draw(balls.background, places, 4))
+    for number, image in enumerate(balls.images):
+        write_image(folder / f"{number:04d}.png", draw(image, move(places, balls.indentation_m[number], 2.5), 4))
+    return folder, balls, places
+
+
+def test_labelled_presses_are_read_without_their_dots(dotted):
+    folder, balls, places = dotted
+    presses = read_presses(folder, balls.geometry)
+    assert np.sqrt(((presses.background.astype(float) - balls.background) ** 2).mean()) < 2
+    for number, image in enumerate(balls.images):
+        assert np.sqrt(((presses.images[number].astype(float) - image) ** 2).mean()) < 2
+    np.testing.assert_array_equal(presses.gel.image, draw(balls.background, places, 4))
+
+
+def test_presses_without_dots_are_read_to_the_bit(dotted, tmp_path):
+    _, balls, _ = dotted
+    presses = read_presses(balls.write(tmp_path), balls.geometry)
+    np.testing.assert_array_equal(presses.background, balls.background)
+    np.testing.assert_array_equal(np.stack(presses.images), balls.images)
+
+
+@pytest.mark.slow
+def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
+    pytest.importorskip("torch")
+    folder, balls, places = dotted
+    presses = read_presses(folder, balls.geometry)
+    plain = calibrate(balls, balls.geometry, balls.background, "photometric", TINY)
+    made = calibrate(presses, presses.geometry, presses.background, "photometric", TINY)
+    record = {**made.record(), "dots": presses.gel.record(PITCH_M)}
+    write_calibration(tmp_path / "sensor", presses.geometry, presses.gel.image, made.estimator, record)
+    known = read_calibration(tmp_path / "sensor")
+    assert len(known.gel.dots) == json.loads((tmp_path / "sensor" / "calibration.json").read_text())["dots"]["count"]
+    ball = ball_indentation(GEOMETRY, 1e-3, -1e-3, 0.6e-3)
+    touch = photographed(ball[None], GEOMETRY)[0]
+    wanted = plain.estimator.read_indentation(touch)
+    found = known.read_indentation(draw(touch, move(places, ball, 2.5), 4))
+    assert np.sqrt(((found - wanted) ** 2).mean()) < 0.03 * MM
+    turned = draw(balls.background, lattice(15, turn=0.3), 4)
+    write_image(tmp_path / "zero.png", turned)
+    newer = read_calibration(tmp_path / "sensor", tmp_path / "zero.png")
+    assert np.abs(newer.read_indentation(turned)).max() < 0.05 * MM
+    assert np.abs(newer.estimator.untouched.astype(int) - balls.background).max() < 16
+    np.testing.assert_array_equal(newer.untouched, turned)
+
+
+@pytest.mark.slow
+def test_circles_are_found_under_dots(dotted):
+    folder, balls, places = dotted
+    frames = [Frame(f"{n:04d}.png", read) for n, read in enumerate(_read_images(folder, len(balls)))]
+    gel = Frame("background.png", draw(balls.background, places, 4))
+    for given in ([gel, *frames], frames):
+        found = find_presses(given)
+        assert len(found.used) >= 8
+        for press in found.used:
+            x, y, _ = balls.circles[int(press.name[:4])]
+            assert np.hypot(press.circle.x_px - x, press.circle.y_px - y) < 2
+        dots = find_dots(found.untouched)
+        assert dots is not None  # the composed gel has the dots, too
+        assert len(dots) == pytest.approx(len(places), rel=0.1)
+
+
+@pytest.mark.slow
+def test_dots_show_that_the_camera_moved(dotted):
+    folder, balls, places = dotted
+    images = list(_read_images(folder, len(balls)))
+    images[3] = np.roll(images[3], 3, axis=1)
+    gel = Frame("background.png", draw(balls.background, places, 4))
+    found = find_presses([gel, *(Frame(f"{n:04d}.png", image) for n, image in enumerate(images))])
+    assert {press.name for press in found.presses if press.dropped.startswith("camera moved")} == {"0003.png"}
+
+
+def _read_images(folder, count):
+    from PIL import Image
+
+    return (np.asarray(Image.open(folder / f"{n:04d}.png")) for n in range(count))
+
+
+def test_the_untouched_gel_does_not_differ_from_itself(dotted):
+    _, balls, places = dotted
+    gel = UntouchedGel.of(draw(balls.background, places, 4))
+    assert np.abs(gel.clear_image(gel.image).astype(int) - gel.clear).max() <= 1

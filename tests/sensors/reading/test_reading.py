@@ -1,0 +1,263 @@
+"""Contact shapes from indentations, and the checks of an image before it is read."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from message_helpers import naming
+from press_sets import BALL_M, MM, ball_indentation, contact_radius, places, sensor
+from scipy.ndimage import gaussian_filter
+
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.reading.reading import (
+    ABOVE_NOISE,
+    LEAST_M,
+    MOST_SKIRT,
+    SKIRT,
+    TIP_M,
+    extrapolate_press_m,
+    find_contact_shape,
+    find_gel_surface,
+    measure_press_m,
+    recover_indentation,
+    require_image,
+)
+from tactile_loc.sensors.reading.surface import find_indentation
+
+GEOMETRY = sensor(128)
+PITCH_M = GEOMETRY.pixel_pitch_m
+PRESS_M = 6e-4
+GEL = render_background(GEOMETRY, OPTICS["gelslim"])
+
+
+def flat_punch(half_m: float = 3e-3, press_m: float = PRESS_M, softness_m: float = 0.0) -> np.ndarray:
+    x, y = places(GEOMETRY)
+    sharp = np.where(np.maximum(np.abs(x), np.abs(y)) < half_m, press_m, 0.0)
+    return (gaussian_filter(sharp, softness_m / PITCH_M) if softness_m else sharp).astype(np.float32)
+
+
+def within_a_lighter_press(found_m: float, press_m: float) -> bool:
+    """Return whether a shape was cut at a plausible lighter press."""
+    return (1 - MOST_SKIRT) * press_m * 0.999 < found_m < (1 - SKIRT) * press_m * 1.001
+
+
+@pytest.mark.parametrize("hanging_m", [1e-3, 1.5e-3])
+def test_a_straight_gel_skirt_at_an_edge_is_not_contact(hanging_m):
+    """The contact is at most three pixels too wide. A threshold at half the press depth would include more."""
+    x, y = places(GEOMETRY)
+    beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - 2e-3, 0)
+    indentation = gaussian_filter(PRESS_M * np.clip(1 - beyond / hanging_m, 0, 1), 1).astype(np.float32)
+    shape = find_contact_shape(indentation, GEOMETRY, 0.0)
+    assert shape.contact[beyond == 0].all()
+    hanging = (beyond > 3 * PITCH_M) & (
+        np.minimum(np.abs(x), np.abs(y)) < 1.5e-3
+    )  # not off the corners, which are bent
+    assert not shape.contact[hanging].any()
+    assert (indentation > PRESS_M / 2)[hanging].any()
+
+
+def test_a_gap_bridged_by_the_gel_is_not_contact():
+    x, y = places(GEOMETRY)
+    two = np.where((np.abs(np.abs(x) - 1.5e-3) < 1e-3) & (np.abs(y) < 2e-3), PRESS_M, 0.0)
+    indentation = np.maximum(gaussian_filter(two, 3e-4 / PITCH_M), 0.45 * PRESS_M * (np.hypot(x, y) < 1e-3))
+    shape = find_contact_shape(indentation.astype(np.float32), GEOMETRY, 0.0)
+    assert not shape.contact[np.abs(x) < 2e-4].any()
+    assert shape.contact_iou(find_contact_shape(two.astype(np.float32), GEOMETRY, 0.0), GEOMETRY.observed_mask) > 0.85
+
+
+def test_a_shallow_bump_elsewhere_is_not_contact():
+    x, y = places(GEOMETRY)
+    bump = 0.4 * PRESS_M * np.exp(-((x - 5e-3) ** 2 + (y - 5e-3) ** 2) / (2 * (5e-4) ** 2))
+    shape = find_contact_shape((flat_punch(half_m=2e-3) + bump).astype(np.float32), GEOMETRY, 0.0)
+    assert not shape.contact[(x > 4e-3) & (y > 4e-3)].any()
+
+
+@pytest.mark.parametrize("softness_m", [0.0, 3e-4])
+def test_the_contact_of_a_flat_punch_is_exact_under_soft_gel(softness_m):
+    shape = find_contact_shape(flat_punch(softness_m=softness_m), GEOMETRY, 0.0)
+    x, y = places(GEOMETRY)
+    inside = np.maximum(np.abs(x), np.abs(y)) < 3e-3
+    corner = np.hypot(np.abs(x) - 3e-3, np.abs(y) - 3e-3) < 1.5 * softness_m  # the gel rounds the corners
+    np.testing.assert_array_equal(shape.contact[~corner], inside[~corner])
+    flat = np.maximum(np.abs(x), np.abs(y)) < 3e-3 - 4 * softness_m
+    np.testing.assert_allclose(shape.depth_m[flat], 0, atol=1e-7)
+    assert within_a_lighter_press(shape.press_depth_m, PRESS_M)
+    assert shape.depth_m.dtype == np.float32
+
+
+def test_a_balls_contact_shape_equals_that_of_a_lighter_press():
+    shape = find_contact_shape(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY, 0.0)
+    tip_m = PRESS_M - measure_press_m(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY)
+    assert 0 <= tip_m < TIP_M**2 / (2 * np.pi * BALL_M) + 3e-6  # the ball's rise over the deepest area
+    assert within_a_lighter_press(shape.press_depth_m, PRESS_M - tip_m)
+    rho = np.hypot(*places(GEOMETRY))
+    true_m = contact_radius(shape.press_depth_m + tip_m)
+    np.testing.assert_array_equal(shape.contact, rho < true_m)
+    rise = BALL_M - np.sqrt(BALL_M**2 - rho**2, where=rho < BALL_M, out=np.zeros_like(rho))
+    np.testing.assert_allclose(shape.depth_m[shape.contact], np.maximum(rise - tip_m, 0)[shape.contact], atol=1e-7)
+    assert shape.depth_m.min() == 0.0
+    Touch(shape, GEOMETRY)  # the shape is a valid touch
+
+
+def test_a_single_pixel_does_not_determine_the_press_depth():
+    indentation = flat_punch()
+    indentation[5, 5] = 1.4e-3
+    assert measure_press_m(indentation, GEOMETRY) == pytest.approx(PRESS_M)
+    area = round((TIP_M / PITCH_M) ** 2)
+    indentation[20, 20 : 20 + area] = 1e-3
+    assert measure_press_m(indentation, GEOMETRY) == pytest.approx(1e-3)
+
+
+def test_the_press_depth_does_not_depend_on_the_pixel_size():
+    found = [measure_press_m(ball_indentation(g, press_m=PRESS_M), g) for g in (sensor(64), sensor(256))]
+    assert found[0] == pytest.approx(found[1], abs=3e-6)
+
+
+@pytest.mark.parametrize("depth_m", [0.0, -1e-3, 0.9 * LEAST_M])
+def test_an_indentation_without_contact_is_refused(depth_m):
+    with pytest.raises(NoContactError, match=naming("0.05 mm")):
+        find_contact_shape(np.full(GEOMETRY.shape, depth_m, np.float32), GEOMETRY, 0.0)
+
+
+def test_noise_raises_the_contact_threshold():
+    light = ball_indentation(GEOMETRY, press_m=1.5e-4)
+    assert find_contact_shape(light, GEOMETRY, 1e-5).contact.any()
+    with pytest.raises(NoContactError, match=naming("0.2 mm") + r".*\b0\.1[45] mm"):
+        find_contact_shape(light, GEOMETRY, 2e-4 / ABOVE_NOISE)
+
+
+def test_a_press_no_deeper_than_the_false_press_is_refused():
+    light = ball_indentation(GEOMETRY, press_m=1.5e-4)
+    assert find_contact_shape(light, GEOMETRY, 0.0, false_press_m=2e-3).contact.any()
+    lightest = ball_indentation(GEOMETRY, press_m=8e-5)
+    assert find_contact_shape(lightest, GEOMETRY, 0.0, false_press_m=4e-5).contact.any()
+    with pytest.raises(NoContactError, match=naming("0.09 mm")):
+        find_contact_shape(lightest, GEOMETRY, 0.0, false_press_m=6e-5)
+
+
+def test_an_indentation_without_skirt_is_contact_everywhere():
+    ball = ball_indentation(GEOMETRY, press_m=PRESS_M)
+    shape = find_contact_shape(ball, GEOMETRY, 1e-5, sees_skirt=False)
+    np.testing.assert_array_equal(shape.contact, ball > LEAST_M)
+    assert shape.press_depth_m == pytest.approx(measure_press_m(ball, GEOMETRY))
+    expected = np.maximum(shape.press_depth_m - ball, 0)
+    np.testing.assert_allclose(shape.depth_m[shape.contact], expected[shape.contact], atol=1e-9)
+    noisier = find_contact_shape(ball, GEOMETRY, 3e-5, sees_skirt=False)
+    np.testing.assert_array_equal(noisier.contact, ball > ABOVE_NOISE * 3e-5)
+    with pytest.raises(NoContactError, match=naming("1.2 mm")):
+        find_contact_shape(ball, GEOMETRY, 3e-4, sees_skirt=False)
+
+
+def test_a_press_depth_is_limited_to_the_sensors_range():
+    shape = find_contact_shape(flat_punch(press_m=5 * MM), GEOMETRY, 0.0)
+    assert within_a_lighter_press(shape.press_depth_m, GEOMETRY.max_depth_m)
+    assert shape.contact.sum() == (flat_punch() > 0).sum()
+
+
+def test_unobserved_pixels_are_neither_contact_nor_press():
+    observed = np.ones(GEOMETRY.shape, bool)
+    observed[:, :64] = False
+    half = dataclasses.replace(GEOMETRY, observed=observed)
+    indentation = flat_punch(half_m=1.5e-3)
+    indentation[30:40, 10:30] = 1.2e-3
+    shape = find_contact_shape(indentation, half, 0.0)
+    assert within_a_lighter_press(shape.press_depth_m, PRESS_M)
+    np.testing.assert_array_equal(shape.contact, (indentation > 0) & observed)
+
+
+def test_an_image_of_this_sensor_passes():
+    dim = (0.9 * GEL).astype(np.uint8)
+    assert require_image(dim, GEL) is dim
+
+
+def test_a_full_size_image_is_reduced_by_averaging_pixels():
+    finer = GEL.repeat(3, axis=0).repeat(3, axis=1)
+    finer[::3, ::3] = np.minimum(finer[::3, ::3], 240) + 9  # a ninth of each pixel is 9 counts brighter
+    finer[1::3, 1::3] -= np.minimum(finer[1::3, 1::3], 9)
+    reduced = require_image(finer, GEL, (384, 384))
+    assert reduced.shape == GEL.shape
+    np.testing.assert_allclose(reduced.astype(int), GEL, atol=1)
+    with pytest.raises(TouchError, match=naming("384 x 200", "128 x 128", "384 x 384")):
+        require_image(finer[:200], GEL, (384, 384))
+
+
+def refused(image, *words: str, gel=GEL) -> None:
+    with pytest.raises(TouchError) as caught:
+        require_image(image, gel)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert not message.endswith(".")  # the caller puts the file name before it
+    for word in words:
+        assert word in message
+
+
+def test_another_size_is_refused():
+    refused(GEL[:100], "128 x 100 px", "128 x 128")
+    refused(GEL[:, :64], "64 x 128 px")
+    refused(GEL[:0], "128 x 0 px")
+
+
+@pytest.mark.parametrize(
+    "image",
+    [GEL[..., 0], np.dstack([GEL, GEL[..., 0]]), GEL[..., :1], GEL / 255.0, GEL.astype(np.uint16), GEL.astype(str)],
+    ids=["grey", "alpha", "one channel", "float", "16 bits", "text"],
+)
+def test_only_8_bit_colour_images_are_accepted(image):
+    refused(image, str(image.dtype), str(image.shape), "8 bits")
+
+
+def test_black_and_white_images_are_refused():
+    refused(np.zeros_like(GEL), "black", "light")
+    refused(np.full_like(GEL, 5), "black")
+    refused(np.full_like(GEL, 255), "saturated", "exposure")
+    bright = GEL.copy()
+    bright[:80, :, 1] = 255
+    refused(bright, "saturated")
+
+
+def test_a_saturated_background_permits_saturated_images():
+    bright = np.full_like(GEL, 255)
+    assert require_image(bright, bright) is bright
+
+
+def test_another_sensors_image_is_refused():
+    refused(render_background(GEOMETRY, OPTICS["digit"]), "sensor", "calibrate")
+    refused(np.random.default_rng(0).integers(0, 250, GEL.shape).astype(np.uint8), "sensor", "calibrate")
+
+
+TIPS = {  # heights over the deepest point, metres, and the largest error of the extrapolated press, share of the press
+    "ball": (lambda x, y: (x**2 + y**2) / 6e-3, 0.03),
+    "cone": (lambda x, y: 0.5 * np.hypot(x, y), 0.12),
+    "ridge": (lambda x, y: np.maximum(0.5 * np.abs(x), 10 * (np.abs(y) - 2.5e-3)), 0.08),
+    "flat": (lambda x, y: np.maximum(np.hypot(x, y) - 1e-3, 0), 0.0),
+}
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_the_press_is_extrapolated_to_sharp_tips(name):
+    """A sharp tip is measured as too light; the extrapolation removes most of this error, and states the rest."""
+    (shape, most), fine = TIPS[name], sensor(256)
+    surface = np.maximum(PRESS_M - shape(*places(fine)), 0).astype(np.float32)
+    measured_m = measure_press_m(surface, fine)
+    press_m, std_m = extrapolate_press_m(surface, fine)
+    assert abs(press_m - PRESS_M) <= max(most * PRESS_M, 1e-9)
+    assert abs(press_m - PRESS_M) <= max(2 * std_m, 0.05 * PRESS_M)
+    assert measured_m <= press_m
+    assert find_gel_surface(surface, fine, 1e-6).indentation_std_m == std_m
+
+
+def test_noise_of_an_untouched_elastic_gel_is_no_contact():
+    """Slopes of noise add up to a false pressure, unless the integrated surface shows a contact."""
+    elastic = dataclasses.replace(GEOMETRY, gel=Gel(5e-3, coating_m=3e-4))
+    slopes = gaussian_filter(np.random.default_rng(0).standard_normal((*GEOMETRY.shape, 2)), (2, 2, 0))
+    slopes = (0.02 * slopes / slopes.std()).astype(np.float32)
+    integrated = find_indentation(slopes, elastic)
+    found = recover_indentation(integrated, slopes, elastic)
+    with pytest.raises(NoContactError):
+        find_gel_surface(found, elastic, 5e-6)

@@ -1,0 +1,106 @@
+"""Training on places: touches get the label and yaw of the nearest place, and decoys get other yaws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.places.places import PATCH_PX
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.sensing.noise import make_noise
+from tactile_loc.simulate.place_training import PlaceProblem, move_to_anchors
+from tactile_loc.testing.problems import make_place_training_problem
+
+COUNT, DECOYS, PRESS_M = 16, 5, 1.2e-3
+
+
+@pytest.fixture(scope="module")
+def problem() -> PlaceProblem:
+    return make_place_training_problem()
+
+
+@pytest.fixture(scope="module")
+def touches(problem):
+    return problem.draw(COUNT, make_noise("none"), np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def batch(touches):
+    return touches.batch(COUNT, np.random.default_rng(2), PRESS_M, DECOYS)
+
+
+def test_a_batch_has_views_of_every_touch(batch):
+    assert batch.depth_m.shape == batch.seen.shape == (COUNT, 1 + DECOYS, PATCH_PX, PATCH_PX)
+    assert len(batch) == COUNT
+    assert batch.depth_m.min() >= 0
+    assert batch.depth_m.max() <= np.float32(PRESS_M)
+    assert (batch.press_m == PRESS_M).all()
+    assert batch.counts[:, 0].all()
+    assert not batch.seen.all(), "sensors see a part of each patch"
+
+
+def test_a_touch_is_near_its_label(problem, touches):
+    shown = [problem.touch(np.minimum(depth, np.float32(PRESS_M)), PRESS_M) for depth in touches.depth_m]
+    labels = problem.labels(shown, touches.T_sensor_object)
+    assert (labels.off_m <= problem.reach_m).all()
+    turn = make_transform(rotation_about([0, 0, 1], labels.yaw_rad), np.zeros(3))
+    T = turn @ problem.places.T_place_object[labels.numbers]
+    seen_m = problem.rotated.metric.symmetric_distance(move_to_anchors(shown, touches.T_sensor_object), T)
+    np.testing.assert_allclose(seen_m, labels.off_m, atol=1e-9)
+
+
+def test_the_true_view_is_more_similar_to_its_key_than_decoys(problem, batch):
+    keys = np.concatenate(list(problem.clean_keys(PRESS_M)))[batch.labels]
+    differing = np.abs(batch.depth_m - keys[:, None]) * batch.seen
+    off = differing.sum(axis=(2, 3)) / batch.seen.sum(axis=(2, 3))
+    assert np.median(off[:, 0]) < 0.1 * PRESS_M
+    wrong = np.where(batch.counts[:, 1:], off[:, 1:], np.nan)
+    assert (np.nanmean(wrong, axis=1) > off[:, 0]).mean() > 0.8
+
+
+def test_a_decoy_equivalent_by_symmetry_does_not_count():
+    whole = make_place_training_problem(symmetry="z2")
+    batch = whole.draw(COUNT, make_noise("none"), np.random.default_rng(1)).batch(
+        COUNT, np.random.default_rng(2), PRESS_M, 60
+    )
+    plain = make_place_training_problem()
+    other = plain.draw(COUNT, make_noise("none"), np.random.default_rng(1)).batch(
+        COUNT, np.random.default_rng(2), PRESS_M, 60
+    )
+    assert batch.counts.mean() < other.counts.mean()
+
+
+def test_noise_leaves_contact_in_every_touch(problem):
+    rng = np.random.default_rng(3)
+    touches = problem.draw(COUNT, make_noise("strong"), rng)
+    for press_m in problem.key_presses_m[[0, -1]]:
+        batch = touches.batch(COUNT, rng, press_m)
+        assert batch.depth_m.shape[:2] == (COUNT, 1)
+        assert (batch.depth_m[:, 0] < np.float32(press_m)).any(axis=(1, 2)).all()
+
+
+def test_the_same_seed_gives_the_same_batch(problem, batch, touches):
+    again = touches.batch(COUNT, np.random.default_rng(2), PRESS_M, DECOYS)
+    np.testing.assert_array_equal(again.depth_m, batch.depth_m)
+    np.testing.assert_array_equal(again.labels, batch.labels)
+
+
+def test_keys_are_cut_at_their_press_and_given_in_shards(problem):
+    assert 0.2 * 2e-3 < problem.key_presses_m[0] < problem.key_presses_m[-1] <= problem.scene.geometry.max_depth_m
+    shards = list(problem.clean_keys(PRESS_M))
+    assert sum(map(len, shards)) == len(problem)
+    assert max(shard.max() for shard in shards) == np.float32(PRESS_M)
+
+
+def test_key_distances_are_pose_distances_at_the_best_yaw(problem):
+    numbers = np.array([0, 1, len(problem) - 1])
+    np.testing.assert_allclose(problem.key_distances(numbers, numbers), 0.0, atol=1e-6)
+    assert (problem.key_distances(numbers, numbers[::-1])[[0, 2]] > 1e-3).all()
+
+
+def test_a_request_for_listed_poses_is_refused(problem):
+    with pytest.raises(ConfigError, match="`grid` face"):
+        _ = problem.grid
+    with pytest.raises(ConfigError, match="`grid` face"):
+        problem.shapes()

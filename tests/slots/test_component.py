@@ -1,0 +1,51 @@
+"""Every capability is read by code outside the class that declares it."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import tactile_loc
+from tactile_loc.slots.compatibility import INCOMPATIBILITIES
+from tactile_loc.slots.component import Capabilities
+
+DECLARED = {field.name for field in dataclasses.fields(Capabilities)}
+
+
+def read_in(source: str) -> Iterator[str]:
+    """Yield the attributes X that are read as `capabilities.X` or `something.capabilities.X`."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+            owner = node.value
+            name = owner.attr if isinstance(owner, ast.Attribute) else owner.id if isinstance(owner, ast.Name) else ""
+            if name == "capabilities":
+                yield node.attr
+
+
+@cache
+def read() -> frozenset[str]:
+    """The capabilities that the code reads."""
+    texts = (path.read_text() for path in Path(tactile_loc.__file__).parent.rglob("*.py"))
+    names = {name for text in texts if "capabilities." in text for name in read_in(text)}
+    return frozenset(names | {one.capability for rule in INCOMPATIBILITIES for one in (rule.first, rule.second)})
+
+
+def test_each_capability_is_read_by_code():
+    assert sorted(DECLARED - read()) == []
+
+
+def test_code_reads_only_declared_capabilities():
+    assert sorted(read() - DECLARED) == []
+
+
+def test_the_search_finds_reads_and_ignores_declarations():
+    source = "class A:\n    capabilities = Capabilities(places=True)\nif a.b.capabilities.refines: capabilities.weights"
+    assert set(read_in(source)) == {"refines", "weights"}
+
+
+def test_each_capability_is_documented():
+    text = Capabilities.__doc__ or ""
+    assert [f.name for f in dataclasses.fields(Capabilities) if f"`{f.name}`" not in text] == []

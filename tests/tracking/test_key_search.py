@@ -1,0 +1,87 @@
+"""The search of a track: touches far apart are its keys; its turns end like locating them together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from track_settings import SETTINGS
+
+from tactile_loc.core.geometry.rigid import invert, make_translation
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.tracking.key_search import KeySearch, locate_keys
+
+
+@pytest.fixture(scope="module")
+def pin(store) -> Localizer:
+    return Localizer.create("pin", store=store, tracker={"keyframes": 3}, **SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def touches(pin):
+    """Return touches whose sensor poses are 1 mm apart."""
+    return [
+        replace(touch, T_base_sensor=make_translation([1e-3 * k, 0.0, 0.0]), name=str(k))
+        for k, touch in enumerate(pin.simulate(9, seed=2))
+    ]
+
+
+def test_only_touches_far_from_all_key_touches_are_new_places(pin, touches):
+    search = KeySearch(pin).add(touches[0])
+    assert not search.is_new_place(touches[1])
+    assert search.is_new_place(touches[3])
+    assert not search.add(touches[3]).is_new_place(touches[4])
+
+
+def test_of_too_many_key_touches_one_of_the_two_nearest_is_dropped(pin, touches):
+    search = KeySearch(pin)
+    for k in (0, 3, 5, 8):
+        search = search.add(touches[k])
+    names = [key.name for key in search.keys]
+    assert len(names) == 3
+    assert {"0", "8"} < set(names)
+
+
+def test_the_turns_of_a_search_end_with_the_touches_located_together(pin, touches):
+    search = KeySearch(pin).add(touches[0]).begin(())
+    assert not search.is_due
+    finished = None
+    for _ in range(100):
+        search, finished = search.take_turn()
+        if finished is not None:
+            break
+    assert finished.keys == (touches[0],)
+    whole = locate_keys(pin, [touches[0]])
+    assert finished.found.verdict is whole.verdict
+    assert np.array_equal(finished.found.best.T_sensor_object, whole.best.T_sensor_object)
+    assert not search.is_due
+    assert search.add(touches[3]).is_due
+
+
+def test_a_restart_forgets_the_key_touches(pin, touches):
+    search = KeySearch(pin).add(touches[0]).begin(()).restart(touches[5])
+    assert search.keys == (touches[5],)
+    assert search.turns is None
+    assert search.is_due
+
+
+def test_a_search_also_refines_the_poses_that_the_search_before_listed(pin, touches):
+    search = finish(KeySearch(pin).add(touches[0]))[0]
+    listed = search.listed
+    search, finished = finish(search.add(touches[3]))
+    compared = [*finished.found.hypotheses, *finished.found.unlisted]
+    proposed = np.stack([hypothesis.T_sensor_object_grid for hypothesis in compared])
+    starts = invert(touches[0].T_base_sensor) @ listed
+    kept = [np.isclose(proposed, start).all(axis=(1, 2)).any() for start in starts]
+    assert sum(kept) > 1  # others are merged with a better pose
+    assert np.allclose(search.listed[0], touches[0].T_base_sensor @ finished.found.best.T_sensor_object)
+    assert search.restart(touches[5]).listed is None
+
+
+def finish(search):
+    """Return a search after all its turns, and its result."""
+    search, finished = search.begin(()), None
+    while finished is None:
+        search, finished = search.take_turn()
+    return search, finished
