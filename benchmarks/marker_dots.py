@@ -34,6 +34,7 @@ from tactile_loc.sensors.calibration.calibrate import Calibrated, average_errors
 from tactile_loc.sensors.calibration.frames import Frame
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 
@@ -115,7 +116,8 @@ def read_small(folder: Path, presses: PressFolder, name: str, filled: bool = Tru
 def measure_errors(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
     """Calibrate on several splits. Return the first calibration and the mean errors of the held-out presses."""
     done = [
-        calibrate(presses, presses.geometry, presses.background, "photometric", seed=seed) for seed in range(splits)
+        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), Recipe(seed=seed))
+        for seed in range(splits)
     ]
     means = [average_errors(calibrated.errors) for calibrated in done]
     return done[0], {key: float(np.mean([mean[key] for mean in means])) for key in means[0]}

@@ -17,6 +17,7 @@ from tactile_loc.sensors.calibration.frames import SHEET
 from tactile_loc.sensors.calibration.labelling import Labels, label_presses
 from tactile_loc.sensors.calibration.outcome import Outcome, calibrate_folder
 from tactile_loc.sensors.calibration.presses import SENSOR, TABLE, list_named_files
+from tactile_loc.sensors.reading.estimator import Recipe
 from tactile_loc.store.files import list_files
 from tactile_loc.store.store import StageStore
 from tactile_loc.view.calibration import save_held_out, save_labels
@@ -151,9 +152,8 @@ class Calibrator:
         shutil.copytree(self._photos, presses)
         labelled = label_presses(presses, None, 0.5 * ball_diameter_mm, mm_per_px, progress)
         self._require_untouched(labelled.labels)
-        outcome = calibrate_folder(
-            labelled.folder, labelled.sensor, options=self.options, store=self.store, progress=progress
-        )
+        recipe = Recipe(options=self.options)
+        outcome = calibrate_folder(labelled.folder, labelled.sensor, recipe, store=self.store, progress=progress)
         made = MadeSensor(outcome.write(work / name), labelled.folder, outcome, labelled.labels)
         save_held_out(made.folder, outcome)
         if labelled.labels is not None:

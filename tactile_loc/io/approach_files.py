@@ -91,12 +91,14 @@ def write_approaches(path: str | Path, approaches: Sequence[Approach], in_base: 
     key = "T_base_sensor" if in_base else "T_sensor_next"
     tables = [
         {
-            "name": approach.name or None, key: approach.T_base_sensor.tolist(),
+            "name": approach.name or None,
+            key: approach.T_base_sensor.tolist(),
             "press_depth_mm": None if approach.press_m is None else 1e3 * approach.press_m,
-            "travel_mm": 1e3 * approach.travel_m, "cost": approach.cost,
+            "travel_mm": 1e3 * approach.travel_m,
+            "cost": approach.cost,
         }
         for approach in approaches
-    ]  # fmt: skip
+    ]
     text = format_toml({"approach": tables})
     return write_text(Path(path), text)
 

@@ -22,9 +22,12 @@ from tactile_loc.store.files import recover_folder
 
 COMMAND_LINE = "the command line"  # the source of a configuration without a file
 OPTIONS = {
-    "top": "`top`", "seed": "`seed`", "coverage": "`coverage`", "tolerance": "`tolerance`",
+    "top": "`top`",
+    "seed": "`seed`",
+    "coverage": "`coverage`",
+    "tolerance": "`tolerance`",
     "touch.press_depth_mm": "`press_depth`",
-}  # fmt: skip
+}
 
 
 class _Strict(BaseModel):

@@ -37,10 +37,14 @@ from tactile_loc.store.archives import require_packing
 FORMATS = ".npz, .npy or 16-bit grey .png"  # formats of contact shapes
 PHOTO = "an 8-bit colour photo"
 PICTURES = {
-    "RGB": PHOTO, "RGBA": "an 8-bit colour photo with an alpha channel", "L": "an 8-bit grey picture",
-    "LA": "an 8-bit grey picture with an alpha channel", "1": "a black and white picture",
-    "CMYK": "a CMYK picture, in the colours of ink", "F": "a picture of floating-point numbers",
-}  # fmt: skip
+    "RGB": PHOTO,
+    "RGBA": "an 8-bit colour photo with an alpha channel",
+    "L": "an 8-bit grey picture",
+    "LA": "an 8-bit grey picture with an alpha channel",
+    "1": "a black and white picture",
+    "CMYK": "a CMYK picture, in the colours of ink",
+    "F": "a picture of floating-point numbers",
+}
 OPAQUE = 255  # value of an alpha channel
 PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "DIB", "TIFF", "WEBP", "GIF", "PPM")  # in Pillow; JPEG includes MPO
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -51,9 +55,20 @@ TILE_WIDTH, TILE_HEIGHT = 322, 323  # tags of TIFF
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 LONGEST_HEADER = 2**16  # bytes of a header of .npy; one of version 2 may state 4 GiB
 DAMAGES = (
-    EOFError, LookupError, SyntaxError, TypeError, RuntimeError, ArithmeticError, AttributeError, MemoryError,
-    lzma.LZMAError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+    EOFError,
+    LookupError,
+    SyntaxError,
+    TypeError,
+    RuntimeError,
+    ArithmeticError,
+    AttributeError,
+    MemoryError,
+    lzma.LZMAError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 UNREADABLE = (OSError, ValueError, TypeError)  # errors of reading a damaged file, or of converting its arrays
 
 

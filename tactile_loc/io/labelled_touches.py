@@ -130,8 +130,11 @@ def _read_list(path: Path) -> list[Example]:
     """Read a list of touches as one example. Touches whose pose is missing get it from the sensors' poses."""
     listed = read_touch_list(path)
     known = [_find_pose(one) for one in listed]
-    bases = [T_base_sensor @ T for one, T in zip(listed, known, strict=True)
-             if T is not None and (T_base_sensor := one.T_base_sensor) is not None]  # fmt: skip
+    bases = [
+        T_base_sensor @ T
+        for one, T in zip(listed, known, strict=True)
+        if T is not None and (T_base_sensor := one.T_base_sensor) is not None
+    ]
     touches = []
     for number, (one, T) in enumerate(zip(listed, known, strict=True), start=1):
         if T is None and bases and one.T_base_sensor is not None:

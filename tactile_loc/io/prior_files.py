@@ -111,8 +111,10 @@ class _HalfSpace(_Placed):
 
 
 _KINDS: dict[str, type[_Gaussian | _Region | _HalfSpace]] = {
-    "gaussian": _Gaussian, "region": _Region, "half-space": _HalfSpace,
-}  # fmt: skip
+    "gaussian": _Gaussian,
+    "region": _Region,
+    "half-space": _HalfSpace,
+}
 
 
 def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:

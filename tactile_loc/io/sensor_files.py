@@ -99,7 +99,11 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
     rectangle = keys.sensing_rectangle_mm
     x0, x1, y0, y1 = (v * 1e-3 for v in rectangle or (0.0,) * 4)
     return SensorGeometry(
-        keys.camera, width, height, fx, fy,
+        keys.camera,
+        width,
+        height,
+        fx,
+        fy,
         cx=width / 2 if keys.cx is None else keys.cx,
         cy=height / 2 if keys.cy is None else keys.cy,
         standoff_m=keys.standoff_mm * 1e-3,
@@ -108,7 +112,7 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
         observed=None if keys.mask is None else _read_mask(folder / keys.mask),
         relief_m=None if keys.surface is None else _read_surface(folder / keys.surface),
         gel=_build_gel(keys),
-    )  # fmt: skip
+    )
 
 
 def _build_gel(keys: _SensorFile) -> Gel:

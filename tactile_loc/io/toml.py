@@ -103,9 +103,13 @@ def explain(
 
 @contextmanager
 def name_errors(
-    where: object, model: type[BaseModel], values: dict[str, Any], what: str,
-    kind: type[TactileLocError] = ConfigError, decisive: str = "",
-) -> Iterator[None]:  # fmt: skip
+    where: object,
+    model: type[BaseModel],
+    values: dict[str, Any],
+    what: str,
+    kind: type[TactileLocError] = ConfigError,
+    decisive: str = "",
+) -> Iterator[None]:
     """Convert errors of the block, which reads a table, to errors of class `kind` whose message begins with `where`.
 
     The other arguments are those of `explain`.

@@ -134,10 +134,18 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
     if T is None and file.suffix.lower() == ".npz":
         T = read_contents(file).T_base_sensor
     return ListedTouch(
-        file, _find_sensor(keys.sensor, folder), keys.unit, scale(keys.press_depth_mm), T,
-        scale(keys.T_base_sensor_std_mm), scale(keys.T_base_sensor_std_deg, math.pi / 180), F, used, keys.kind,
+        file,
+        _find_sensor(keys.sensor, folder),
+        keys.unit,
+        scale(keys.press_depth_mm),
+        T,
+        scale(keys.T_base_sensor_std_mm),
+        scale(keys.T_base_sensor_std_deg, math.pi / 180),
+        F,
+        used,
+        keys.kind,
         read_pose(PoseKeys(), keys.T_sensor_object, "T_sensor_object"),
-    )  # fmt: skip
+    )
 
 
 def _choose_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount | None:

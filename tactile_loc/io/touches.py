@@ -103,10 +103,16 @@ def _read_npz(path: Path, geometry: SensorGeometry | None) -> FileContents:
     arrays = load_npz(path, (depth, *others))
     unit, kind, gel = (_find_text(arrays, name, path) for name in ("unit", "kind", "gel"))
     return FileContents(
-        arrays[depth], unit, _find_number(arrays, "press_depth", path),
-        _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
-        _find_number(arrays, "indentation", path), kind, gel, _find_number(arrays, "press_std", path),
-    )  # fmt: skip
+        arrays[depth],
+        unit,
+        _find_number(arrays, "press_depth", path),
+        _find_pose(arrays, "T_sensor_object", path),
+        _find_pose(arrays, "T_base_sensor", path),
+        _find_number(arrays, "indentation", path),
+        kind,
+        gel,
+        _find_number(arrays, "press_std", path),
+    )
 
 
 def _read_npy(path: Path, geometry: SensorGeometry | None) -> FileContents:
@@ -191,9 +197,12 @@ def list_touches(folder: Path, pattern: str = "*") -> list[Path]:
 
 
 def read_contact_shape(
-    path: str | Path, max_depth_m: float, unit: str | None = None, press_depth_m: float | None = None,
+    path: str | Path,
+    max_depth_m: float,
+    unit: str | None = None,
+    press_depth_m: float | None = None,
     kind: str | None = None,
-) -> ContactShape:  # fmt: skip
+) -> ContactShape:
     """Read a contact shape (H, W) of a rigid gel from an .npz, .npy or 16-bit .png file.
 
     `max_depth_m` is the sensor's maximal depth, metres. `unit` ("m", "mm" or "um") is needed if the file states no
@@ -208,9 +217,12 @@ def read_contact_shape(
 
 
 def read_touch(
-    path: str | Path, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None,
+    path: str | Path,
+    sensor: SensorModel,
+    unit: str | None = None,
+    press_depth_m: float | None = None,
     kind: str | None = None,
-) -> Touch:  # fmt: skip
+) -> Touch:
     """Read a touch of `sensor` from a file with a contact shape (see `read_contact_shape`) or a colour image.
 
     A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. A file that
@@ -258,16 +270,24 @@ def _read_mask(
     scale = 1.0 if contents.press_depth is None else _find_scale(contents, path, unit)
     press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
     return Touch.from_mask(
-        contents.depth, sensor=sensor, press_depth_m=press_m,
-        press_std_m=None if contents.press_std is None else contents.press_std * scale, name=path.name,
-        T_base_sensor=contents.T_base_sensor, T_sensor_object=contents.T_sensor_object,
-    )  # fmt: skip
+        contents.depth,
+        sensor=sensor,
+        press_depth_m=press_m,
+        press_std_m=None if contents.press_std is None else contents.press_std * scale,
+        name=path.name,
+        T_base_sensor=contents.T_base_sensor,
+        T_sensor_object=contents.T_sensor_object,
+    )
 
 
 def touch_from_image(
-    image: NDArray[Any], sensor: SensorModel, press_depth_m: float | None = None, name: str = "the image",
-    unit: str | None = None, kind: str | None = None,
-) -> Touch:  # fmt: skip
+    image: NDArray[Any],
+    sensor: SensorModel,
+    press_depth_m: float | None = None,
+    name: str = "the image",
+    unit: str | None = None,
+    kind: str | None = None,
+) -> Touch:
     """Return the touch that a sensor reads from an image (H, W, 3) uint8, or from depths (H, W).
 
     For depths, `press_depth_m`, metres, is the press depth. `unit`, by default "m", and `kind` are as for `read_touch`.
@@ -314,9 +334,14 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
 
 
 def _build_shape(
-    contents: FileContents, path: Path | str, max_depth_m: float, unit: str | None, press_depth_m: float | None,
-    kind: str | None, geometry: SensorGeometry | None = None,
-) -> ContactShape:  # fmt: skip
+    contents: FileContents,
+    path: Path | str,
+    max_depth_m: float,
+    unit: str | None,
+    press_depth_m: float | None,
+    kind: str | None,
+    geometry: SensorGeometry | None = None,
+) -> ContactShape:
     raw = contents.depth
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
         raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape must be numbers (H, W)")
@@ -329,9 +354,15 @@ def _build_shape(
         depth = blank_unobserved(depth, geometry)
     press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
     shape = contact_shape_from_array(
-        depth, max_depth_m, press_m, str(path), contents.unit is not None, known,
-        RIGID if geometry is None else geometry.gel, KIND_OPTION if contents.kind is None else None,
-    )  # fmt: skip
+        depth,
+        max_depth_m,
+        press_m,
+        str(path),
+        contents.unit is not None,
+        known,
+        RIGID if geometry is None else geometry.gel,
+        KIND_OPTION if contents.kind is None else None,
+    )
     if contents.press_depth is None:
         return shape
     if contents.indentation is not None:
@@ -347,8 +378,11 @@ def _compare_gels(stated: str | None, gel: Gel, path: Path) -> None:
         raise TouchError(f"there is no gel {stated!r}, which {path} states; {advise_choice(stated, GEL_KINDS)}")
     logger.warning(
         "%s shows %s, but the sensor has %s, so the pose will probably be wrong; set the sensor's gel to %r",
-        path, GEL_NAMES[stated], GEL_NAMES[gel.kind], stated,
-    )  # fmt: skip
+        path,
+        GEL_NAMES[stated],
+        GEL_NAMES[gel.kind],
+        stated,
+    )
 
 
 def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path | str) -> float:

@@ -73,9 +73,12 @@ def _measure_spread_m(modes: PoseModes) -> float:
 
 
 def _bring_contact_to_gel(
-    T_object_sensor: Poses, surface_m: NDArray[np.float64], finger: TriangleMesh, modes: PoseModes,
+    T_object_sensor: Poses,
+    surface_m: NDArray[np.float64],
+    finger: TriangleMesh,
+    modes: PoseModes,
     rng: np.random.Generator,
-) -> Poses:  # fmt: skip
+) -> Poses:
     """Move a sensor's pose (4, 4) sideways until the first of the points (P, 3) before the finger meets the gel.
 
     The points are on the object's surface, and lengths are in metres. After SHIFTS trials, the pose stays where it is.

@@ -180,20 +180,29 @@ def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
     """Make the record of a mount, in SI units, with the residuals of every touch."""
     touches = [
         MountTouchRecord(
-            name=touch.name, residual_m=float(last[0]), residual_rad=float(last[1]), first_residual_m=float(first[0]),
-            first_residual_rad=float(first[1]), imprint_iou=float(iou), left_out=found.explain_left_out(number),
+            name=touch.name,
+            residual_m=float(last[0]),
+            residual_rad=float(last[1]),
+            first_residual_m=float(first[0]),
+            first_residual_rad=float(first[1]),
+            imprint_iou=float(iou),
+            left_out=found.explain_left_out(number),
         )
         for number, (touch, last, first, iou) in enumerate(
             zip(found.given.touches, found.residuals, found.first_residuals, found.imprint_ious, strict=True)
         )
-    ]  # fmt: skip
+    ]
     fit, sensor = found.fit, localizer.config.sensor
     sensor_name = Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
     return MountRecord(
-        T_flange_sensor=fit.T_flange_sensor.tolist(), covariance=fit.covariance.tolist(),
-        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=sensor_name,
-        variance_factor=fit.variance, touch=touches,
-    )  # fmt: skip
+        T_flange_sensor=fit.T_flange_sensor.tolist(),
+        covariance=fit.covariance.tolist(),
+        T_base_object=fit.T_base_object.tolist(),
+        object=localizer.object.name,
+        sensor=sensor_name,
+        variance_factor=fit.variance,
+        touch=touches,
+    )
 
 
 def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:

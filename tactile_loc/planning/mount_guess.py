@@ -57,9 +57,12 @@ class MountGuess:
 
 
 def guess_mounts(
-    T_base_flange: Poses, hypotheses: Sequence[Poses], metric: PoseMetric, count: int,
+    T_base_flange: Poses,
+    hypotheses: Sequence[Poses],
+    metric: PoseMetric,
+    count: int,
     allowed: Callable[[Poses], NDArray[np.bool_]] | None = None,
-) -> list[MountGuess]:  # fmt: skip
+) -> list[MountGuess]:
     """Return at most `count` different mounts on which touches agree, the best first; there may be none.
 
     `T_base_flange` is (N, 4, 4), metres. `hypotheses` has the poses T_sensor_object (K, 4, 4), metres, of each of N
@@ -167,7 +170,7 @@ class _Nodes:
         angles = [
             np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", T[first, :3, :3], T[second, :3, :3]) - 1.0), -1.0, 1.0))
             for T in (self.flanges, self.poses)
-        ]  # fmt: skip
+        ]
         return np.asarray(np.abs(angles[0] - angles[1]) < ANGLE_RAD)
 
     def _agree(self, first: Ints, second: Ints) -> NDArray[np.bool_]:

@@ -167,9 +167,12 @@ class NextTouch:
 
 
 def choose_next_touch(
-    found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
-    renderer: Renderer | None = None, clearance: Clearance | None = None,
-) -> NextTouch:  # fmt: skip
+    found: Localization | PoseModes,
+    approaches: Sequence[Approach | Float64],
+    cost: Cost | None = None,
+    renderer: Renderer | None = None,
+    clearance: Clearance | None = None,
+) -> NextTouch:
     """Rate approaches by the entropy of the modes of `found` that is expected after each approach.
 
     An approach can also be just the pose (4, 4), metres, at which the sensor starts. Poses are in the frame of the
@@ -198,12 +201,16 @@ def choose_next_touch(
     entropies = _expect_entropies(scene, [made[k] for k in left], _select(seen, left), modes, costs[left])
     rated = [
         RatedApproach(
-            made[k], max(0.0, modes.entropy - full), max(0.0, modes.entropy - cautious), full,
-            float(modes.probabilities[seen.meets[k]].sum()), np.where(seen.meets[k], seen.travel_m[k], np.nan),
+            made[k],
+            max(0.0, modes.entropy - full),
+            max(0.0, modes.entropy - cautious),
+            full,
+            float(modes.probabilities[seen.meets[k]].sum()),
+            np.where(seen.meets[k], seen.travel_m[k], np.nan),
             float(costs[k]),
         )
         for k, (full, cautious) in zip(left, entropies.tolist(), strict=True)
-    ]  # fmt: skip
+    ]
     order = sorted(range(len(rated)), key=lambda k: (-rated[k].worth, rated[k].cost))
     return NextTouch(modes, tuple(rated[k] for k in order), outside, scene)
 
@@ -299,9 +306,7 @@ def _compare_drawn(
     return [(np.minimum(nats, MOST_NATS), located) for nats, located in found]
 
 
-def _draw(
-    glance: Scene, modes: PoseModes, seen: Foreseen
-) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:  # fmt: skip
+def _draw(glance: Scene, modes: PoseModes, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
     """Return the modes that each approach meets, and the contact depths (M, h, w), metres, that they would make."""
     poses, of = seen.T_sensor_object[seen.meets], np.nonzero(seen.meets)[1]
     every = np.empty((len(poses), *glance.geometry.shape), np.float32)
@@ -310,9 +315,7 @@ def _draw(
         for some in (drawn[start : start + AT_ONCE] for start in range(0, len(drawn), AT_ONCE)):
             every[some] = scene.render_contact_depths(poses[some])
     ends = np.cumsum(seen.meets.sum(axis=1))
-    return [
-        (np.flatnonzero(meets), some) for meets, some in zip(seen.meets, np.split(every, ends[:-1]), strict=True)
-    ]  # fmt: skip
+    return [(np.flatnonzero(meets), some) for meets, some in zip(seen.meets, np.split(every, ends[:-1]), strict=True)]
 
 
 def _expect_located(depth_m: NDArray[np.float32], geometry: SensorGeometry, half_m2: float) -> Float64:
@@ -340,11 +343,13 @@ def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> l
     """Return the reason why each approach (A,) cannot be made; "" if it can be made."""
     inside = seen.blocked @ modes.probabilities
     return [
-        "has an infinite cost" if np.isinf(price)
-        else f"would start inside or behind the object, with {100 * share:.0f} % probability" if share > IN_THE_WAY
+        "has an infinite cost"
+        if np.isinf(price)
+        else f"would start inside or behind the object, with {100 * share:.0f} % probability"
+        if share > IN_THE_WAY
         else ""
         for price, share in zip(costs, inside, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _add_collisions(

@@ -104,23 +104,32 @@ def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
     modes = found.modes
     objects = [obj for obj, _ in modes.by_object]
     return NextTouchRecord(
-        object=" or ".join(obj.name for obj in objects), symmetry=" or ".join(str(obj.symmetry) for obj in objects),
+        object=" or ".join(obj.name for obj in objects),
+        symmetry=" or ".join(str(obj.symmetry) for obj in objects),
         unlisted=modes.unlisted,
         modes=[
             ModeRecord(object=obj.name, probability=float(p), T_base_object=T.tolist())
             for obj, p, T in zip(modes.mode_objects, modes.probabilities, modes.T_base_object, strict=True)
         ],
-        entropy_nats=modes.entropy, ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
+        entropy_nats=modes.entropy,
+        ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],
-        alike=[[number + 1 for number in group] for group in found.alike], doubt_left=found.doubt_left,
+        alike=[[number + 1 for number in group] for group in found.alike],
+        doubt_left=found.doubt_left,
         stops=found.stops,
-    )  # fmt: skip
+    )
 
 
 def _record_rated(rank: int, one: RatedApproach) -> RatedRecord:
     return RatedRecord(
-        rank=rank, name=one.approach.name, T_base_sensor=one.approach.T_base_sensor.tolist(),
-        press_m=one.approach.press_m, information_nats=one.information, entropy_nats=one.entropy, worth=one.worth,
+        rank=rank,
+        name=one.approach.name,
+        T_base_sensor=one.approach.T_base_sensor.tolist(),
+        press_m=one.approach.press_m,
+        information_nats=one.information,
+        entropy_nats=one.entropy,
+        worth=one.worth,
         meets=one.meets,
-        travel_m=[None if math.isnan(m) else m for m in one.travel_m.tolist()], cost=one.cost,
-    )  # fmt: skip
+        travel_m=[None if math.isnan(m) else m for m in one.travel_m.tolist()],
+        cost=one.cost,
+    )

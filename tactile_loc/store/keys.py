@@ -138,9 +138,10 @@ def hash_code(name: str) -> str:
     folders = [] if spec is None else [Path(folder) for folder in spec.submodule_search_locations or ()]
     files = {
         path.relative_to(folder).as_posix(): path
-        for folder in folders for path in folder.rglob("*")
+        for folder in folders
+        for path in folder.rglob("*")
         if path.suffix in CODE_SUFFIXES and path.parent.name != "__pycache__"
-    }  # fmt: skip
+    }
     if spec is not None and not folders and spec.origin and Path(spec.origin).suffix in CODE_SUFFIXES:
         files = {Path(spec.origin).name: Path(spec.origin)}
     if not files:

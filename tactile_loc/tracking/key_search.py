@@ -105,9 +105,12 @@ class KeySearch:
 
 
 def search_keys(
-    localizer: Localizer, keys: tuple[Touch, ...], prior: PosePrior | None, known: tuple[Mode, ...],
+    localizer: Localizer,
+    keys: tuple[Touch, ...],
+    prior: PosePrior | None,
+    known: tuple[Mode, ...],
     starts: Poses | None = None,
-) -> Searched:  # fmt: skip
+) -> Searched:
     """Locate touches together, and compare the first pose with the `known` modes. `starts` are as for `locate_keys`."""
     found = locate_keys(localizer, keys, prior, starts)
     pause_before(1.0)  # the probability takes a whole turn

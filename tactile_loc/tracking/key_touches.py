@@ -66,9 +66,10 @@ def _add(kept: list[Touch], touch: Touch, apart_m: float, lever_m: float) -> lis
     """Return the touches with another one, unless a near one has as much contact; nearer ones with less are dropped."""
     gel_m = touch.geometry.gel_middle_m
     near = [
-        one for one in kept
+        one
+        for one in kept
         if measure_motion_m(np.asarray(one.T_base_sensor), np.asarray(touch.T_base_sensor), gel_m, lever_m) < apart_m
-    ]  # fmt: skip
+    ]
     if any(_measure_contact(one) >= _measure_contact(touch) for one in near):
         return kept
     return [*(one for one in kept if all(one is not other for other in near)), touch]

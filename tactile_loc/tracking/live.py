@@ -56,10 +56,14 @@ class LiveResult:
         """The frame as one line in the file of a live run."""
         T = self.located.T_sensor_object
         return LiveRecord(
-            number=self.frame.number, name=show_name(self.frame.name), time_s=self.frame.time_s,
-            seconds=self.located.seconds, dropped=self.dropped, T_sensor_object=None if T is None else T.tolist(),
+            number=self.frame.number,
+            name=show_name(self.frame.name),
+            time_s=self.frame.time_s,
+            seconds=self.located.seconds,
+            dropped=self.dropped,
+            T_sensor_object=None if T is None else T.tolist(),
             **record_fields(self.located),
-        )  # fmt: skip
+        )
 
 
 @dataclass(eq=False)

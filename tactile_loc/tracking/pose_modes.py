@@ -87,9 +87,13 @@ def measure_sharpness(imprint_ious: Sequence[float]) -> float:
 
 
 def find_distinct_modes(
-    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float,
+    obj: ObjectModel,
+    T_base_object: Poses,
+    probabilities: Float64,
+    geometry: SensorGeometry,
+    press_m: float,
     imprint_ious: Sequence[float] = (),
-) -> PoseModes:  # fmt: skip
+) -> PoseModes:
     """Return poses (K, 4, 4), metres, and probabilities (K,) as modes, at most MOST_MODES; merge equivalent poses.
 
     The modes' sharpness comes from `imprint_ious`, 0 to 1. Raises TouchError if all probabilities are 0.
@@ -122,10 +126,14 @@ def join_modes(every: Sequence[PoseModes], shares: Sequence[float]) -> PoseModes
     order = np.argsort(-listed, kind="stable")[:MOST_MODES]
     p, poses = listed[order], np.concatenate([m.T_base_object for m in every])[order]
     return replace(
-        every[0], object=objects[order[0]], T_base_object=poses, probabilities=p / p.sum(),
-        unlisted=max(0.0, 1 - float(p.sum())), sharpness=max(m.sharpness for m in every),
+        every[0],
+        object=objects[order[0]],
+        T_base_object=poses,
+        probabilities=p / p.sum(),
+        unlisted=max(0.0, 1 - float(p.sum())),
+        sharpness=max(m.sharpness for m in every),
         objects=tuple(objects[k] for k in order),
-    )  # fmt: skip
+    )
 
 
 def compute_entropy(p: Float64) -> Float64:

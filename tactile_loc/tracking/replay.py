@@ -106,9 +106,14 @@ class Replay:
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the frames except the localizer, as JSON values."""
         return {
-            "recording": identify_files(self.recording.path), "topic": self.topic.name, "frame": self.frame,
-            "base_frame": self.base_frame, "press_depth_m": self.press_depth_m, "unit": self.unit, "kind": self.kind,
-        }  # fmt: skip
+            "recording": identify_files(self.recording.path),
+            "topic": self.topic.name,
+            "frame": self.frame,
+            "base_frame": self.base_frame,
+            "press_depth_m": self.press_depth_m,
+            "unit": self.unit,
+            "kind": self.kind,
+        }
 
     def frames(self, estimator: Estimator, first: int = 0) -> Iterator[FrameRecord]:
         """Yield the results of the images from number `first` on.
@@ -185,9 +190,12 @@ class FolderReplay:
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the frames except the localizer, as JSON values."""
         return {
-            "folder": identify_files(self.folder), "poses": identify_files(self.sensor_track.path), "unit": self.unit,
-            "press_depth_m": self.press_depth_m, "kind": self.kind,
-        }  # fmt: skip
+            "folder": identify_files(self.folder),
+            "poses": identify_files(self.sensor_track.path),
+            "unit": self.unit,
+            "press_depth_m": self.press_depth_m,
+            "kind": self.kind,
+        }
 
     @cached_property
     def images(self) -> tuple[tuple[str, float], ...]:
@@ -260,9 +268,14 @@ def make_frame_record(frame: ReplayFrame, located: LocatedFrame) -> FrameRecord:
     moved = located if frame.T_base_sensor is None else located.view_from(frame.T_base_sensor)
     T = moved.T_sensor_object
     return FrameRecord(
-        number=frame.number, name=show_name(frame.name), stamp_ns=frame.stamp_ns, log_time_ns=frame.log_time_ns,
-        frame=frame.frame, T_frame_object=None if T is None else T.tolist(), **record_fields(moved),
-    )  # fmt: skip
+        number=frame.number,
+        name=show_name(frame.name),
+        stamp_ns=frame.stamp_ns,
+        log_time_ns=frame.log_time_ns,
+        frame=frame.frame,
+        T_frame_object=None if T is None else T.tolist(),
+        **record_fields(moved),
+    )
 
 
 class ReplaySource(Protocol):
@@ -310,9 +323,10 @@ class ReplaySummary:
         reasons = Counter(record.says or explain_verdict(record.verdict) for record in without)
         stamps = np.array([record.stamp_ns for record in records])
         return cls(
-            **count_frames(record.verdict for record in records), reasons=tuple(reasons.most_common()),
+            **count_frames(record.verdict for record in records),
+            reasons=tuple(reasons.most_common()),
             jumps_back=int((np.diff(stamps) < 0).sum()),
-        )  # fmt: skip
+        )
 
 
 def require_located(source: ReplaySource, records: Sequence[FrameRecord], summary: ReplaySummary) -> None:

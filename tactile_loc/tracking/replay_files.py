@@ -33,9 +33,24 @@ from tactile_loc.tracking.replay_modes import RestPose, fuse_frames, track_frame
 log = logging.getLogger(__name__)
 
 COLUMNS = (
-    "number", "name", "stamp_s", "verdict", "frame", "probability", "imprint_iou", "x_mm", "y_mm", "z_mm", "turn_deg",
-    "axis_x", "axis_y", "axis_z", "std_mm", "std_deg", "says",
-)  # fmt: skip
+    "number",
+    "name",
+    "stamp_s",
+    "verdict",
+    "frame",
+    "probability",
+    "imprint_iou",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "turn_deg",
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "std_mm",
+    "std_deg",
+    "says",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,9 +202,13 @@ def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
 def make_row(record: FrameRecord) -> dict[str, str]:
     """Return a frame's row of the table; a standard deviation is the root mean square over the three axes."""
     cells = {
-        "number": str(record.number), "name": record.name, "stamp_s": f"{record.stamp_ns / 1e9:.9f}",
-        "verdict": record.verdict or "", "frame": record.frame, "says": record.says,
-    }  # fmt: skip
+        "number": str(record.number),
+        "name": record.name,
+        "stamp_s": f"{record.stamp_ns / 1e9:.9f}",
+        "verdict": record.verdict or "",
+        "frame": record.frame,
+        "says": record.says,
+    }
     if record.T_frame_object is None:
         return cells
     cells |= {"probability": f"{record.probability:.4f}"}

@@ -59,10 +59,16 @@ def open_journal(path: Path, source: ReplaySource) -> Iterator[Journal]:
 def make_replay_key(source: ReplaySource) -> str:
     """Return a digest of all inputs of the frames' results: the images and the settings."""
     localizer = source.localizer
-    return StageKey("replay", VERSION, {
-        **source.describe(), "object": localizer.object.describe(), "sensor": localizer.sensor.describe(),
-        "configuration": localizer.config.resolve(),
-    }).digest  # fmt: skip
+    return StageKey(
+        "replay",
+        VERSION,
+        {
+            **source.describe(),
+            "object": localizer.object.describe(),
+            "sensor": localizer.sensor.describe(),
+            "configuration": localizer.config.resolve(),
+        },
+    ).digest
 
 
 def _keep_whole(lines: list[bytes]) -> Iterator[FrameRecord]:

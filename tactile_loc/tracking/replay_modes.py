@@ -99,10 +99,13 @@ class RestPose:
     def describe(self) -> dict[str, Any]:
         """Return the pose as JSON values, in SI units."""
         return {
-            "verdict": self.verdict, "probability": self.probability, "images": list(self.numbers),
-            "explained": self.explained, "T_base_object": self.T_base_object.tolist(),
+            "verdict": self.verdict,
+            "probability": self.probability,
+            "images": list(self.numbers),
+            "explained": self.explained,
+            "T_base_object": self.T_base_object.tolist(),
             "covariance": None if self.covariance is None else self.covariance.tolist(),
-        }  # fmt: skip
+        }
 
     def view_frame(self, frame: ReplayFrame, imprint_iou: float) -> LocatedFrame:
         """Return the pose in the sensor's frame of an image, which it explains with an imprint IoU (NaN: no touch)."""

@@ -238,6 +238,10 @@ class ModeFilter:
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
         common, covariance = self.options.common, self.options.touch_noise * covariance
         return SeenPose(
-            np.asarray(touch.T_base_sensor), T_sensor_object, common * covariance, (1 - common) * covariance, sensor,
+            np.asarray(touch.T_base_sensor),
+            T_sensor_object,
+            common * covariance,
+            (1 - common) * covariance,
+            sensor,
             self.gel_m,
-        )  # fmt: skip
+        )

@@ -111,9 +111,12 @@ class Tracker:
         self._stayed: Stayed | None = None  # the track without the latest slip, until it is clear that there was one
 
     def update(
-        self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
+        self,
+        time_s: float,
+        touch: Touch | None = None,
+        T_base_sensor: Floats | None = None,
         motion: Motion | None = None,
-    ) -> TrackedPose:  # fmt: skip
+    ) -> TrackedPose:
         """Return the pose at `time_s` seconds, given a touch, or None without contact.
 
         The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from the sensor's `motion` since
@@ -288,9 +291,7 @@ class Tracker:
         T = before @ motion.T_previous_sensor
         return T, rotate_covariance(motion.covariance, before[:3, :3])
 
-    def _result(
-        self, imprint_iou: float, searched: bool, touched: bool = True, slipped: bool = False
-    ) -> TrackedPose:  # fmt: skip
+    def _result(self, imprint_iou: float, searched: bool, touched: bool = True, slipped: bool = False) -> TrackedPose:
         T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)
         covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
         p = np.empty(0)

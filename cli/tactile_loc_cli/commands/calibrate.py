@@ -17,6 +17,7 @@ from tactile_loc_cli.options import Store, declare, set_option
 if TYPE_CHECKING:
     from tactile_loc.sensors.calibration.labelling import LabelledFolder
     from tactile_loc.sensors.calibration.outcome import Outcome
+    from tactile_loc.sensors.reading.estimator import Recipe
 
 DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"
@@ -119,15 +120,16 @@ def calibrate(
     """
     from tactile_loc.sensors.calibration.folder import require_replaceable
     from tactile_loc.sensors.calibration.labelling import label_presses
-    from tactile_loc.sensors.calibration.outcome import calibrate_folder
+    from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_folder
+    from tactile_loc.sensors.reading.estimator import Recipe
     from tactile_loc.store.store import StageStore
 
     require_writable(out)
     require_replaceable(out.absolute())
-    chosen = _parse_options(option or [])
+    recipe = Recipe(estimator, _parse_options(option or []), seed)
     _require_one_source(folder, format, background, image_size, curved, simulated, optics, presses)
     if folder is None:
-        return _calibrate_simulated(sensor, optics, presses, estimator, chosen, seed, out, store)
+        return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
     labels: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as temporary:
         if format is not None:
@@ -137,10 +139,8 @@ def calibrate(
             labelled = label_presses(folder, sensor, ball_radius, mm_per_px, make_progress())
             labels = _report_labels(labelled, ball_radius)
             folder, file = labelled.folder, labelled.sensor
-        outcome = calibrate_folder(
-            folder, file, estimator, chosen, background is Background.MEDIAN, image_size, curved, seed,
-            StageStore(store), make_progress(),
-        )  # fmt: skip
+        reading = FolderReading(background is Background.MEDIAN, image_size, curved)
+        outcome = calibrate_folder(folder, file, recipe, reading, StageStore(store), make_progress())
         return {**_finish(outcome, out), **labels}
 
 
@@ -199,19 +199,15 @@ def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[
 
 
 def _calibrate_simulated(
-    sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
-    seed: int, out: Path, store: Path | None,
-) -> dict[str, Any]:  # fmt: skip
+    sensor: str | None, optics: str | None, count: int | None, recipe: Recipe, out: Path, store: Path | None
+) -> dict[str, Any]:
     from tactile_loc.sensors.calibration.outcome import Outcome
     from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
     from tactile_loc.store.store import StageStore
 
     sensor = sensor or DEFAULT_SENSOR
     geometry, lamps = find_sensor(sensor, optics)
-    where = StageStore(store)
-    presses, made, record = calibrate_simulated(
-        geometry, lamps, count, estimator, options, seed, where, make_progress()
-    )
+    presses, made, record = calibrate_simulated(geometry, lamps, count, recipe, StageStore(store), make_progress())
     if (native := find_camera_px(sensor)) is not None:
         record["camera_px"] = native
     return _finish(Outcome(presses, made, presses.background, record), out)

@@ -168,10 +168,13 @@ def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
 
 
 def load_object(
-    path: str | Path, units: Units = "auto", symmetry: str = "auto", name: str | None = None,
+    path: str | Path,
+    units: Units = "auto",
+    symmetry: str = "auto",
+    name: str | None = None,
     read: Callable[[Path], Surface] = read_surface,
     judge: Callable[[str, TriangleMesh], SymmetryGroup] = find_symmetry,
-) -> ObjectModel:  # fmt: skip
+) -> ObjectModel:
     """Read a STEP file, any mesh that trimesh reads, or a demo object by its name; return the object in metres.
 
     `units` is the file's unit. "auto" takes the unit that the file states, or that of its format: metres for glTF. For

@@ -15,8 +15,18 @@ from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.store.files import read_json, write_text
 
 LIBRARIES = (
-    "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
-)  # fmt: skip
+    "faiss-cpu",
+    "numba",
+    "numpy",
+    "open3d",
+    "open3d-cpu",
+    "pluggy",
+    "pydantic",
+    "pyrender",
+    "scipy",
+    "torch",
+    "trimesh",
+)
 
 
 class Record(BaseModel):

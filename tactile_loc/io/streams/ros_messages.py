@@ -240,9 +240,15 @@ def make_image(values: NDArray[Any], encoding: str, stamp_ns: int, frame: str) -
     dtype = np.dtype(ENCODINGS[encoding].dtype).newbyteorder("<")
     rows = np.ascontiguousarray(values, dtype).reshape(len(values), -1)
     return _make(
-        IMAGE, header=make_header(stamp_ns, frame), height=values.shape[0], width=values.shape[1], encoding=encoding,
-        is_bigendian=0, step=rows.shape[1] * dtype.itemsize, data=rows.view(np.uint8).ravel(),
-    )  # fmt: skip
+        IMAGE,
+        header=make_header(stamp_ns, frame),
+        height=values.shape[0],
+        width=values.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=rows.shape[1] * dtype.itemsize,
+        data=rows.view(np.uint8).ravel(),
+    )
 
 
 def make_pose(pose: RosPose, stamp_ns: int, frame: str) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +12,11 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.folder import WEIGHTS
 from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.sensors.calibration.presses import TABLE, PressFolder
-from tactile_loc.sensors.reading.estimator import (
-    CalibrationProblem,
-    GelEstimator,
-    load_estimator,
-    validate_estimator_options,
-)
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, GelEstimator, Recipe
 from tactile_loc.sensors.reading.reading import Health, find_worst, measure_health, read_gel
-from tactile_loc.slots.encoder import Checkpoints
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
@@ -80,25 +73,17 @@ class Calibrated:
         return {"noise_m": mean.get("untouched_m", 0.0), "held_out": held_out, "health": self.usual.record()}
 
 
-def calibrate(
-    presses: LabelledPresses, geometry: SensorGeometry, background: Image, estimator: str,
-    options: dict[str, Any] | None = None, seed: int = 0, progress: Progress | None = None,
-    checkpoints: Checkpoints | None = None,
-) -> Calibrated:  # fmt: skip
-    """Train the named estimator on four fifths of the presses, and measure its errors on the other presses.
+def calibrate(problem: CalibrationProblem, recipe: Recipe) -> Calibrated:
+    """Train an estimator on four fifths of a problem's presses, and measure its errors on the other presses.
 
-    The training presses are drawn at random with `seed`. `background` (H, W, 3) is the image of the untouched gel.
     Raises CalibrationError when there are fewer than FEWEST presses.
     """
+    presses = problem.presses
     if len(presses) < FEWEST:
         raise CalibrationError(f"there are only {len(presses)} presses; give at least {FEWEST}, better 30")
-    kind = load_estimator(estimator)
-    made = kind(geometry, background, validate_estimator_options(kind, options or {}))
-    learned, held_out = split(len(presses), seed)
-    problem = CalibrationProblem(
-        geometry, background, Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints()
-    )
-    made.fit(problem)
+    made = recipe.make_estimator(problem.geometry, problem.background)
+    learned, held_out = split(len(presses), recipe.seed)
+    made.fit(replace(problem, presses=Chosen(presses, learned)))
     errors = tuple(measure_press(made, *presses.read_press(number)) for number in held_out)
     return Calibrated(made, held_out, errors, _measure_usual_health(made, presses, learned))
 
@@ -140,43 +125,43 @@ def _rms(values: NDArray[np.floating]) -> float:
 
 
 def calibrate_stage(
-    presses: PressFolder, folder: Path, estimator: str, options: dict[str, Any], seed: int, store: StageStore,
-    progress: Progress,
-) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
+    presses: PressFolder, folder: Path, recipe: Recipe, store: StageStore, progress: Progress
+) -> tuple[GelEstimator, dict[str, Any]]:
     """Calibrate with a folder of presses, or load the stored result.
 
     Return the estimator and a record of its errors, as JSON values.
     """
     inputs = {
-        "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
+        "table": hash_file(folder / TABLE),
+        "images": [hash_arrays(image=image) for image in presses.images],
         "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
-        "background": hash_arrays(image=presses.background), "geometry": presses.geometry.describe(),
-        "camera": presses.camera.describe(), "fit": None if presses.fit is None else presses.fit.record(),
-    }  # fmt: skip
-    return learn_stage(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
+        "background": hash_arrays(image=presses.background),
+        "geometry": presses.geometry.describe(),
+        "camera": presses.camera.describe(),
+        "fit": None if presses.fit is None else presses.fit.record(),
+    }
+    problem = CalibrationProblem(presses.geometry, presses.background, presses, progress)
+    return learn_stage(problem, recipe, inputs, store)
 
 
 def learn_stage(
-    presses: LabelledPresses, geometry: SensorGeometry, background: Image, inputs: dict[str, Any], estimator: str,
-    options: dict[str, Any], seed: int, store: StageStore, progress: Progress,
-) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
-    """Calibrate with presses, or load the stored result.
+    problem: CalibrationProblem, recipe: Recipe, inputs: dict[str, Any], store: StageStore
+) -> tuple[GelEstimator, dict[str, Any]]:
+    """Calibrate with a problem's presses, or load the stored result.
 
     `inputs`, JSON values, identify the presses and the sensor in the store. Return the estimator and a record of its
     errors, as JSON values.
     """
-    kind = load_estimator(estimator)
-    chosen = validate_estimator_options(kind, options)
-    described: dict[str, Any] = {"estimator": estimator, "options": chosen.model_dump(mode="json"), "seed": seed}
+    made = recipe.make_estimator(problem.geometry, problem.background)
+    options = made.options.model_dump(mode="json")
+    described: dict[str, Any] = {"estimator": recipe.estimator, "options": options, "seed": recipe.seed}
     key = StageKey("calibration", STAGE_VERSION, {**inputs, **described})
 
     def learn(work: Workspace) -> None:
-        checkpoints = WorkspaceCheckpoints(work)
-        done = calibrate(presses, geometry, background, estimator, options, seed, progress, checkpoints)
+        done = calibrate(replace(problem, checkpoints=WorkspaceCheckpoints(work)), recipe)
         work.save_file(WEIGHTS, done.estimator.save)
         work.save_json(RECORD, done.record())
 
     artifact = store.build(key, learn)
-    made = kind(geometry, background, chosen)
     made.load(artifact.find_file(WEIGHTS))
     return made, artifact.load_json(RECORD)

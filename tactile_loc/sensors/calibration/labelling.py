@@ -55,9 +55,12 @@ class LabelledFolder:
 
 
 def label_presses(
-    source: Path, sensor: str | None, ball_radius_mm: float | None, mm_per_px: float | None,
+    source: Path,
+    sensor: str | None,
+    ball_radius_mm: float | None,
+    mm_per_px: float | None,
     progress: Progress | None = None,
-) -> LabelledFolder:  # fmt: skip
+) -> LabelledFolder:
     """Return the folder of a source with `presses.csv` and its sensor's file.
 
     An existing table is used unchanged. Otherwise, the ball of radius `ball_radius_mm` is detected in the images, and

@@ -18,7 +18,7 @@ from tactile_loc.sensors.calibration.folder import write_calibration
 from tactile_loc.sensors.calibration.gel_fit import GelFit
 from tactile_loc.sensors.calibration.labels import Image, LabelledPresses
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
-from tactile_loc.sensors.reading.estimator import GelEstimator
+from tactile_loc.sensors.reading.estimator import GelEstimator, Recipe
 from tactile_loc.store.store import StageStore
 
 QUANTITIES = {
@@ -78,28 +78,42 @@ class Outcome:
         return write_calibration(folder, self.estimator.geometry, self.background, self.estimator, record)
 
 
-def calibrate_folder(
-    folder: Path, sensor: Path | SensorGeometry, estimator: str = "photometric", options: dict[str, Any] | None = None,
-    median_background: bool = False, size_px: tuple[int, int] | None = None, curved: bool = False, seed: int = 0,
-    store: StageStore | None = None, progress: Progress | None = None,
-) -> Outcome:  # fmt: skip
-    """Calibrate with a folder of presses and the `sensor` that took them, or its file, or load the stored result.
+@dataclass(frozen=True)
+class FolderReading:
+    """How to read a folder of presses.
 
-    Images are reduced to `size_px` (width, height), by default as by `choose_size_px`. With `curved`, the surface of a
-    curved gel is learned, too. The other arguments are those of `read_presses` and `calibrate`.
+    With `median_background`, the untouched gel is the median of the images: see `read_presses`. Images are reduced to
+    `size_px` (width, height), by default as by `choose_size_px`. With `curved`, the surface of a curved gel is learned.
+    """
+
+    median_background: bool = False
+    size_px: tuple[int, int] | None = None
+    curved: bool = False
+
+
+def calibrate_folder(
+    folder: Path,
+    sensor: Path | SensorGeometry,
+    recipe: Recipe | None = None,
+    reading: FolderReading | None = None,
+    store: StageStore | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Calibrate with a folder of presses and the `sensor` that took them, or its file, or load the stored result.
 
     Raises CalibrationError when the folder cannot be used, SensorError when the sensor's file cannot be read, and
     ConfigError for wrong options.
     """
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
-    watcher, camera = progress or Progress(), sensor if isinstance(sensor, SensorGeometry) else _read_geometry(sensor)
-    presses = read_presses(folder, camera, median_background, size_px or choose_size_px(camera))
-    if curved:
-        presses = _curve_gel(presses, seed, watcher)
+    recipe, reading, watcher = recipe or Recipe(), reading or FolderReading(), progress or Progress()
+    camera = sensor if isinstance(sensor, SensorGeometry) else _read_geometry(sensor)
+    presses = read_presses(folder, camera, reading.median_background, reading.size_px or choose_size_px(camera))
+    if reading.curved:
+        presses = _curve_gel(presses, recipe.seed, watcher)
     presses = presses.measure_gel(progress=watcher)
-    made, record = calibrate_stage(presses, folder, estimator, options or {}, seed, store or StageStore(), watcher)
-    facts = (*(_describe_curve(presses) if curved else ()), *_describe_gel(presses))
+    made, record = calibrate_stage(presses, folder, recipe, store or StageStore(), watcher)
+    facts = (*(_describe_curve(presses) if reading.curved else ()), *_describe_gel(presses))
     return Outcome(presses, made, presses.untouched, {**record, **presses.record()}, facts)
 
 

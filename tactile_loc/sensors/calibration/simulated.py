@@ -24,7 +24,7 @@ from tactile_loc.sensors.optics.gel import SOFTNESS_M
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics, choose_optics, find_optics
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import press_boards
-from tactile_loc.sensors.reading.estimator import GelEstimator, load_estimator, validate_estimator_options
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, GelEstimator, Recipe
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -69,9 +69,14 @@ class SimulatedPresses(LabelledPresses):
 
 
 def simulate_presses(
-    geometry: SensorGeometry, optics: Optics, count: int, seed: int, store: StageStore,
-    progress: Progress | None = None, variation: float = VARIATION,
-) -> SimulatedPresses:  # fmt: skip
+    geometry: SensorGeometry,
+    optics: Optics,
+    count: int,
+    seed: int,
+    store: StageStore,
+    progress: Progress | None = None,
+    variation: float = VARIATION,
+) -> SimulatedPresses:
     """Press the boards `count` times on a sensor, or load the stored presses of the same `seed`.
 
     `variation` (unitless) scales the difference between each shard's lamps and `optics` (see `Optics.vary`). All shards
@@ -80,10 +85,9 @@ def simulate_presses(
     """
     renderer = registry().create("renderer", "heightmap", {})
     untouched = render_background(geometry, optics)
-    key = StageKey("board-presses", STAGE_VERSION, {
-        "geometry": geometry.describe(), "optics": optics.describe(), "variation": variation, "count": count,
-        "seed": seed, "softness_m": SOFTNESS_M, "renderer": renderer.describe(), "shard": SHARD,
-    })  # fmt: skip
+    described = {"geometry": geometry.describe(), "optics": optics.describe(), "renderer": renderer.describe()}
+    numbers = {"variation": variation, "count": count, "seed": seed, "softness_m": SOFTNESS_M, "shard": SHARD}
+    key = StageKey("board-presses", STAGE_VERSION, {**described, **numbers})
 
     def shard(number: int, size: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         rng = np.random.default_rng([seed, number])
@@ -138,18 +142,22 @@ def find_camera_px(sensor: str) -> list[int] | None:
 
 
 def calibrate_simulated(
-    geometry: SensorGeometry, lamps: Optics, count: int | None, estimator: str, options: dict[str, Any], seed: int,
-    store: StageStore, progress: Progress | None = None,
-) -> tuple[SimulatedPresses, GelEstimator, dict[str, Any]]:  # fmt: skip
+    geometry: SensorGeometry,
+    lamps: Optics,
+    count: int | None,
+    recipe: Recipe,
+    store: StageStore,
+    progress: Progress | None = None,
+) -> tuple[SimulatedPresses, GelEstimator, dict[str, Any]]:
     """Calibrate on `count` presses of the simulated boards, or load the stored result.
 
     The default number of presses is in PRESSES. Return the presses, the estimator, and a record of the estimator's
     errors and the optics, as JSON values. Raises ConfigError for wrong options, CalibrationError for too few presses,
     and TrainingError when the training fails.
     """
-    validate_estimator_options(load_estimator(estimator), options)  # reports wrong options before rendering
+    recipe.make_estimator(geometry, render_background(geometry, lamps))  # reports wrong options before rendering
     watcher = progress or Progress()
-    presses = simulate_presses(geometry, lamps, count or PRESSES[estimator], seed, store, watcher)
-    inputs = {"presses": presses.key.digest}
-    made, record = learn_stage(presses, geometry, presses.background, inputs, estimator, options, seed, store, watcher)
+    presses = simulate_presses(geometry, lamps, count or PRESSES[recipe.estimator], recipe.seed, store, watcher)
+    problem = CalibrationProblem(geometry, presses.background, presses, watcher)
+    made, record = learn_stage(problem, recipe, {"presses": presses.key.digest}, store)
     return presses, made, {**record, "simulated": {"optics": lamps.describe(), "variation": VARIATION}}

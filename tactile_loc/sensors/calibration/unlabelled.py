@@ -338,9 +338,12 @@ def _measure_large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
 
 
 def _fit_robustly(
-    terms: NDArray[np.floating], values: NDArray[np.floating], first: NDArray[np.floating],
-    scale: Callable[[float], float], rounds: int,
-) -> tuple[Array, Array]:  # fmt: skip
+    terms: NDArray[np.floating],
+    values: NDArray[np.floating],
+    first: NDArray[np.floating],
+    scale: Callable[[float], float],
+    rounds: int,
+) -> tuple[Array, Array]:
     """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return the factors and the robust weights (P,).
 
     A robust weight is the weight in `first` (P,) times Tukey's function of the residual. `scale` maps the median

@@ -120,10 +120,14 @@ class Optics:
     def describe(self) -> dict[str, Any]:
         """Return the settings as JSON values that identify the optics. An infinite distance becomes None."""
         lights = [
-            {**asdict(v), "direction": list(v.direction), "colour": list(v.colour),
-             "distance": v.distance if math.isfinite(v.distance) else None}
+            {
+                **asdict(v),
+                "direction": list(v.direction),
+                "colour": list(v.colour),
+                "distance": v.distance if math.isfinite(v.distance) else None,
+            }
             for v in self.lights
-        ]  # fmt: skip
+        ]
         return {**asdict(self), "lights": lights, "ambient": list(self.ambient)}
 
     @classmethod
@@ -131,11 +135,13 @@ class Optics:
         """Return optics from the values of `describe`. Raises KeyError or TypeError for other values."""
         lights = tuple(
             Light(
-                tuple(v["direction"]), tuple(v["colour"]), v["strength"],
+                tuple(v["direction"]),
+                tuple(v["colour"]),
+                v["strength"],
                 math.inf if v["distance"] is None else v["distance"],
             )
             for v in described["lights"]
-        )  # fmt: skip
+        )
         return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
 
     def remove_noise(self) -> Optics:
@@ -161,10 +167,14 @@ class Optics:
         return dataclasses.replace(
             self,
             lights=tuple(dataclasses.replace(light, strength=exposure * light.strength) for light in lights),
-            ambient=(red, green, blue), dome=scaled(self.dome, 0.3), specular=scaled(self.specular, 0.2),
-            vignetting=min(1.0, scaled(self.vignetting, 0.2)), blur_m=scaled(self.blur_m, 0.2),
-            read_noise=scaled(self.read_noise, 0.2), shot_noise=scaled(self.shot_noise, 0.2),
-        )  # fmt: skip
+            ambient=(red, green, blue),
+            dome=scaled(self.dome, 0.3),
+            specular=scaled(self.specular, 0.2),
+            vignetting=min(1.0, scaled(self.vignetting, 0.2)),
+            blur_m=scaled(self.blur_m, 0.2),
+            read_noise=scaled(self.read_noise, 0.2),
+            shot_noise=scaled(self.shot_noise, 0.2),
+        )
 
 
 def _require_triple(name: str, values: Vector) -> None:
@@ -189,17 +199,33 @@ GENERIC = "gelslim"
 OPTICS = {  # matched to photos of balls pressed into one sensor of each make; other sensors differ: see `Optics.vary`
     "gelslim": Optics(
         _arrange((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
-        ambient=(0.03, 0.35, 0.03), dome=0.3, vignetting=0.35, blur_m=4e-5, read_noise=1.0, shot_noise=2.0,
+        ambient=(0.03, 0.35, 0.03),
+        dome=0.3,
+        vignetting=0.35,
+        blur_m=4e-5,
+        read_noise=1.0,
+        shot_noise=2.0,
     ),
     "gelsight-mini": Optics(
         _arrange((-100, 25, 0.55, (1.0, 0.0, 0.15)), (0, 30, 0.5, (0.05, 1.0, 0.2)), (125, 30, 0.5, (0.0, 0.25, 1.0))),
-        ambient=(0.16, 0.2, 0.24), dome=0.35, vignetting=0.35, blur_m=6e-5, read_noise=1.0, shot_noise=2.0,
+        ambient=(0.16, 0.2, 0.24),
+        dome=0.35,
+        vignetting=0.35,
+        blur_m=6e-5,
+        read_noise=1.0,
+        shot_noise=2.0,
     ),
     "digit": Optics(
         _arrange((-30, 25, 0.8, (1.0, 0.1, 0.1)), (200, 25, 0.8, (0.05, 1.0, 0.05)), (90, 25, 0.65, (0.0, 0.1, 1.0))),
-        ambient=(0.12, 0.08, 0.1), dome=0.35, specular=0.1, vignetting=0.4, blur_m=8e-5, read_noise=1.5, shot_noise=2.0,
+        ambient=(0.12, 0.08, 0.1),
+        dome=0.35,
+        specular=0.1,
+        vignetting=0.4,
+        blur_m=8e-5,
+        read_noise=1.5,
+        shot_noise=2.0,
     ),
-}  # fmt: skip
+}
 
 
 def find_optics(name: str) -> Optics:

@@ -47,6 +47,20 @@ class CalibrationProblem:
     checkpoints: Checkpoints = field(default_factory=Checkpoints)
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """How to learn an estimator: its name, its options by name, and the seed that draws the held-out presses."""
+
+    estimator: str = "photometric"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+    def make_estimator(self, geometry: SensorGeometry, background: Image) -> GelEstimator:
+        """Return the untrained estimator of a sensor. Raises ConfigError for wrong options, and as `load_estimator`."""
+        kind = load_estimator(self.estimator)
+        return kind(geometry, background, validate_estimator_options(kind, self.options))
+
+
 class GelEstimator(ABC):
     """Estimates the indentation of the gel from its image and an image of the untouched gel.
 

@@ -122,9 +122,12 @@ def extrapolate_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeom
 
 
 def find_contact_shape(
-    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True,
+    indentation_m: NDArray[np.float32],
+    geometry: SensorGeometry,
+    noise_m: float,
+    sees_skirt: bool = True,
     false_press_m: float = 0.0,
-) -> ContactShape:  # fmt: skip
+) -> ContactShape:
     """Return the contact shape that an indentation (H, W), metres, shows.
 
     `noise_m` is the standard deviation of the indentation's noise, metres. `false_press_m` is the press depth that is

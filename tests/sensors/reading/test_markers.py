@@ -17,6 +17,7 @@ from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
 from tactile_loc.sensors.reading.markers import UntouchedGel, continue_values, find_dots, mark_dots, match_dots
 
 PX = 160
@@ -219,8 +220,8 @@ def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     pytest.importorskip("torch")
     folder, balls, places = dotted
     presses = read_presses(folder, balls.geometry)
-    plain = calibrate(balls, balls.geometry, balls.background, "photometric", TINY)
-    made = calibrate(presses, presses.geometry, presses.background, "photometric", TINY)
+    plain = calibrate(CalibrationProblem(balls.geometry, balls.background, balls), Recipe("photometric", TINY))
+    made = calibrate(CalibrationProblem(presses.geometry, presses.background, presses), Recipe("photometric", TINY))
     record = {**made.record(), "dots": presses.gel.record(PITCH_M)}
     write_calibration(tmp_path / "sensor", presses.geometry, presses.gel.image, made.estimator, record)
     known = read_calibration(tmp_path / "sensor")
