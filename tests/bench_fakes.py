@@ -28,11 +28,17 @@ def tactile_loc_components() -> list[ComponentSpec]:
     sources = {"sketch": "Sketch", "photo": "Photo", "archive": "Archive"}
     methods = {"guess": "Guess", "oracle": "Oracle"}
     return [
-        *(ComponentSpec("touch-source", name, f"bench_parts:{kind}", "made up") for name, kind in sources.items()),
-        *(ComponentSpec("method", name, f"bench_parts:{kind}", "made up") for name, kind in methods.items()),
-        ComponentSpec("touch-source", "library-source", "bench_missing:Source", "made up", "touch-maker"),
-        ComponentSpec("method", "moving", "bench_moving:Moving", "made up"),
-        ComponentSpec("method", "library-method", "bench_missing:Method", "made up", "touch-finder"),
+        *(
+            ComponentSpec("touch-source", name, f"bench_parts:{kind}", "made up", interface=2)
+            for name, kind in sources.items()
+        ),
+        *(
+            ComponentSpec("method", name, f"bench_parts:{kind}", "made up", interface=2)
+            for name, kind in methods.items()
+        ),
+        ComponentSpec("touch-source", "library-source", "bench_missing:Source", "made up", "touch-maker", interface=2),
+        ComponentSpec("method", "moving", "bench_moving:Moving", "made up", interface=2),
+        ComponentSpec("method", "library-method", "bench_missing:Method", "made up", "touch-finder", interface=2),
     ]
 
 

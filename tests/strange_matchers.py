@@ -17,7 +17,7 @@ from tactile_loc.slots.registry import ComponentSpec, hookimpl, registry
 
 
 class Plain(Matcher):
-    """A matcher of interface 1 without weights."""
+    """A matcher that takes no weights, and does not declare this."""
 
     def index(self, bank):
         self.bank = np.array(bank, np.float32)
@@ -26,27 +26,17 @@ class Plain(Matcher):
         return np.float32(-0.5) * ((queries[:, None] - self.bank) ** 2).sum(axis=-1)
 
 
-class Weighing(Plain):
-    """A matcher of interface 1 with weights."""
-
-    def weighted_scores(self, queries, weights):
-        if (weights == 1).all():
-            return self.scores(queries)
-        return np.stack([(-0.5 * w * (q - self.bank) ** 2).sum(axis=1) for q, w in zip(queries, weights, strict=True)])
-
-
 class Listed(Plain):
-    """A matcher of interface 2 that declares no support for weights."""
+    """A matcher that declares no support for weights."""
 
     capabilities = Capabilities(weights=False)
 
 
 SPECS = {
-    "plain": ComponentSpec("matcher", "plain", "strange_matchers:Plain", "of interface 1"),
-    "weighing": ComponentSpec("matcher", "weighing", "strange_matchers:Weighing", "of interface 1, weighs"),
     "listed": ComponentSpec("matcher", "listed", "strange_matchers:Listed", "cannot weigh", interface=2),
-    "forgetful": ComponentSpec("matcher", "forgetful", "strange_matchers:Plain", "claims interface 2", interface=2),
-    "ahead": ComponentSpec("matcher", "ahead", "strange_matchers:Plain", "of a later interface", interface=99),
+    "forgetful": ComponentSpec("matcher", "forgetful", "strange_matchers:Plain", "claims to weigh", interface=2),
+    "behind": ComponentSpec("matcher", "behind", "strange_matchers:Listed", "of an earlier interface", interface=1),
+    "ahead": ComponentSpec("matcher", "ahead", "strange_matchers:Listed", "of a later interface", interface=99),
 }
 
 

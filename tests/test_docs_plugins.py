@@ -133,6 +133,7 @@ class FakeEntryPoint:
         (MissingLibraryError, [FakeEntryPoint("tactile-loc-spline", "bspline.refine:Spline", requires="bspline")]),
         (PluginLoadError, [FakeEntryPoint("tactile-loc-spline", "json:Spline")]),
         (PluginLoadError, [FakeEntryPoint("tactile-loc-spline", "json:Spline", interface=99)]),
+        (PluginLoadError, [FakeEntryPoint("tactile-loc-spline", "json:Spline", interface=1)]),
         (
             UnknownPluginError,
             [
@@ -141,7 +142,7 @@ class FakeEntryPoint:
             ],
         ),
     ],
-    ids=["conflict", "missing library", "broken class", "later interface", "broken plugin"],
+    ids=["conflict", "missing library", "broken class", "later interface", "earlier interface", "broken plugin"],
 )
 def test_errors_have_the_documented_text(error, plugins):
     found = Registry(plugins)

@@ -19,7 +19,6 @@ from tactile_loc.core.poses.lattices import (
     make_plane_lattice,
     require_spacing,
 )
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.slots.grid import GridSampler
@@ -143,6 +142,3 @@ def _place_centroids(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
     """Return poses (N, 4, 4), metres, with rotations R (N, 3, 3) and the centroid at x, y (N, 2), z = 0."""
     centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
     return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)
-
-
-__getattr__ = make_getattr(__name__)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.scene import Scene
@@ -135,6 +134,3 @@ def _choose_better(
     if found.T_mm is not None and after >= before - ROUGHLY:
         return RefinedPose(pose, after, found.converged and after > 0, found.iterations)
     return RefinedPose(given.copy(), before, converged=False, iterations=found.iterations)
-
-
-__getattr__ = make_getattr(__name__)

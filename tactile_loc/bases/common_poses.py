@@ -15,7 +15,6 @@ from tactile_loc.core.geometry.rigid import Poses, invert, require_rigid
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.errors import ConfigError, GridError, quote
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.turns import split_into_turns
@@ -222,6 +221,3 @@ def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list
         order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))
         left = left & touching.pop(order[-1])
     return order
-
-
-__getattr__ = make_getattr(__name__)

@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
 from tactile_loc.io.toml import (
     MATRIX,
@@ -34,7 +33,6 @@ FRAME = "'sensor' or 'base', the frame of the other numbers"
 KIND = "'gaussian', 'region' or 'half-space'"
 
 
-@keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class FramedPrior:
     """A prior, and the frame that its file states: "sensor" or "base". `source` names the file."""

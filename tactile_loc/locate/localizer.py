@@ -21,7 +21,6 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.blas import use_one_blas_thread
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError, quote
 from tactile_loc.core.runtime.progress import Progress, StageTimes
 from tactile_loc.core.sensing.noise import TouchNoise, make_noise
@@ -55,7 +54,6 @@ from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 
-@keep_old_names(most_probable_pose="find_most_probable_pose")
 class Localizer:
     """Locates one object with one sensor. Build it once, then use it for any number of touches.
 

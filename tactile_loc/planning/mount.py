@@ -28,7 +28,6 @@ from tactile_loc.core.geometry.hand_eye import (
 from tactile_loc.core.geometry.rigid import Poses, move_covariance, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import GridError, MountError, TouchError
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
@@ -52,7 +51,6 @@ NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad,
 Floats = NDArray[np.float64]
 
 
-@keep_old_names(only="select")
 @dataclass(frozen=True, eq=False)
 class FlangeTouches:
     """N touches of one object at rest by one sensor, with the flange's poses T_base_flange (N, 4, 4), metres.
@@ -87,7 +85,6 @@ class Measured:
     covariances: Floats
 
 
-@keep_old_names(why_left_out="explain_left_out")
 @dataclass(frozen=True, eq=False)
 class FoundMount:
     """A mount found from N touches: the `fit` to the touches `kept` (N,), and the `guess` from which it started.

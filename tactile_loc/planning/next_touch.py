@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.gel_surface import deform_gel, mark_touching
 from tactile_loc.core.sensing.scene import Scene
@@ -383,6 +382,3 @@ def _find_press_m(approach: Approach, modes: PoseModes) -> float:
 
 def _select(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:
     return Foreseen(*(getattr(seen, field.name)[which] for field in dataclasses.fields(seen)))
-
-
-__getattr__ = make_getattr(__name__)

@@ -41,11 +41,12 @@ class Incompatibility:
 
 INCOMPATIBILITIES = (
     Incompatibility(
-        Declared("grid", "places", True), Declared("matcher", "weights", False),
+        Declared("grid", "places", True),
+        Declared("matcher", "weights", False),
         "a touch shows only a part of a place, and this matcher cannot compare parts",
         "choose another matcher, such as dense, or a grid that lists poses, such as face",
     ),
-)  # fmt: skip
+)
 
 
 def require_compatible(components: Mapping[str, Component], names: Mapping[str, str]) -> None:
@@ -57,6 +58,4 @@ def require_compatible(components: Mapping[str, Component], names: Mapping[str, 
         if rule.applies(components):
             slots = (rule.first.slot, rule.second.slot)
             pair = " and ".join(f"the {slot} {names[slot]!r}" for slot in slots)
-            changes = [components[slot].outdated for slot in slots if components[slot].outdated]
-            change = f", or bring the plugin to the current interface: {'; '.join(changes)}" if changes else ""
-            raise ConfigError(f"{pair} cannot be combined: {rule.reason}; {rule.advice}{change}")
+            raise ConfigError(f"{pair} cannot be combined: {rule.reason}; {rule.advice}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from dataclasses import InitVar, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from tactile_loc.core.runtime.options import ComponentOptions
@@ -23,8 +23,6 @@ class Capabilities:
     - `covariances`: the refiner estimates covariances.
     - `contact_only`: the fuser uses only which poses touch a sensor, not their probabilities.
     - `places`: the grid lists the object's places instead of poses.
-
-    `uses_normals`, `differentiable` and `device` were part of interface 1, and are ignored.
     """
 
     deterministic: bool = True
@@ -37,12 +35,6 @@ class Capabilities:
     contact_only: bool = False
     places: bool = False
     covariances: bool = False
-    uses_normals: InitVar[bool] = False
-    differentiable: InitVar[bool] = False
-    device: InitVar[str] = "cpu"
-
-    def __post_init__(self, uses_normals: bool, differentiable: bool, device: str) -> None:
-        """Ignore the capabilities that only interface 1 had."""
 
 
 class Component(ABC):
@@ -50,14 +42,12 @@ class Component(ABC):
 
     Several threads may call a component at once.
 
-    `version` is part of the store's keys. Raise it when the component's output changes. If a component was written for
-    an earlier interface, `outdated` states the changes that the component needs. The registry sets `outdated`.
+    `version` is part of the store's keys. Raise it when the component's output changes.
     """
 
     slot: ClassVar[str]
     version: ClassVar[int] = 1
     capabilities: ClassVar[Capabilities] = Capabilities()
-    outdated: ClassVar[str] = ""
 
     class Options(ComponentOptions):
         """No options."""

@@ -27,7 +27,7 @@ from tactile_loc.core.runtime.errors import (
     did_you_mean,
     quote,
 )
-from tactile_loc.slots.interface import INTERFACE_VERSION, adapt, require_interface
+from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, require_interface
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
@@ -125,7 +125,7 @@ class Registry:
         slot = getattr(kind, "slot", "")
         try:
             _require_component(kind, slot)
-            require_interface(kind, slot, INTERFACE_VERSION)
+            require_interface(kind, slot)
         except TypeError as error:
             raise PluginLoadError(f"the component {name!r} cannot be added: {error}") from error
         others = [c for c in self.components if (c.spec.slot, c.spec.name, c.distribution) != (slot, name, ADDED)]
@@ -162,28 +162,21 @@ class Registry:
         return f"there is no {slot} {name!r}{also}; {advise_choice(name, self.names(slot))}{broken}".replace("?.", "?")
 
     def load(self, slot: str, name: str) -> type[Any]:
-        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or an error of `find`.
-
-        A component for an earlier interface is adapted as far as possible; see `interface.adapt`.
-        """
+        """Import and return the class of a component. Raises PluginLoadError, MissingLibraryError or as `find`."""
         found = self.find(slot, name)
-        if found.spec.interface > INTERFACE_VERSION:
-            raise PluginLoadError(
-                f"the {slot} {name!r} of {found.distribution} needs plugin interface {found.spec.interface}, but this "
-                f"tactile-loc has {INTERFACE_VERSION}: pip install --upgrade tactile-loc"
-            )
+        if reason := explain_version(found.spec.interface, found.distribution):
+            raise PluginLoadError(f"the {slot} {name!r} of {found.distribution} {reason}")
         if found.spec not in self._kinds:
             self._kinds[found.spec] = self._import_component(found)
         return self._kinds[found.spec]
 
     def _import_component(self, found: Registered) -> Any:
-        slot, name, interface = found.spec.slot, found.spec.name, found.spec.interface
+        slot, name = found.spec.slot, found.spec.name
         module, _, attribute = found.spec.target.partition(":")
         try:
             kind = getattr(importlib.import_module(module), attribute)
             _require_component(kind, slot)
-            require_interface(kind, slot, interface)
-            kind = adapt(kind, slot, interface)
+            require_interface(kind, slot)
             logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
             return kind
         except Exception as error:

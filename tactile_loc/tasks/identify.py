@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from tactile_loc.bases.common_poses import require_sensor_poses
 from tactile_loc.core.poses.ranking import TIE_NATS, group_ties
 from tactile_loc.core.runtime.compiled import map_in_threads
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
@@ -61,7 +60,6 @@ TYPICAL = Scalings(TemperatureScaling(0.021, 0.4, (-6.4, 7.8)), FusedScaling(0.4
 ALONE, EXPLAINED = 2, 0.2
 
 
-@keep_old_names(shortfall="misfit")
 @dataclass(frozen=True, eq=False)
 class KnownObject:
     """One object of the library, and the result of comparing it with touches.

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from pydantic import AliasChoices, Field
+from pydantic import Field
 
 from tactile_loc.core.runtime.errors import ConfigError, ObjectError
 from tactile_loc.core.runtime.formatting import format_percent
@@ -52,7 +52,6 @@ class KnownObjectRecord(Record):
         description="the evidence that its best pose in a rough search lacks to explain the touches fully; null: none",
     )
     misfit_nats: float | None = Field(
-        validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # its former name
         description="the evidence that its best pose lacks to explain the touches fully; null: it was not located",
     )
     poses: list[PoseRecord] = Field(description="its possible poses, the most probable first")

@@ -26,7 +26,6 @@ import importlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.registry import KINDS
 from tactile_loc.testing import contract
@@ -85,6 +84,3 @@ def _parametrize(components: Iterable[Component], chosen: Callable[[Component], 
         for check in chosen(component)
     ]
     return pytest.mark.parametrize(("component", "check"), cases)
-
-
-__getattr__ = make_getattr(__name__)

@@ -17,7 +17,6 @@ from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.runtime.deprecation import keep_old_names, make_getattr
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -224,7 +223,6 @@ POSE = (0.0012, -0.0009, np.radians(25.0))  # the pressed block's x, y, metres, 
 OFFSETS = ((0.0008, -0.0006, 0.0), (-0.0007, 0.0, np.radians(4.0)), (0.0, 0.0009, np.radians(-5.0)))
 
 
-@keep_old_names(candidate="make_candidate", error_m="measure_error_m")
 @dataclass(frozen=True, eq=False)
 class PressedBlock:
     """A touch, its scene, and the true T_sensor_object (4, 4), metres."""
@@ -362,6 +360,3 @@ def make_place_training_problem(symmetry: str = "none") -> PlaceProblem:
     scene = Scene(obj, LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     sampler = registry().create("grid", "whole", {"directions": 100})
     return PlaceProblem(sampler.places(obj, Progress()), scene, sampler)
-
-
-__getattr__ = make_getattr(__name__)

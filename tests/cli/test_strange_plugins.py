@@ -13,7 +13,7 @@ from tactile_loc.slots.registry import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components():
-    return [ComponentSpec("refiner", {name!r}, "{module}_parts:Part", "made up", {requires!r})]
+    return [ComponentSpec("refiner", {name!r}, "{module}_parts:Part", "made up", {requires!r}, interface=2)]
 """
 
 

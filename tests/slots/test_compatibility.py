@@ -18,7 +18,7 @@ def declaring(*declared: Declared) -> dict:
     made = {}
     for one in declared:
         capabilities = dataclasses.replace(Capabilities(), **{one.capability: one.value})
-        made[one.slot] = SimpleNamespace(capabilities=capabilities, outdated="")
+        made[one.slot] = SimpleNamespace(capabilities=capabilities)
     return made
 
 
@@ -43,14 +43,6 @@ def test_either_component_is_accepted_alone(rule):
         components = declaring(one, dataclasses.replace(other, value=not other.value))
         require_compatible(components, names(components))
         require_compatible(declaring(one), names(components))
-
-
-@pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
-def test_the_error_names_the_required_change_of_an_outdated_plugin(rule):
-    components = declaring(rule.first, rule.second)
-    components[rule.second.slot].outdated = "turn it inside out"
-    with pytest.raises(ConfigError, match="turn it inside out"):
-        require_compatible(components, names(components))
 
 
 def test_rules_name_existing_slots_and_capabilities():

@@ -36,7 +36,7 @@ def tactile_loc_components():
 
 
 def spec(slot: str, name: str, target: str, requires: str = "") -> str:
-    return f"ComponentSpec({slot!r}, {name!r}, {target!r}, 'a test', {requires!r})"
+    return f"ComponentSpec({slot!r}, {name!r}, {target!r}, 'a test', {requires!r}, interface=2)"
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,8 @@ from tactile_loc.slots.registry import ComponentSpec, hookimpl
 @hookimpl
 def tactile_loc_components():
     names = {"raising": "Raising", "grumbling": "Grumbling", "lethal": "Lethal", "telling": "Telling"}
-    return [ComponentSpec("refiner", name, f"sweep_faults_parts:{kind}", "made up") for name, kind in names.items()]
+    parts = {name: f"sweep_faults_parts:{kind}" for name, kind in names.items()}
+    return [ComponentSpec("refiner", name, part, "made up", interface=2) for name, part in parts.items()]
 """
 
 PARTS = '''

@@ -97,21 +97,12 @@ def _describe_component(registered: Registered) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _say_interface(component: dict[str, Any], outdated: str = "") -> None:
-    """Report a component that was written for another version of the plugin interface.
+def _say_interface(component: dict[str, Any]) -> None:
+    """Report a component that was written for another version of the plugin interface."""
+    from tactile_loc.slots.interface import explain_version
 
-    `outdated` describes the change that the component needs. It is known only after the class is imported.
-    """
-    from tactile_loc.slots.interface import INTERFACE_VERSION
-
-    written, named = component["interface"], "the {slot} {name!r} of {distribution}".format(**component)
-    if written > INTERFACE_VERSION:
-        say(f"interface: {named} needs plugin interface {written}, but this tactile-loc has {INTERFACE_VERSION}: "
-            "pip install --upgrade tactile-loc")  # fmt: skip
-    elif written < INTERFACE_VERSION:
-        advice = f"; {outdated}" if outdated else ""
-        say(f"interface: {named} was written for plugin interface {written}, but this tactile-loc has "
-            f"{INTERFACE_VERSION}{advice}")  # fmt: skip
+    if reason := explain_version(component["interface"], component["distribution"]):
+        say("interface: the {slot} {name!r} of {distribution} {reason}".format(reason=reason, **component))
 
 
 def _find_conflicts(components: Sequence[Registered]) -> list[dict[str, Any]]:
@@ -130,12 +121,11 @@ def _show_options(found: Registry, slot: str, name: str) -> dict[str, Any]:
     kind = found.load(slot, name)
     options = [_describe_option(f"{slot}.{key}", field) for key, field in kind.Options.model_fields.items()]
     say(_format_heading(component))
-    _say_interface(component, kind.outdated)
     if options:
         _say_columns(("option", "type", "default", "meaning"), options)
     else:
         say("no options")
-    return {**component, "outdated": kind.outdated, "options": options}
+    return {**component, "options": options}
 
 
 def _format_heading(component: dict[str, Any]) -> str:
@@ -173,7 +163,6 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
     about = _describe_component(found.find(slot, name))
     component = _make(found, slot, name, words)
     say(_format_heading(about))
-    _say_interface(about, component.outdated)
     checks = []
     for result in iter_checks(component, properties):
         say(f"ok      {result.name}" if result.passed else f"FAILED  {result.name}: {result.problem}")
@@ -182,8 +171,7 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
     passed = len(checks) - failed
     say(f"{passed} of {len(checks)} checks passed" + (f", {failed} failed" if failed else ""))
     options = component.options.model_dump(mode="json")
-    outcome = {**about, "outdated": component.outdated, "options": options}
-    outcome |= {"passed": passed, "failed": failed, "checks": checks}
+    outcome = {**about, "options": options, "passed": passed, "failed": failed, "checks": checks}
     if failed:
         raise Finding(BROKEN_CONTRACT, outcome)
     return outcome

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import FrameError, advise_choice
 
 Transform = NDArray[np.float64]
@@ -74,7 +73,6 @@ class Edge:
         return f"{self.child!r} in {self.parent!r}"
 
 
-@keep_old_names(lookup="look_up")
 class FrameTree:
     """A tree of named frames. Each frame has one parent, except a frame at the top."""
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.errors import ConfigError, TactileLocError
 
 Array = NDArray[np.float64]
@@ -260,6 +259,3 @@ def _convert_numbers(values: ArrayLike) -> Array | None:
     except ValueError:  # rows of different lengths
         return None
     return found.astype(np.float64) if found.dtype.kind in "fiu" else None
-
-
-__getattr__ = make_getattr(__name__)

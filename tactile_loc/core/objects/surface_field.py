@@ -20,7 +20,6 @@ from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.byte_cache import ByteCache
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
-from tactile_loc.core.runtime.deprecation import keep_old_names
 
 CELL_M = 5e-4  # side of a cell of a field by default
 MOST_CELLS = 6_000_000
@@ -30,7 +29,6 @@ SAME, SAME_SQUARED = 1e-9, 1e-18  # squared distances are equal up to this share
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
-@keep_old_names(in_unit="to_unit", closest="find_closest")
 @dataclass(frozen=True, eq=False)
 class SurfaceField:
     """The nearest surface points of a mesh, for points up to `reach_m` metres from the mesh."""

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import SymmetryError
 
 MAX_ORDER = 120
@@ -73,7 +72,6 @@ def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.flo
     return np.stack(found)
 
 
-@keep_old_names(elements="list_elements", canonical="find_canonical", least_angle="measure_least_angle")
 @dataclass(frozen=True, eq=False)
 class SymmetryGroup:
     """The proper rotations about `centre_m` (3,) in the object frame that map an object onto itself.

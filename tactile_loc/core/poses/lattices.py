@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.errors import GridError
 
 Float = NDArray[np.float64]
@@ -82,6 +81,3 @@ def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float
     points = np.asarray(points_m, float)[..., :2]
     x0, x1, y0, y1 = rectangle_m
     return np.array([x0, y0]) - points.max(axis=-2), np.array([x1, y1]) - points.min(axis=-2)
-
-
-__getattr__ = make_getattr(__name__)

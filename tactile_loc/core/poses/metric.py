@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, make_transform, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import GridError
 
 SPACING_SAMPLE = 1000
@@ -101,7 +100,6 @@ class PoseMetric:
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
 
-@keep_old_names(raised="raise_level", within="find_within")
 @dataclass(frozen=True, eq=False)
 class PoseGrid:
     """The discrete contact poses that are searched: `T_sensor_object` (N, 4, 4), metres. Raises GridError if empty."""

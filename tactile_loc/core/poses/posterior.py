@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.ranking import TIE_NATS, rank_poses
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import GridError
 
 MOST_CLUSTERED = 2000
@@ -31,7 +30,6 @@ class Mode:
     members: NDArray[np.int64]
 
 
-@keep_old_names(tempered="temper")
 @dataclass(frozen=True, eq=False)
 class PosePosterior:
     """Log-probabilities `log_p` (N,) of a grid's poses. An excluded pose has -inf.

@@ -18,7 +18,6 @@ from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, r
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.deprecation import keep_old_names, make_getattr
 from tactile_loc.core.runtime.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -32,7 +31,6 @@ PAIRS = 500_000  # largest number of pairs of poses and kernels computed at once
 Prior = Callable[[Poses], NDArray[np.float64]]
 
 
-@keep_old_names(tempered="temper", seen_from="view_from")
 class PosePrior(ABC):
     """Base class for priors over poses in the sensor frame. `view_from` converts a prior over base-frame poses."""
 
@@ -290,6 +288,3 @@ def _require_numbers(values: ArrayLike, what: str) -> Array:
     if found.shape != (3,) or np.isnan(found).any():
         raise ConfigError(f"{what} is {values!r}; give three numbers")
     return found
-
-
-__getattr__ = make_getattr(__name__)

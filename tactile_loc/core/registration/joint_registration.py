@@ -26,7 +26,6 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
 from tactile_loc.core.registration.observations import MILLI, observe
 from tactile_loc.core.registration.prior_factors import Pulls, fit_pulls
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.scene import View
 
@@ -57,7 +56,6 @@ class RegistrationOptions(ComponentOptions):
     press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, as a share of it")
 
 
-@keep_old_names(settle="register_coarsely", scales_mm="list_scales_mm")
 class JointRegistration:
     """Registers poses to touches. An engine holds only options, so it serves any object and any touches."""
 

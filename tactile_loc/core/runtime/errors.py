@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.formatting import show_name
 
 MOST_LETTERS = 1500  # largest length of a message
@@ -214,6 +213,3 @@ def advise_choice(name: str, known: Iterable[str]) -> str:
     listed = f"{', '.join(others)} or {last}" if others else last
     near = did_you_mean(name, names)
     return f"choose {listed}" + (f".{near}" if near else "")
-
-
-__getattr__ = make_getattr(__name__)

@@ -10,8 +10,6 @@ from contextlib import suppress
 from threading import Thread
 from typing import Any
 
-from tactile_loc.core.runtime.deprecation import find_renamed
-
 
 def lazy_names(
     module: str, **made: Callable[[], Any]
@@ -19,7 +17,7 @@ def lazy_names(
     """Return `__all__`, `__getattr__` and `__dir__` of a module, from the names under its `if TYPE_CHECKING:`.
 
     Type checkers read the same block, so each name and its module are written only once. `made` are other names, with
-    functions that make their values. `__getattr__` also finds the old names of renamed functions, and warns.
+    functions that make their values.
     """
     loader: Any = vars(sys.modules[module])["__spec__"].loader
     homes = _imports_for_type_checkers(loader.get_source(module))
@@ -29,7 +27,7 @@ def lazy_names(
             return getattr(importlib.import_module(homes[name]), name)
         if name in made:
             return made[name]()
-        return find_renamed(module, name)
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
 
     return sorted(homes), attribute, lambda: sorted(homes)
 

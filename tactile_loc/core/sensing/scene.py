@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Float32, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.places.imprints import Explained, compare_imprints
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
 from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
@@ -39,17 +38,6 @@ class DepthRenderer(Protocol):
         """Return camera depths (N, H, W), metres, for poses (N, 4, 4) with different rotations."""
 
 
-@keep_old_names(
-    as_seen="use_pressed_drawing",
-    in_contact="bring_to_contact",
-    nearly_in_contact="bring_near_contact",
-    pressed="press",
-    of_touch="match_touch",
-    contact_depths="render_contact_depths",
-    grid_depths="render_grid_depths",
-    depths_explaining="render_depths_to_compare",
-    explained="compare_imprints",
-)
 @dataclass(frozen=True, eq=False)
 class Scene:
     """An object, the sensor's geometry and a renderer. `drawing` is "pressed" or "paper": see `find_drawing`.
@@ -239,7 +227,6 @@ def _estimate_press_error_m(touch: Touch) -> float:
     return LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
 
 
-@keep_old_names(explained="compare_imprints")
 @dataclass(frozen=True, eq=False)
 class View:
     """One of several touches, with its scene and the transform from the first sensor's frame.

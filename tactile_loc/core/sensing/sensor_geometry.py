@@ -17,7 +17,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.gel import RIGID, SOLVER_VERSION, Gel
 
@@ -28,7 +27,6 @@ FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # limits of plausible pixels per metre
 SAME_RELIEF_M = 5e-5  # two gels count as the same if their surfaces differ by less
 
 
-@keep_old_names(resized="resize", every="subsample", pressed="press", with_long_side="resize_long_side")
 @dataclass(frozen=True, eq=False)
 class SensorGeometry:
     """A sensor's virtual camera and gel, with or without an object that is pressed in.

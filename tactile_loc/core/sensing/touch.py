@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.geometry.rigid import require_rigid
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.sensing.depth_maps import (
@@ -36,7 +35,6 @@ MOST_DIMPLE = 0.5  # depth, share of a given press depth, of a dimple in a flat 
 TINY_M = 2e-6  # smallest plausible range of a touch's depths
 
 
-@keep_old_names(every="subsample", pressed_to="press_to")
 @dataclass(frozen=True, eq=False)
 class ContactShape:
     """An image of the distance of the object's surface from full penetration.
@@ -110,7 +108,6 @@ class HasGeometry(Protocol):
         """The sensor's camera and gel."""
 
 
-@keep_old_names(thinned="thin")
 @dataclass(frozen=True, eq=False)
 class Touch:
     """One tactile observation.

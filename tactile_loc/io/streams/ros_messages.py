@@ -22,7 +22,6 @@ from tactile_loc.core.geometry.rigid import (
     require_unit,
     rotation_to_quaternion_xyzw,
 )
-from tactile_loc.core.runtime.deprecation import make_getattr
 from tactile_loc.core.runtime.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.io.images import UNREADABLE, find_colours, load_image, name_kind, require_opaque
 
@@ -298,6 +297,3 @@ def _make_vector(kind: str, values: tuple[float, ...]) -> Any:
 
 def _make(type_name: str, **fields: Any) -> Any:
     return load_types(CDR).types[type_name](**fields)
-
-
-__getattr__ = make_getattr(__name__)

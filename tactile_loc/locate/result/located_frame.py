@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.geometry.rigid import rotate_covariance
-from tactile_loc.core.runtime.deprecation import keep_old_names
 from tactile_loc.core.runtime.errors import GridError, NoContactError, TactileLocError
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.locate.result.localization import Localization
@@ -25,7 +24,6 @@ from tactile_loc.locate.result.verdict import Verdict, name_verdict
 Floats = NDArray[np.float64]
 
 
-@keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class LocatedFrame:
     """The object's pose at one frame.
