@@ -23,7 +23,7 @@ from real_images import SETS, read, write_head
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.calibrate import measure_press, split
-from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.labels import STEEPEST, Chosen
 from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
@@ -38,8 +38,8 @@ LEARNED = ("hand", "found", "moved")
 
 def find(presses: PressFolder, name: str) -> FoundPresses:
     """Find the balls in a set's images, including the image of the untouched gel if there is one."""
-    frames = [Frame(row.image.name, image) for row, image in zip(presses.rows, presses.images, strict=True)]
-    gel = [] if name == "FOTS" else [Frame("untouched", presses.background)]
+    frames = [PressImage(row.image.name, image) for row, image in zip(presses.rows, presses.images, strict=True)]
+    gel = [] if name == "FOTS" else [PressImage("untouched", presses.background)]
     return find_presses([*frames, *gel], SETS[name][2] / SETS[name][3])
 
 

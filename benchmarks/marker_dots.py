@@ -31,10 +31,10 @@ from real_images import PRESSES_MM, SETS, SpherePress, write_head
 
 from tactile_loc.io.images import load_image, write_image
 from tactile_loc.sensors.calibration.calibrate import Calibrated, average_errors, calibrate
-from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 
@@ -116,7 +116,7 @@ def read_small(folder: Path, presses: PressFolder, name: str, filled: bool = Tru
 def measure_errors(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
     """Calibrate on several splits. Return the first calibration and the mean errors of the held-out presses."""
     done = [
-        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), Recipe(seed=seed))
+        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), EstimatorRecipe(seed=seed))
         for seed in range(splits)
     ]
     means = [average_errors(calibrated.errors) for calibrated in done]
@@ -186,8 +186,8 @@ def _enlarge(values: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np
 
 def compare_circles(plain: PressFolder, dotted: Path, gel: NDArray[np.uint8]) -> str:
     """Find circles without labels in dotted images. Return the number of presses, and the distances from labels."""
-    frames = [Frame(row.image.name, load_image(dotted / row.image.name, "RGB")[1]) for row in plain.rows]
-    found = find_presses([Frame("untouched", gel), *frames])
+    frames = [PressImage(row.image.name, load_image(dotted / row.image.name, "RGB")[1]) for row in plain.rows]
+    found = find_presses([PressImage("untouched", gel), *frames])
     labels = {row.image.name: row for row in plain.rows}
     off = []
     for press in found.used:

@@ -31,7 +31,7 @@ from tactile_loc.sensors.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.calibration.folder import write_calibration
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, convert, read_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
 from tactile_loc.store.store import StageStore
 
@@ -105,7 +105,7 @@ def _resize(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint
 def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
     """Calibrate on several splits. Return the first calibration and the mean errors."""
     done = [
-        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), Recipe(seed=seed))
+        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), EstimatorRecipe(seed=seed))
         for seed in range(splits)
     ]
     means = [calibrated.record()["held_out"]["mean"] for calibrated in done]

@@ -36,7 +36,7 @@ from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_
 from tactile_loc.sensors.optics.gel import find_indentation, press_gel
 from tactile_loc.sensors.optics.lamps import Optics
 from tactile_loc.sensors.optics.simulate import render_touches
-from tactile_loc.sensors.reading.estimator import GelEstimator, Recipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator
 from tactile_loc.sensors.reading.reading import find_contact_shape, measure_press_m
 from tactile_loc.store.store import StageStore
 
@@ -132,7 +132,7 @@ def main() -> None:
     options = parse_overrides([f"sensor.{word}" for word in arguments.option]).get("sensor", {})
     start = time.perf_counter()
     presses, estimator, record = calibrate_simulated(
-        geometry, lamps, arguments.presses, Recipe(arguments.estimator, options), StageStore(arguments.store)
+        geometry, lamps, arguments.presses, EstimatorRecipe(arguments.estimator, options), StageStore(arguments.store)
     )
     held_out = ", ".join(f"{k} {v:.3g}" for k, v in record["held_out"]["mean"].items())
     print(f"{arguments.estimator}, {len(presses)} presses, {time.perf_counter() - start:.0f} s; held out: {held_out}\n")

@@ -18,7 +18,7 @@ from tactile_loc.sensors.calibration.labels import LabelledPresses, PressLabel, 
 from tactile_loc.sensors.optics.gel import press_gel
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 
 MM = 1e-3
 BALL_M = 3e-3
@@ -169,7 +169,8 @@ def write_calibrated(folder: Path, learned_from: BallSet | None = None, **option
         estimator = PhotometricEstimator(geometry, gel, validate_estimator_options(PhotometricEstimator, chosen))
         return write_calibration(folder, geometry, gel, estimator, {"noise_m": 5e-6})
     made = calibrate(
-        CalibrationProblem(learned_from.geometry, learned_from.background, learned_from), Recipe("photometric", chosen)
+        CalibrationProblem(learned_from.geometry, learned_from.background, learned_from),
+        EstimatorRecipe("photometric", chosen),
     )
     return write_calibration(folder, learned_from.geometry, learned_from.background, made.estimator, made.record())
 

@@ -14,10 +14,10 @@ from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, U
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
 from tactile_loc.sensors.calibration.frames import SHEET
-from tactile_loc.sensors.calibration.labelling import Labels, label_presses
-from tactile_loc.sensors.calibration.outcome import Outcome, calibrate_folder
+from tactile_loc.sensors.calibration.labelling import BallLabels, label_presses
+from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate_folder
 from tactile_loc.sensors.calibration.presses import SENSOR, TABLE, list_named_files
-from tactile_loc.sensors.reading.estimator import Recipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.store.files import list_files
 from tactile_loc.store.store import StageStore
 from tactile_loc.view.calibration import save_held_out, save_labels
@@ -35,8 +35,8 @@ class MadeSensor:
 
     folder: Path
     presses: Path
-    outcome: Outcome
-    labels: Labels | None
+    outcome: CalibrationOutcome
+    labels: BallLabels | None
 
     def describe(self) -> list[str]:
         """Return the key facts as sentences: the photos, the gel, and the errors on held-out photos."""
@@ -152,7 +152,7 @@ class Calibrator:
         shutil.copytree(self._photos, presses)
         labelled = label_presses(presses, None, 0.5 * ball_diameter_mm, mm_per_px, progress)
         self._require_untouched(labelled.labels)
-        recipe = Recipe(options=self.options)
+        recipe = EstimatorRecipe(options=self.options)
         outcome = calibrate_folder(labelled.folder, labelled.sensor, recipe, store=self.store, progress=progress)
         made = MadeSensor(outcome.write(work / name), labelled.folder, outcome, labelled.labels)
         save_held_out(made.folder, outcome)
@@ -161,7 +161,7 @@ class Calibrator:
         self.made = made
         return made
 
-    def _require_untouched(self, labels: Labels | None) -> None:
+    def _require_untouched(self, labels: BallLabels | None) -> None:
         """Raise CalibrationError if the photo of the untouched gel shows a press."""
         if labels is None or self.reference is None or self.reference in labels.found.untouched_names:
             return

@@ -18,7 +18,7 @@ from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.key_touches import drop_nearest, measure_motion_m
-from tactile_loc.tracking.track_modes import Mode
+from tactile_loc.tracking.track_modes import TrackMode
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Searched:
     keys: tuple[Touch, ...]
     found: Localization | None
     right: float
-    known: tuple[Mode, ...]
+    known: tuple[TrackMode, ...]
     gains: Floats
 
     @property
@@ -88,7 +88,7 @@ class KeySearch:
         """Whether no search is under way and the key touches have changed since the last one."""
         return self.turns is None and bool(self.keys) and self.begun != self.keys
 
-    def begin(self, known: Sequence[Mode]) -> KeySearch:
+    def begin(self, known: Sequence[TrackMode]) -> KeySearch:
         """Return the search of the present key touches, before its first turn.
 
         It compares the poses that it finds with the `known` modes.
@@ -108,7 +108,7 @@ def search_keys(
     localizer: Localizer,
     keys: tuple[Touch, ...],
     prior: PosePrior | None,
-    known: tuple[Mode, ...],
+    known: tuple[TrackMode, ...],
     starts: Poses | None = None,
 ) -> Searched:
     """Locate touches together, and compare the first pose with the `known` modes. `starts` are as for `locate_keys`."""

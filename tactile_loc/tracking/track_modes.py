@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Mode:
+class TrackMode:
     """One possible pose of the object.
 
     `known` is the pose in the base frame. `T_sensor_object` (4, 4), metres, is the pose in the sensor frame, with a
@@ -82,14 +82,14 @@ class ModeFilter:
         """The middle of the gel (3,), metres, in the sensor frame."""
         return self.localizer.scene.geometry.gel_middle_m
 
-    def start(self, T_base_object: Floats, covariance: Floats) -> Mode:
+    def start(self, T_base_object: Floats, covariance: Floats) -> TrackMode:
         """Return the mode of a known pose (4, 4), metres, with a covariance (6, 6)."""
         known = PoseFilter.known(T_base_object, covariance)
-        return Mode(known, known.T_base_object, covariance)
+        return TrackMode(known, known.T_base_object, covariance)
 
     def predict(
-        self, modes: Sequence[Mode], T_base_sensor: Floats, passed_s: float, added: Floats | None
-    ) -> list[Mode]:
+        self, modes: Sequence[TrackMode], T_base_sensor: Floats, passed_s: float, added: Floats | None
+    ) -> list[TrackMode]:
         """Predict modes for a sensor at T_base_sensor (4, 4), metres, `passed_s` seconds later.
 
         `added` (6, 6) is the covariance of an error of the sensor's motion, along the base's axes.
@@ -102,7 +102,7 @@ class ModeFilter:
             predicted.append(self._view(replace(mode, known=mode.known.predict(creep)), T_base_sensor))
         return predicted
 
-    def follow(self, modes: Sequence[Mode], touch: Touch, alike: float) -> list[Mode]:
+    def follow(self, modes: Sequence[TrackMode], touch: Touch, alike: float) -> list[TrackMode]:
         """Register modes to a touch and fuse them with it.
 
         `alike`, 0 to 1, is the share of the previous touch's errors that this touch has, too.
@@ -127,7 +127,7 @@ class ModeFilter:
             for mode, predicted, iou in zip(followed, *ious, strict=True)
         ]
 
-    def find_slipped(self, modes: Sequence[Mode], touch: Touch, alike: float) -> list[Mode]:
+    def find_slipped(self, modes: Sequence[TrackMode], touch: Touch, alike: float) -> list[TrackMode]:
         """Return modes to which the two likeliest modes may have slipped, registered to a touch, the best first.
 
         `alike` is as for `follow`. Only poses farther from their modes than errors explain are returned.
@@ -143,7 +143,7 @@ class ModeFilter:
             known, seen = modes[k].known, self._see(touch, T, covariance)
             if known.measure_surprise(seen, 1 - alike) > self.options.slip_surprise:
                 creep = estimate_motion_errors(np.diag(self._slip_std**2), T_base_gel, known.T_base_object)
-                slipped.append(Mode(known.predict(creep).update(seen, 1.0), T, covariance))
+                slipped.append(TrackMode(known.predict(creep).update(seen, 1.0), T, covariance))
         if not slipped:
             return []
         ious = self.explain(slipped, [touch])
@@ -155,14 +155,14 @@ class ModeFilter:
             ]
         )
 
-    def make_slip_prior(self, mode: Mode, T_base_sensor: Floats) -> SlipPrior:
+    def make_slip_prior(self, mode: TrackMode, T_base_sensor: Floats) -> SlipPrior:
         """Return the prior over poses after a slip from a mode, whose gel is at T_base_sensor (4, 4), metres."""
         gel_m = transform_points(invert(mode.known.T_base_object) @ T_base_sensor, self.gel_m[None])
         lever_m = float(np.sqrt(np.mean(np.sum((self.localizer.object.mesh.vertices_m - gel_m) ** 2, axis=1))))
         std_m = float(np.hypot(np.sqrt(3) * self._slip_std[0], np.sqrt(2) * self._slip_std[3] * lever_m))
         return SlipPrior(mode.known.T_base_object, std_m, self.options.stay_nats, self._metric)
 
-    def find_all(self, found: Localization, touch: Touch) -> list[Mode]:
+    def find_all(self, found: Localization, touch: Touch) -> list[TrackMode]:
         """Return a search's hypotheses as modes, the most probable first. `touch` is the first touch of the search."""
         T_base_sensor, modes = np.asarray(touch.T_base_sensor), []
         for hypothesis in found.hypotheses[: self.options.modes]:
@@ -170,10 +170,10 @@ class ModeFilter:
                 T, covariance = hypothesis.T_sensor_object, hypothesis.refined.covariance
                 known = PoseFilter.of_touch(self._see(touch, T, covariance))
                 nats = math.log(max(hypothesis.probability, 1e-300))
-                modes.append(self._view(Mode(known, T, covariance, nats, hypothesis.imprint_iou), T_base_sensor))
+                modes.append(self._view(TrackMode(known, T, covariance, nats, hypothesis.imprint_iou), T_base_sensor))
         return modes
 
-    def renew(self, modes: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
+    def renew(self, modes: Sequence[TrackMode], found: Sequence[TrackMode]) -> list[TrackMode]:
         """Return the modes that a search found; those near a followed mode take over its pose, from more touches."""
         renewed, T = [], np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
         for new in found:
@@ -183,11 +183,11 @@ class ModeFilter:
             renewed.append(replace(modes[k], nats=new.nats) if near else new)
         return renewed
 
-    def view_from(self, modes: Sequence[Mode], T_base_sensor: Floats) -> list[Mode]:
+    def view_from(self, modes: Sequence[TrackMode], T_base_sensor: Floats) -> list[TrackMode]:
         """Return modes as seen from a sensor at T_base_sensor (4, 4), metres."""
         return [self._view(mode, T_base_sensor) for mode in modes]
 
-    def explain(self, modes: Sequence[Mode], touches: Sequence[Touch]) -> list[float]:
+    def explain(self, modes: Sequence[TrackMode], touches: Sequence[Touch]) -> list[float]:
         """Return how well modes explain touches: their mean imprint IoUs, 0 to 1."""
         poses = np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
         each = [
@@ -196,7 +196,7 @@ class ModeFilter:
         ]
         return np.mean(each, axis=0).tolist()
 
-    def keep_distinct(self, modes: Sequence[Mode]) -> list[Mode]:
+    def keep_distinct(self, modes: Sequence[TrackMode]) -> list[TrackMode]:
         """Return the likeliest modes, except modes near a likelier one or much less probable than the best one."""
         ordered = sorted(modes, key=lambda mode: -mode.nats)
         least = ordered[0].nats + math.log(self.options.improbable) if ordered else 0.0
@@ -205,7 +205,7 @@ class ModeFilter:
         of = merge_modes(poses, self._metric, self.localizer.merge_radius_m, self.options.modes)
         return [ordered[k] for k in np.unique(of[of >= 0])]
 
-    def _guess_slips(self, modes: Sequence[Mode], view: View) -> tuple[list[int], Floats]:
+    def _guess_slips(self, modes: Sequence[TrackMode], view: View) -> tuple[list[int], Floats]:
         """Guess poses to which the two likeliest modes may have slipped, register them, and keep distinct ones.
 
         Returns the numbers (K,) of their modes, and their poses (K, 4, 4), metres, in the sensor frame.
@@ -228,7 +228,7 @@ class ModeFilter:
     def _look(self, touch: Touch) -> View:
         return View(touch, self.localizer.scene.match_touch(touch))
 
-    def _view(self, mode: Mode, T_base_sensor: Floats) -> Mode:
+    def _view(self, mode: TrackMode, T_base_sensor: Floats) -> TrackMode:
         T, covariance = mode.known.view_from(T_base_sensor, self.gel_m)
         return replace(mode, T_sensor_object=T, covariance=covariance)
 

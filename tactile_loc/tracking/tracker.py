@@ -27,7 +27,7 @@ from tactile_loc.locate.result.freedom import AS_WELL, find_as_well
 from tactile_loc.locate.result.verdict import LEAST_IOU, Verdict
 from tactile_loc.tracking.key_search import KeySearch, Searched
 from tactile_loc.tracking.key_touches import measure_motion_m
-from tactile_loc.tracking.track_modes import Mode, ModeFilter
+from tactile_loc.tracking.track_modes import ModeFilter, TrackMode
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
 
 Floats = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Stayed:
     `gain` is the imprint IoU by which it has predicted the `touches` since then better than the track after the slip.
     """
 
-    modes: list[Mode]
+    modes: list[TrackMode]
     trust: TrackTrust
     search: KeySearch
     gain: float = 0.0
@@ -99,7 +99,7 @@ class Tracker:
         covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
         self._begin([self._filter.start(T, covariance)], TrackTrust(self.options))
 
-    def _begin(self, modes: list[Mode], trust: TrackTrust) -> None:
+    def _begin(self, modes: list[TrackMode], trust: TrackTrust) -> None:
         self._modes, self._trust, self._search = modes, trust, KeySearch(self.localizer)
         self._time_s = -math.inf
         self._T_base_sensor: Floats | None = None
@@ -192,7 +192,7 @@ class Tracker:
         surprise, known = self._modes[0].known.surprise, self._expected >= LEAST_EXPECTED
         return known and (surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE))
 
-    def _slip(self, before: Sequence[Mode], touch: Touch, alike: float) -> bool:
+    def _slip(self, before: Sequence[TrackMode], touch: Touch, alike: float) -> bool:
         """Look for poses to which the modes may have slipped since `before`; return whether one was accepted."""
         slipped, tracked = self._filter.find_slipped(before, touch, alike), self._modes[0]
         if not slipped or slipped[0].imprint_iou < tracked.predicted_iou + self.options.slip_iou:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from tactile_loc.sensors.calibration.circles import compare_colours
 from tactile_loc.sensors.calibration.folder import PICTURE
 from tactile_loc.sensors.calibration.frames import SHEET
-from tactile_loc.sensors.calibration.labelling import Labels
+from tactile_loc.sensors.calibration.labelling import BallLabels
 from tactile_loc.sensors.calibration.labels import LabelledPresses
-from tactile_loc.sensors.calibration.outcome import Outcome
+from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
 from tactile_loc.sensors.calibration.unlabelled import FoundPress, FoundPresses
 from tactile_loc.sensors.reading.estimator import GelEstimator
 from tactile_loc.sensors.reading.reading import read_gel
@@ -33,13 +33,13 @@ STRONG = 0.995  # quantile of the absolute colour changes that reaches the end o
 LONGEST = 30  # characters of a name
 
 
-def save_held_out(folder: Path, outcome: Outcome) -> Path:
+def save_held_out(folder: Path, outcome: CalibrationOutcome) -> Path:
     """Draw the held-out presses of a calibration into its folder, and return the picture's path. Raises OutputError."""
     figure = draw_held_out(outcome.estimator, outcome.presses, outcome.held_out, outcome.title)
     return save_figure(folder / PICTURE, figure)
 
 
-def save_labels(folder: Path, labels: Labels) -> Path:
+def save_labels(folder: Path, labels: BallLabels) -> Path:
     """Draw the circles found in the images of a folder into it, and return the picture's path. Raises OutputError."""
     return save_figure(folder / SHEET, draw_labels(labels.found, labels.title))
 
@@ -61,7 +61,7 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     return figure
 
 
-def draw_reading(outcome: Outcome, number: int) -> Figure:
+def draw_reading(outcome: CalibrationOutcome, number: int) -> Figure:
     """Draw one press, given by its number, in the width of a narrow page: the panels of `draw_held_out`."""
     figure = make_figure(6.2, 5.2, constrained=True)
     panels = list(figure.subplots(2, 2).flat)

@@ -20,7 +20,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
 from tactile_loc.sensors.calibration.simulated import calibrate_simulated
 from tactile_loc.sensors.optics.lamps import OPTICS
-from tactile_loc.sensors.reading.estimator import Recipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 IMAGES = SimulatedTouches(seed=3, images=True)
 SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01, 2e-3)
@@ -30,7 +30,9 @@ SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01
 def folder(store, tmp_path_factory) -> Path:
     """A sensor calibrated on simulated boards."""
     options = {"steps": 400, "hidden": 16}
-    presses, estimator, record = calibrate_simulated(SENSOR, OPTICS["digit"], 40, Recipe(options=options), store)
+    presses, estimator, record = calibrate_simulated(
+        SENSOR, OPTICS["digit"], 40, EstimatorRecipe(options=options), store
+    )
     return write_calibration(
         tmp_path_factory.mktemp("sensor") / "calibrated", SENSOR, presses.background, estimator, record
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from press_sets import BALL_M, ball_set
 
-from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.unlabelled import find_presses
 from tactile_loc.view.calibration import draw_circle, draw_reading
 from tactile_loc.view.pictures import render_figure
@@ -16,7 +16,9 @@ BALLS = ball_set(7, px=80)
 @pytest.fixture(scope="module")
 def found():
     images = {"untouched.png": BALLS.background, **{f"{n}.png": image for n, image in enumerate(BALLS.images)}}
-    return find_presses([Frame(name, image) for name, image in images.items()], BALL_M / BALLS.geometry.pixel_pitch_m)
+    return find_presses(
+        [PressImage(name, image) for name, image in images.items()], BALL_M / BALLS.geometry.pixel_pitch_m
+    )
 
 
 def test_the_circle_is_drawn_on_the_photo_and_on_its_change(found):
@@ -35,12 +37,12 @@ def test_the_circle_is_drawn_on_the_photo_and_on_its_change(found):
 
 def test_the_reading_has_the_known_and_the_estimated_indentation():
     pytest.importorskip("torch")
-    from tactile_loc.sensors.calibration.outcome import Outcome
+    from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
     from tactile_loc.sensors.reading.estimator import validate_estimator_options
     from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 
     options = validate_estimator_options(PhotometricEstimator, {"hidden": 4})
     untrained = PhotometricEstimator(BALLS.geometry, BALLS.background, options)
-    figure = draw_reading(Outcome(BALLS, untrained, BALLS.background, {}), 3)
+    figure = draw_reading(CalibrationOutcome(BALLS, untrained, BALLS.background, {}), 3)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:4] == [BALLS.name(3), "known", "estimated", "along x, at the deepest point"]

@@ -16,8 +16,8 @@ from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
     from tactile_loc.sensors.calibration.labelling import LabelledFolder
-    from tactile_loc.sensors.calibration.outcome import Outcome
-    from tactile_loc.sensors.reading.estimator import Recipe
+    from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
+    from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"
@@ -121,12 +121,12 @@ def calibrate(
     from tactile_loc.sensors.calibration.folder import require_replaceable
     from tactile_loc.sensors.calibration.labelling import label_presses
     from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_folder
-    from tactile_loc.sensors.reading.estimator import Recipe
+    from tactile_loc.sensors.reading.estimator import EstimatorRecipe
     from tactile_loc.store.store import StageStore
 
     require_writable(out)
     require_replaceable(out.absolute())
-    recipe = Recipe(estimator, _parse_options(option or []), seed)
+    recipe = EstimatorRecipe(estimator, _parse_options(option or []), seed)
     _require_one_source(folder, format, background, image_size, curved, simulated, optics, presses)
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
@@ -199,9 +199,9 @@ def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[
 
 
 def _calibrate_simulated(
-    sensor: str | None, optics: str | None, count: int | None, recipe: Recipe, out: Path, store: Path | None
+    sensor: str | None, optics: str | None, count: int | None, recipe: EstimatorRecipe, out: Path, store: Path | None
 ) -> dict[str, Any]:
-    from tactile_loc.sensors.calibration.outcome import Outcome
+    from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
     from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
     from tactile_loc.store.store import StageStore
 
@@ -210,10 +210,10 @@ def _calibrate_simulated(
     presses, made, record = calibrate_simulated(geometry, lamps, count, recipe, StageStore(store), make_progress())
     if (native := find_camera_px(sensor)) is not None:
         record["camera_px"] = native
-    return _finish(Outcome(presses, made, presses.background, record), out)
+    return _finish(CalibrationOutcome(presses, made, presses.background, record), out)
 
 
-def _finish(outcome: Outcome, out: Path) -> dict[str, Any]:
+def _finish(outcome: CalibrationOutcome, out: Path) -> dict[str, Any]:
     """Write the calibration folder, and print the gel's properties and the errors."""
     from tactile_loc.view.calibration import save_held_out
 

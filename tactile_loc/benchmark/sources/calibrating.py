@@ -16,7 +16,7 @@ from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import write_image
-from tactile_loc.sensors.calibration.frames import Frame, read_frames
+from tactile_loc.sensors.calibration.frames import PressImage, read_frames
 from tactile_loc.sensors.calibration.outcome import calibrate_folder
 from tactile_loc.sensors.calibration.unlabelled import find_presses, write_labels
 from tactile_loc.slots.benchmarking import Image, SimulatedSource
@@ -95,7 +95,7 @@ def press_ball(source: SimulatedSource, camera: SensorGeometry, balls: BallPress
     return images
 
 
-def label_balls(folder: Path, frames: Sequence[Frame], radius_m: float, pitch_m: float) -> None:
+def label_balls(folder: Path, frames: Sequence[PressImage], radius_m: float, pitch_m: float) -> None:
     """Find the balls in images, and write the table `presses.csv`. Raises CalibrationError if no ball is found."""
     (folder / "presses.csv").unlink(missing_ok=True)
     found = find_presses(frames, radius_m / pitch_m)

@@ -15,7 +15,7 @@ from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.folder import WEIGHTS
 from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.sensors.calibration.presses import TABLE, PressFolder
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, GelEstimator, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe, GelEstimator
 from tactile_loc.sensors.reading.reading import Health, find_worst, measure_health, read_gel
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
 from tactile_loc.store.store import StageStore
@@ -73,7 +73,7 @@ class Calibrated:
         return {"noise_m": mean.get("untouched_m", 0.0), "held_out": held_out, "health": self.usual.record()}
 
 
-def calibrate(problem: CalibrationProblem, recipe: Recipe) -> Calibrated:
+def calibrate(problem: CalibrationProblem, recipe: EstimatorRecipe) -> Calibrated:
     """Train an estimator on four fifths of a problem's presses, and measure its errors on the other presses.
 
     Raises CalibrationError when there are fewer than FEWEST presses.
@@ -125,7 +125,7 @@ def _rms(values: NDArray[np.floating]) -> float:
 
 
 def calibrate_stage(
-    presses: PressFolder, folder: Path, recipe: Recipe, store: StageStore, progress: Progress
+    presses: PressFolder, folder: Path, recipe: EstimatorRecipe, store: StageStore, progress: Progress
 ) -> tuple[GelEstimator, dict[str, Any]]:
     """Calibrate with a folder of presses, or load the stored result.
 
@@ -145,7 +145,7 @@ def calibrate_stage(
 
 
 def learn_stage(
-    problem: CalibrationProblem, recipe: Recipe, inputs: dict[str, Any], store: StageStore
+    problem: CalibrationProblem, recipe: EstimatorRecipe, inputs: dict[str, Any], store: StageStore
 ) -> tuple[GelEstimator, dict[str, Any]]:
     """Calibrate with a problem's presses, or load the stored result.
 

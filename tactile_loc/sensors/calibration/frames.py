@@ -32,14 +32,14 @@ Frames = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class PressImage:
     """An image (H, W, 3) of the gel, and its path relative to the folder of the table."""
 
     name: str
     image: Image
 
 
-def read_frames(source: Path) -> tuple[Path, list[Frame]]:
+def read_frames(source: Path) -> tuple[Path, list[PressImage]]:
     """Return the folder of a source's pictures, and the pictures as frames in order.
 
     The source is a folder of pictures and videos, or a video. A video's chosen frames are written to the folder
@@ -70,16 +70,16 @@ def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     return found
 
 
-def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:
+def _read_pictures(folder: Path, root: Path) -> Iterator[PressImage]:
     for path in _list_files(folder, IMAGE_SUFFIXES):
         try:
             image = read_photo(path)
         except TouchError as error:
             raise CalibrationError(str(error)) from error
-        yield Frame(path.relative_to(root).as_posix(), image)
+        yield PressImage(path.relative_to(root).as_posix(), image)
 
 
-def _require_one_size(frames: Iterable[Frame], folder: Path) -> list[Frame]:
+def _require_one_size(frames: Iterable[PressImage], folder: Path) -> list[PressImage]:
     found = list(frames)
     if not found:
         raise CalibrationError(f"there is no image in {folder}; give photos of presses, PNG or JPEG, or a video")

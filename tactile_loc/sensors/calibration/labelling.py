@@ -10,7 +10,7 @@ from pathlib import Path
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.sensors.calibration.frames import Frame, list_pictures, name_frames_folder, read_frames
+from tactile_loc.sensors.calibration.frames import PressImage, list_pictures, name_frames_folder, read_frames
 from tactile_loc.sensors.calibration.presses import SENSOR, TABLE, summarize_table, write_scale
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, estimate_depths_mm, find_presses, write_labels
 
@@ -18,7 +18,7 @@ SAME_SCALE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
+class BallLabels:
     """The balls that were found in the images, and the least and the largest press depth, mm, by their circles."""
 
     found: FoundPresses
@@ -50,7 +50,7 @@ class LabelledFolder:
 
     folder: Path
     sensor: Path
-    labels: Labels | None = None
+    labels: BallLabels | None = None
     unlisted: int = 0
 
 
@@ -153,9 +153,9 @@ def _require_lengths(ball_radius_mm: float | None, mm_per_px: float | None) -> N
 
 
 def _find_labels(
-    folder: Path, frames: list[Frame], mm_per_px: float, ball_radius_mm: float, progress: Progress | None
-) -> Labels:
+    folder: Path, frames: list[PressImage], mm_per_px: float, ball_radius_mm: float, progress: Progress | None
+) -> BallLabels:
     found = find_presses(frames, ball_radius_mm / mm_per_px, progress)
-    labels = Labels(found, estimate_depths_mm(found, ball_radius_mm, mm_per_px))
+    labels = BallLabels(found, estimate_depths_mm(found, ball_radius_mm, mm_per_px))
     write_labels(folder, found, ball_radius_mm, mm_per_px)
     return labels

@@ -18,7 +18,7 @@ from tactile_loc.sensors.calibration.folder import write_calibration
 from tactile_loc.sensors.calibration.gel_fit import GelFit
 from tactile_loc.sensors.calibration.labels import Image, LabelledPresses
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
-from tactile_loc.sensors.reading.estimator import GelEstimator, Recipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator
 from tactile_loc.store.store import StageStore
 
 QUANTITIES = {
@@ -30,7 +30,7 @@ QUANTITIES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CalibrationOutcome:
     """A trained `estimator`, its `presses`, the image (H, W, 3) of the untouched gel, and a record as JSON values.
 
     `facts` are sentences about the gel, if it was measured.
@@ -94,11 +94,11 @@ class FolderReading:
 def calibrate_folder(
     folder: Path,
     sensor: Path | SensorGeometry,
-    recipe: Recipe | None = None,
+    recipe: EstimatorRecipe | None = None,
     reading: FolderReading | None = None,
     store: StageStore | None = None,
     progress: Progress | None = None,
-) -> Outcome:
+) -> CalibrationOutcome:
     """Calibrate with a folder of presses and the `sensor` that took them, or its file, or load the stored result.
 
     Raises CalibrationError when the folder cannot be used, SensorError when the sensor's file cannot be read, and
@@ -106,7 +106,7 @@ def calibrate_folder(
     """
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
-    recipe, reading, watcher = recipe or Recipe(), reading or FolderReading(), progress or Progress()
+    recipe, reading, watcher = recipe or EstimatorRecipe(), reading or FolderReading(), progress or Progress()
     camera = sensor if isinstance(sensor, SensorGeometry) else _read_geometry(sensor)
     presses = read_presses(folder, camera, reading.median_background, reading.size_px or choose_size_px(camera))
     if reading.curved:
@@ -114,7 +114,7 @@ def calibrate_folder(
     presses = presses.measure_gel(progress=watcher)
     made, record = calibrate_stage(presses, folder, recipe, store or StageStore(), watcher)
     facts = (*(_describe_curve(presses) if reading.curved else ()), *_describe_gel(presses))
-    return Outcome(presses, made, presses.untouched, {**record, **presses.record()}, facts)
+    return CalibrationOutcome(presses, made, presses.untouched, {**record, **presses.record()}, facts)
 
 
 def _read_geometry(path: Path) -> SensorGeometry:

@@ -24,7 +24,7 @@ from tactile_loc.sensors.optics.gel import SOFTNESS_M
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics, choose_optics, find_optics
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import press_boards
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, GelEstimator, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe, GelEstimator
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -145,7 +145,7 @@ def calibrate_simulated(
     geometry: SensorGeometry,
     lamps: Optics,
     count: int | None,
-    recipe: Recipe,
+    recipe: EstimatorRecipe,
     store: StageStore,
     progress: Progress | None = None,
 ) -> tuple[SimulatedPresses, GelEstimator, dict[str, Any]]:

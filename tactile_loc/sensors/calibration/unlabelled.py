@@ -27,7 +27,7 @@ from tactile_loc.sensors.calibration.circles import (
     find_rim,
     measure_concentration,
 )
-from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.labels import STEEPEST, Float32, Image, Mask
 from tactile_loc.sensors.calibration.presses import TABLE, write_table
 from tactile_loc.sensors.reading.markers import UntouchedGel
@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 class FoundPress:
     """An image of a press and the ball's circle, if found. `dropped` states why the press is not used, or is empty."""
 
-    frame: Frame
+    frame: PressImage
     circle: Circle | None
     dropped: str = ""
 
@@ -90,7 +90,7 @@ class FoundPresses:
 
 
 def find_presses(
-    frames: Sequence[Frame], ball_px: float | None = None, progress: Progress | None = None
+    frames: Sequence[PressImage], ball_px: float | None = None, progress: Progress | None = None
 ) -> FoundPresses:
     """Find the untouched gel and each ball's circle in images (H, W, 3) of one camera, in any order.
 
@@ -262,7 +262,7 @@ def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
     return np.asarray(terms @ factors, np.float32)
 
 
-def _judge(frame: Frame, image: Image, reference: Float32, gel: UntouchedGel, ball_px: float | None) -> FoundPress:
+def _judge(frame: PressImage, image: Image, reference: Float32, gel: UntouchedGel, ball_px: float | None) -> FoundPress:
     """Find the ball's circle in an image, or the reason why the image cannot be used.
 
     `image` (H, W, 3) is the frame's image without marker dots. The dots show whether the camera moved.

@@ -48,7 +48,7 @@ class CalibrationProblem:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class EstimatorRecipe:
     """How to learn an estimator: its name, its options by name, and the seed that draws the held-out presses."""
 
     estimator: str = "photometric"

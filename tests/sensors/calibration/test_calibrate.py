@@ -34,7 +34,7 @@ from tactile_loc.sensors.calibration.calibrate import (  # noqa: E402
 from tactile_loc.sensors.calibration.labels import Chosen, LabelledPresses, PressLabel  # noqa: E402
 from tactile_loc.sensors.calibration.presses import read_presses  # noqa: E402
 from tactile_loc.sensors.reading import estimator  # noqa: E402
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, GelEstimator, Recipe  # noqa: E402
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe, GelEstimator  # noqa: E402
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.sensors.reading.reading import Health  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
@@ -90,7 +90,7 @@ def oracle(monkeypatch) -> type[Oracle]:
 
 
 def test_a_perfect_estimator_has_no_error(oracle):
-    found = calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), Recipe("oracle"))
+    found = calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), EstimatorRecipe("oracle"))
     assert len(found.errors) == len(found.held_out) == 2
     for errors in found.errors:
         assert errors.slope_deg == pytest.approx(0, abs=1e-5)
@@ -100,7 +100,7 @@ def test_a_perfect_estimator_has_no_error(oracle):
 
 
 def test_training_never_uses_held_out_presses(oracle):
-    found = calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), Recipe("oracle", seed=3))
+    found = calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), EstimatorRecipe("oracle", seed=3))
     assert sorted(oracle.seen + found.held_out) == list(range(10))
     assert found.held_out == split(10, 3)[1]
 
@@ -165,16 +165,18 @@ class Few(LabelledPresses):
 
 def test_too_few_presses_are_refused():
     with pytest.raises(CalibrationError, match=naming("4 presses", 5)):
-        calibrate(CalibrationProblem(GEOMETRY, BALLS.background, Few()), Recipe("photometric"))
+        calibrate(CalibrationProblem(GEOMETRY, BALLS.background, Few()), EstimatorRecipe("photometric"))
 
 
 def test_bad_options_are_refused():
     with pytest.raises(ConfigError, match=naming("'photometric'", "steps", "'many'")):
-        calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), Recipe("photometric", {"steps": "many"}))
+        calibrate(
+            CalibrationProblem(GEOMETRY, BALLS.background, BALLS), EstimatorRecipe("photometric", {"steps": "many"})
+        )
 
 
 def test_the_calibration_reports_the_measured_held_out_errors():
-    found = calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), Recipe("photometric", TINY))
+    found = calibrate(CalibrationProblem(GEOMETRY, BALLS.background, BALLS), EstimatorRecipe("photometric", TINY))
     measured = [measure_press(found.estimator, *BALLS.read_press(number)) for number in found.held_out]
     np.testing.assert_array_equal([dataclasses.astuple(e) for e in measured], [*map(dataclasses.astuple, found.errors)])
     assert average_errors(found.errors)["slope_deg"] < 6
@@ -193,7 +195,7 @@ def store(tmp_path: Path) -> StageStore:
 
 def stage(folder: Path, store: StageStore, seed: int = 0, geometry=FIVE.geometry, **options: object):
     presses = read_presses(folder, geometry)
-    return calibrate_stage(presses, folder, Recipe("photometric", {**FEW, **options}, seed), store, Progress())
+    return calibrate_stage(presses, folder, EstimatorRecipe("photometric", {**FEW, **options}, seed), store, Progress())
 
 
 def test_a_second_calibration_comes_from_the_store(folder, store, monkeypatch):

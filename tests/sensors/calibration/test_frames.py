@@ -14,7 +14,7 @@ from PIL import Image
 from press_sets import BALL_M, ball_indentation, gel_under, sensor, write_image
 
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.sensors.calibration.frames import Frame, choose_frames, read_frames, take_frames
+from tactile_loc.sensors.calibration.frames import PressImage, choose_frames, read_frames, take_frames
 from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses, write_labels
 from tactile_loc.sensors.optics.lamps import OPTICS
@@ -36,10 +36,10 @@ def pressed(*balls: tuple[float, float], press_m: float = 7e-4, seed: int = 0) -
 PRESSES = [pressed(tuple(place), seed=n) for n, place in enumerate(PLACES)]
 
 
-def frames(*more: np.ndarray, untouched: int = 1) -> list[Frame]:
+def frames(*more: np.ndarray, untouched: int = 1) -> list[PressImage]:
     """The presses, then images of the untouched gel, then more images."""
     images = [*PRESSES, *[GEL] * untouched, *more]
-    return [Frame(f"{n:02d}.png", image) for n, image in enumerate(images)]
+    return [PressImage(f"{n:02d}.png", image) for n, image in enumerate(images)]
 
 
 BAD = {  # images by the reason for dropping them
@@ -108,27 +108,27 @@ def test_a_moved_camera_is_detected_by_the_gel_texture():
     def photo(image, by=0):
         return np.clip(image + textured(by), 0, 255).astype(np.uint8)
 
-    still = [Frame(f"{n}.png", photo(image)) for n, image in enumerate([*PRESSES, GEL])]
-    moved = [Frame(f"moved by {shift}.png", photo(PRESSES[0], shift)) for shift in (2, 6)]
+    still = [PressImage(f"{n}.png", photo(image)) for n, image in enumerate([*PRESSES, GEL])]
+    moved = [PressImage(f"moved by {shift}.png", photo(PRESSES[0], shift)) for shift in (2, 6)]
     found = find_presses([*still, *moved])
     assert all("camera" in press.dropped for press in found.presses[-len(moved) :])
     assert len(found.used) == len(PRESSES)
-    most = [Frame(f"{n}.png", photo(image, 2 + n)) for n, image in enumerate(PRESSES)]
+    most = [PressImage(f"{n}.png", photo(image, 2 + n)) for n, image in enumerate(PRESSES)]
     with pytest.raises(CalibrationError, match=naming("camera", 10)):
-        find_presses([Frame("gel.png", photo(GEL)), Frame("gel2.png", photo(GEL)), *most])
+        find_presses([PressImage("gel.png", photo(GEL)), PressImage("gel2.png", photo(GEL)), *most])
 
 
 def test_images_without_a_ball_are_refused():
     noise = np.random.default_rng(0).integers(-2, 3, (6, *GEL.shape))
-    images = [Frame(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
+    images = [PressImage(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
     with pytest.raises(CalibrationError, match=naming("ball", "gel")):
         find_presses(images)
 
 
 def test_a_ball_larger_than_the_image_is_refused():
-    images = [Frame(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
+    images = [PressImage(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
     with pytest.raises(CalibrationError, match=naming("ball", "gel")):
-        find_presses([*images, Frame("gel.png", GEL[31:49, 31:49])])
+        find_presses([*images, PressImage("gel.png", GEL[31:49, 31:49])])
 
 
 def test_two_images_are_too_few():

@@ -17,7 +17,7 @@ from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage, fit_gel
 from tactile_loc.sensors.calibration.labels import label_elastic_ball
 from tactile_loc.sensors.calibration.pressed_balls import DEPTHS, press_balls
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 from tactile_loc.sensors.reading.surface import differentiate
 
 BALL_M, PITCH_M, PX = 3e-3, 1.2e-4, 140
@@ -132,7 +132,9 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
     assert presses.fit is not None
     assert presses.fit.rms < 0.2 * presses.fit.rigid_rms
     geometry = presses.geometry
-    estimator = calibrate(CalibrationProblem(geometry, presses.background, presses), Recipe("photometric")).estimator
+    estimator = calibrate(
+        CalibrationProblem(geometry, presses.background, presses), EstimatorRecipe("photometric")
+    ).estimator
 
     def read(path: Path) -> np.ndarray:
         image = np.asarray(Image.open(path).convert("RGB"))

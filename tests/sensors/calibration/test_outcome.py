@@ -11,7 +11,7 @@ from press_sets import TINY, ball_set
 from tactile_loc.core.runtime.errors import CalibrationError, SensorError
 from tactile_loc.sensors.calibration.folder import read_calibration
 from tactile_loc.sensors.calibration.outcome import calibrate_folder
-from tactile_loc.sensors.reading.estimator import Recipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.store.store import StageStore
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def test_a_folder_becomes_a_sensor_with_its_errors(tmp_path):
     presses = ball_set(7).write(tmp_path / "presses")
     store = StageStore(tmp_path / "store")
-    outcome = calibrate_folder(presses, presses / "sensor.toml", Recipe(options=TINY), store=store)
+    outcome = calibrate_folder(presses, presses / "sensor.toml", EstimatorRecipe(options=TINY), store=store)
     assert outcome.title == "1 of 7 presses were held out"
     assert [line.partition(":")[0] for line in outcome.list_errors()] == [
         "surface angle in the contact", "indentation in the contact, up to a constant", "indentation in the contact",

@@ -21,7 +21,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
 from tactile_loc.sensors.calibration.calibrate import average_errors, calibrate
 from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 
 BALLS = ball_set(3)
 GEOMETRY = BALLS.geometry
@@ -428,7 +428,7 @@ def test_a_few_training_steps_calibrate_a_real_sensor(public):
     presses = public("gelslim_balls")
     found = calibrate(
         CalibrationProblem(presses.geometry, presses.background, presses),
-        Recipe("photometric", {"steps": 150, "hidden": 16}),
+        EstimatorRecipe("photometric", {"steps": 150, "hidden": 16}),
     )
     mean = average_errors(found.errors)
     assert mean["slope_deg"] < 5

@@ -20,7 +20,7 @@ from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import render_touches
 from tactile_loc.sensors.reading.cnn import PLANES, CnnEstimator, GelNetwork
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.reading import LEAST_M, find_contact_shape
 from tactile_loc.slots.encoder import Checkpoints
@@ -120,7 +120,9 @@ def weights(estimator: CnnEstimator, path) -> bytes:
 def test_training_reduces_the_loss_and_beats_a_zero_depth(presses):
     notes = Notes()
     options = {**SMALL, "epochs": 25}
-    done = calibrate(CalibrationProblem(presses.geometry, presses.background, presses, notes), Recipe("cnn", options))
+    done = calibrate(
+        CalibrationProblem(presses.geometry, presses.background, presses, notes), EstimatorRecipe("cnn", options)
+    )
     losses_mm = [float(note.split()[2]) for note in notes.notes]
     assert len(losses_mm) == options["epochs"]
     assert losses_mm[-1] < 0.95 * losses_mm[0]

@@ -12,12 +12,12 @@ from scipy.ndimage import gaussian_filter
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.sensors.calibration.calibrate import calibrate
 from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
-from tactile_loc.sensors.calibration.frames import Frame
+from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, Recipe
+from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 from tactile_loc.sensors.reading.markers import UntouchedGel, continue_values, find_dots, mark_dots, match_dots
 
 PX = 160
@@ -220,8 +220,10 @@ def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     pytest.importorskip("torch")
     folder, balls, places = dotted
     presses = read_presses(folder, balls.geometry)
-    plain = calibrate(CalibrationProblem(balls.geometry, balls.background, balls), Recipe("photometric", TINY))
-    made = calibrate(CalibrationProblem(presses.geometry, presses.background, presses), Recipe("photometric", TINY))
+    plain = calibrate(CalibrationProblem(balls.geometry, balls.background, balls), EstimatorRecipe("photometric", TINY))
+    made = calibrate(
+        CalibrationProblem(presses.geometry, presses.background, presses), EstimatorRecipe("photometric", TINY)
+    )
     record = {**made.record(), "dots": presses.gel.record(PITCH_M)}
     write_calibration(tmp_path / "sensor", presses.geometry, presses.gel.image, made.estimator, record)
     known = read_calibration(tmp_path / "sensor")
@@ -242,8 +244,8 @@ def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
 @pytest.mark.slow
 def test_circles_are_found_under_dots(dotted):
     folder, balls, places = dotted
-    frames = [Frame(f"{n:04d}.png", read) for n, read in enumerate(_read_images(folder, len(balls)))]
-    gel = Frame("background.png", draw(balls.background, places, 4))
+    frames = [PressImage(f"{n:04d}.png", read) for n, read in enumerate(_read_images(folder, len(balls)))]
+    gel = PressImage("background.png", draw(balls.background, places, 4))
     for given in ([gel, *frames], frames):
         found = find_presses(given)
         assert len(found.used) >= 8
@@ -260,8 +262,8 @@ def test_dots_show_that_the_camera_moved(dotted):
     folder, balls, places = dotted
     images = list(_read_images(folder, len(balls)))
     images[3] = np.roll(images[3], 3, axis=1)
-    gel = Frame("background.png", draw(balls.background, places, 4))
-    found = find_presses([gel, *(Frame(f"{n:04d}.png", image) for n, image in enumerate(images))])
+    gel = PressImage("background.png", draw(balls.background, places, 4))
+    found = find_presses([gel, *(PressImage(f"{n:04d}.png", image) for n, image in enumerate(images))])
     assert {press.name for press in found.presses if press.dropped.startswith("camera moved")} == {"0003.png"}
 
 
